@@ -1,0 +1,30 @@
+"""Pick, place and return beside a walking human: reinforcement learning with comfort in mind."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dm_control.rl.control import Environment
+
+__version__ = "0.1.0"
+
+
+def load(task: str = "pick", seed: int = 0, **choices: object) -> Environment:
+    """Return `task` as a dm_control Environment of one cell.
+
+    `choices` are the overrides of the command line: `load("pick", human="arc", robot="ur5e")`, and with
+    a dotted key `load("pick", **{"human.speed_m_s": 1.0})`. The same `seed` gives the same episodes.
+    """
+    from hrl_comfort.compose import compose, environment, override
+    from hrl_comfort.config import ConfigError, TrainConfig
+    from hrl_comfort.envs.dm import make_environment
+
+    overrides = [override(key, value) for key, value in {"task": task, **choices}.items()]
+    config = compose("train", overrides)
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(f"{task!r} has no environment")
+    return make_environment(environment(config), seed)
+
+
+__all__ = ["__version__", "load"]

@@ -1,0 +1,185 @@
+"""`hrl-comfort VERB [overrides]`: the commands. Nothing heavy is imported before it is needed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+
+VERBS = {
+    "train": "teach one subtask to one policy",
+    "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
+    "report": "write one HTML file about the runs in a folder (run=DIR)",
+    "bench": "print how fast the batched environment is (bench env)",
+    "demo": "train, evaluate, chain and report, in minutes",
+}
+
+
+def train(overrides: list[str]) -> None:
+    """Run `hrl-comfort train`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("train", overrides)
+    assert isinstance(config, TrainConfig)
+    from hrl_comfort.envs.torchrl import make_env
+    from hrl_comfort.experiments.train import train as run
+
+    run(config, make_env)
+
+
+def evaluate(overrides: list[str]) -> None:
+    """Run `hrl-comfort evaluate`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("evaluate", overrides)
+    assert isinstance(config, EvaluateConfig)
+    from hrl_comfort.experiments.evaluate import evaluate as run
+
+    run(config)
+
+
+def report(overrides: list[str]) -> None:
+    """Run `hrl-comfort report`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("report", overrides)
+    assert isinstance(config, ReportConfig)
+    from hrl_comfort.experiments.report import report as run
+
+    run(config)
+
+
+def bench(words: list[str]) -> None:
+    """Run `hrl-comfort bench env`."""
+    if not words or words[0] != "env":
+        raise ConfigError(f"bench {words[0] if words else '(nothing)'} is not known; say bench env")
+    from hrl_comfort.compose import compose
+
+    config = compose("train", words[1:])
+    assert isinstance(config, TrainConfig)
+    from hrl_comfort.experiments.bench import bench_env
+
+    bench_env(config)
+
+
+def demo(overrides: list[str]) -> None:
+    """Run `hrl-comfort demo`."""
+    from hrl_comfort.experiments.demo import demo as run
+
+    run(overrides)
+
+
+RUN: dict[str, Callable[[list[str]], None]] = {
+    "train": train,
+    "evaluate": evaluate,
+    "report": report,
+    "bench": bench,
+    "demo": demo,
+}
+
+
+def multirun(verb: str, overrides: list[str]) -> None:
+    """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder."""
+    import hydra  # noqa: F401  (sets Hydra's version before its internals are used)
+    from hydra import version
+    from hydra._internal.hydra import Hydra
+    from hydra._internal.utils import create_config_search_path
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.utils import JobStatus
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from hrl_comfort.compose import ROOTS, check_overrides, config_dir, one_line
+
+    if verb not in ROOTS:
+        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(ROOTS)}")
+    outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
+    rest = [line for line in overrides if not line.startswith("output=")]
+    rest = [*check_overrides(verb, rest, sweep=True), *(f"hydra.sweep.dir={folder}" for folder in outputs)]
+    version.setbase("1.3")
+    try:
+        hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
+        (jobs,) = hydra_app.multirun(verb, partial(_job, verb), rest, with_log_configuration=False)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from error
+    finally:
+        GlobalHydra.instance().clear()
+    failed = 0
+    for job in jobs:
+        words = " ".join(job.overrides)
+        if job.status == JobStatus.COMPLETED and job.return_value is None:
+            print(f"done: {words} in {job.working_dir}")
+        else:
+            failed += 1
+            reason = job.return_value if job.status == JobStatus.COMPLETED else repr(job._return_value)
+            print(f"failed: {words}: {reason}", file=sys.stderr)
+    if failed:
+        raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
+
+
+def _job(verb: str, _: object) -> str | None:
+    """Run one job of a sweep; return what went wrong if the user's choice did."""
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import OmegaConf
+
+    hydra_config = HydraConfig.get()
+    overrides = list(OmegaConf.to_container(hydra_config.overrides.task))
+    folder = hydra_config.runtime.output_dir
+    try:
+        RUN[verb]([*overrides, f"output='{folder}'"])
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+def help_text() -> str:
+    """Return the verbs and, by group, what can be chosen."""
+    package = Path(__file__).resolve().parent
+    conf = package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+    lines = ["usage: hrl-comfort VERB [key=value ...] [-m]", "", "verbs"]
+    lines += [f"  {verb:<10} {what}" for verb, what in VERBS.items()]
+    lines += ["", "groups (group=choice)"]
+    for group in sorted(p for p in conf.iterdir() if p.is_dir()):
+        names = sorted(p.stem for p in group.glob("*.yaml") if p.stem[0] != "_")
+        lines.append(f"  {group.name:<10} {', '.join(names)}")
+    lines += [
+        "",
+        f"Every value in {conf} can be set: agent.decisions=50000, task.precision.take_m=0.2.",
+        "-m runs every combination: hrl-comfort train -m task=pick,place train_seed=0,1",
+        "output=DIR says where a command writes.",
+    ]
+    return "\n".join(lines)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the command line `words` (default: the process's); return the exit code."""
+    words = list(sys.argv[1:] if words is None else words)
+    if not words or {"-h", "--help", "help"} & set(words):
+        print(help_text())
+        return 0
+    verb, *rest = words
+    try:
+        if verb not in RUN:
+            raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(RUN)}")
+        sweep = {"-m", "--multirun"} & set(rest)
+        overrides = [word for word in rest if word not in ("-m", "--multirun")]
+        multirun(verb, overrides) if sweep else RUN[verb](overrides)
+    except (ConfigError, OSError) as error:
+        print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("hrl-comfort: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def console() -> None:
+    """Run as the installed command."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    console()

@@ -1,0 +1,1 @@
+"""Learning: networks, soft actor-critic, policies and checkpoints. Knows specs only, no tasks."""

@@ -1,0 +1,100 @@
+"""Files that are either whole or not there: atomic writes, careful reads, keeping the newest few."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import torch
+
+from hrl_comfort.config import ConfigError
+
+FORMAT = "hrl-comfort checkpoint"
+STEP_FILE = re.compile(r"step_(\d{9})\.pt")
+
+
+def write_atomically(path: Path, write) -> None:  # noqa: ANN001 (Callable[[BinaryIO], None])
+    """Let `write` fill a temporary file beside `path`, then put it in place in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def save(path: Path, state: dict[str, Any]) -> None:
+    """Write a dict of plain tensors, numbers, strings, lists and dicts to `path`."""
+    write_atomically(path, lambda file: torch.save({"format": FORMAT, **state}, file))
+
+
+def load(path: Path) -> dict[str, Any]:
+    """Read what `save` wrote; nothing but plain data is ever unpickled.
+
+    Raises:
+        ConfigError: the file is missing, cut short, or not one of ours.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; a checkpoint or policy.pt is needed") from None
+    except (RuntimeError, EOFError, OSError, BadZipFile, KeyError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
+        raise ConfigError(f"{path}: cut short or not a checkpoint of this program ({reason})") from None
+    if not isinstance(state, dict) or state.get("format") != FORMAT:
+        raise ConfigError(f"{path}: not a checkpoint of this program")
+    return state
+
+
+def step_path(folder: Path, decisions: int) -> Path:
+    """Return the name of the light checkpoint after so many decisions."""
+    return folder / f"step_{decisions:09d}.pt"
+
+
+def steps(folder: Path) -> list[Path]:
+    """Return the light checkpoints in `folder`, oldest first."""
+    return sorted(path for path in folder.glob("step_*.pt") if STEP_FILE.fullmatch(path.name))
+
+
+def keep_newest(folder: Path, count: int) -> None:
+    """Delete all but the newest `count` light checkpoints."""
+    for path in steps(folder)[:-count]:
+        path.unlink()
+
+
+def save_resumable(folder: Path, state: dict[str, Any]) -> None:
+    """Write `latest.pt`, which alone holds the replay buffer; the one before stays as `previous.pt`."""
+    latest = folder / "latest.pt"
+    new = folder / "next.pt"
+    save(new, state)
+    if latest.exists():
+        os.replace(latest, folder / "previous.pt")
+    os.replace(new, latest)
+
+
+def load_resumable(folder: Path) -> dict[str, Any]:
+    """Read the newest good resumable checkpoint; a broken one is named in a warning and passed over.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    for path in (folder / "latest.pt", folder / "previous.pt"):
+        if not path.exists():
+            continue
+        try:
+            return load(path)
+        except ConfigError as error:
+            warnings.warn(f"skipped {error}", stacklevel=2)
+    raise ConfigError(f"{folder}: no checkpoint to resume from (latest.pt, previous.pt)")
+
+
+def drop_resumable(folder: Path) -> None:
+    """Delete the large resumable checkpoints: the training is finished."""
+    for name in ("latest.pt", "previous.pt", "next.pt"):
+        (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,123 @@
+"""Networks of soft actor-critic: a tanh-Gaussian actor, two critics, and what they see first.
+
+All float32. B is a batch, D the observation's size, A the action's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+LOG_STD_MIN, LOG_STD_MAX = -10.0, 2.0
+NORMALISED_LIMIT = 5.0
+"""Normalised observations are clamped to this many standard deviations."""
+
+
+class Normaliser(nn.Module):
+    """Shift and scale observations by the running mean and variance of those collected.
+
+    Statistics are exact over everything seen (Chan et al. 1979, parallel variance), in float64 buffers,
+    and change in `update` only, so learning and acting on one day see the same numbers.
+    """
+
+    count: Tensor
+    mean: Tensor
+    variance: Tensor
+
+    def __init__(self, observation_dim: int, enabled: bool = True) -> None:
+        super().__init__()
+        self.enabled = enabled
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(observation_dim, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(observation_dim, dtype=torch.float64))
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self._shift = self.mean.float()
+        # A feature that never changed has variance 0: the floor keeps its (zero) deviation finite.
+        self._scale = self.variance.sqrt().clamp_min(1e-3).reciprocal().float()
+
+    @torch.no_grad()
+    def update(self, observation: Tensor) -> None:
+        """Take (B, D) newly collected observations into the statistics."""
+        if not self.enabled:
+            return
+        batch = observation.double()
+        count, mean = batch.shape[0], batch.mean(0)
+        total = self.count + count
+        delta = mean - self.mean
+        scatter = self.variance * self.count + (batch - mean).square().sum(0)
+        self.variance.copy_((scatter + delta.square() * self.count * count / total) / total)
+        self.mean.add_(delta * count / total)
+        self.count.copy_(total)
+        self._refresh()
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return (..., D) normalised observations."""
+        if not self.enabled:
+            return observation
+        scaled = (observation - self._shift) * self._scale
+        return scaled.clamp_(-NORMALISED_LIMIT, NORMALISED_LIMIT)
+
+    def load_state_dict(self, *args, **kwargs):  # noqa: ANN002, ANN003, ANN201 (nn.Module's own signature)
+        """Load the statistics (see nn.Module)."""
+        result = super().load_state_dict(*args, **kwargs)
+        self._refresh()
+        return result
+
+
+class Actor(nn.Module):
+    """Gaussian squashed by tanh into [-1, 1] (Haarnoja et al. 2018, appendix C)."""
+
+    def __init__(self, observation_dim: int, action_dim: int, hidden: list[int]) -> None:
+        super().__init__()
+        sizes = [observation_dim, *hidden]
+        layers: list[nn.Module] = []
+        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+            layers += [nn.Linear(fan_in, fan_out), nn.ReLU(inplace=True)]
+        self.body = nn.Sequential(*layers, nn.Linear(sizes[-1], 2 * action_dim))
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean and standard deviation (B, A) before the tanh, of normalised (B, D) observations."""
+        mean, log_std = self.body(observation).chunk(2, dim=-1)
+        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp()
+
+    def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (B, A) and their log-probability (B,) for standard normal `noise` (B, A)."""
+        mean, std = self(observation)
+        raw = mean + std * noise
+        gaussian = -0.5 * noise.square() - std.log() - 0.5 * math.log(2 * math.pi)
+        # log(1 - tanh(u)^2), written so that it does not underflow for large |u|
+        squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
+        return raw.tanh(), (gaussian - squash).sum(-1)
+
+    def mode(self, observation: Tensor) -> Tensor:
+        """Return the deterministic action (B, A): the tanh of the mean."""
+        return self(observation)[0].tanh()
+
+
+class TwinCritics(nn.Module):
+    """Two action values in one pass: weights are stacked (2, in, out) and multiplied as a batch."""
+
+    def __init__(self, observation_dim: int, action_dim: int, hidden: list[int]) -> None:
+        super().__init__()
+        sizes = [observation_dim + action_dim, *hidden, 1]
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+            bound = 1 / math.sqrt(fan_in)  # as nn.Linear starts
+            self.weights.append(nn.Parameter(torch.empty(2, fan_in, fan_out).uniform_(-bound, bound)))
+            self.biases.append(nn.Parameter(torch.empty(2, 1, fan_out).uniform_(-bound, bound)))
+
+    def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+        """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
+        x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if frozen:
+                weight, bias = weight.detach(), bias.detach()
+            x = torch.baddbmm(bias, x, weight)
+            if i < last:
+                x = x.relu_()
+        return x.squeeze(-1)

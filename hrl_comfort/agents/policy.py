@@ -1,0 +1,87 @@
+"""What acts in an evaluation: a frozen policy, and the file it lives in."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.config import ConfigError
+
+
+class Policy(Protocol):
+    """Anything that turns raw observations (N, D) into actions (N, A) in [-1, 1]."""
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return the actions; deterministic."""
+        ...
+
+
+class ActorPolicy:
+    """A trained actor behind its normaliser; acts with the mode of its distribution.
+
+    `spec` holds task, observation_dim, action_dim, hidden, normalise, and `meta`: a dict of plain values.
+    """
+
+    def __init__(self, actor: Actor, normaliser: Normaliser, spec: dict[str, Any]) -> None:
+        self.actor, self.normaliser, self.spec = actor, normaliser, spec
+
+    @torch.no_grad()
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return deterministic actions (N, A) in [-1, 1] for raw observations (N, D)."""
+        expected = self.spec["observation_dim"]
+        if observation.shape[-1] != expected:
+            raise ConfigError(
+                f"policy={self.spec['task']!r} was trained on {expected} observations, got {observation.shape[-1]}"
+            )
+        return self.actor.mode(self.normaliser(observation.float()))
+
+
+def save_policy(
+    path: Path, networks: dict[str, Any], spec: dict[str, Any], counters: dict[str, Any] | None = None
+) -> None:
+    """Write a policy file: `Sac.networks_state()`, the policy's spec, and how far training was.
+
+    The critics go in too: they are small, and training can then go on from the file alone.
+    """
+    missing = {"task", "observation_dim", "action_dim", "hidden", "normalise", "meta"} - spec.keys()
+    if missing:
+        raise ConfigError(f"policy spec lacks {', '.join(sorted(missing))}")
+    checkpoint.save(path, {"networks": networks, "spec": spec, "counters": counters or {}})
+
+
+def load_policy(path: Path | str) -> ActorPolicy:
+    """Read the policy of a policy file, a checkpoint or a run folder."""
+    state = checkpoint.load(policy_file(Path(path)))
+    spec = state["spec"]
+    actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
+    actor.load_state_dict(state["networks"]["actor"])
+    normaliser = Normaliser(spec["observation_dim"], spec["normalise"])
+    normaliser.load_state_dict(state["networks"]["normaliser"])
+    return ActorPolicy(actor.requires_grad_(False), normaliser, spec)
+
+
+def policy_file(path: Path) -> Path:
+    """Return the file that holds the policy of `path`: itself, or for a run folder its newest good one.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not path.is_dir():
+        return path
+    candidates = [path / "policy.pt", *reversed(checkpoint.steps(path / "checkpoints"))]
+    for candidate in candidates:
+        if not candidate.exists():
+            continue
+        try:
+            checkpoint.load(candidate)
+        except ConfigError as error:
+            warnings.warn(f"skipped {error}", stacklevel=2)
+            continue
+        return candidate
+    raise ConfigError(f"{path}: a run folder with a policy.pt or checkpoints/ is needed")

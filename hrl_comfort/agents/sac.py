@@ -1,0 +1,223 @@
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) on TorchRL's replay buffer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
+
+from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
+from hrl_comfort.config import AgentConfig
+
+TERMS = ("critic_loss", "actor_loss", "alpha_loss", "alpha", "entropy", "q_mean")
+
+
+class TrainingDivergedError(RuntimeError):
+    """A training term is not finite any more; the message names the update and the term."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B transitions of one decision each, observations normalised."""
+
+    observation: Tensor
+    """(B, D)."""
+    action: Tensor
+    """(B, A) in [-1, 1]."""
+    reward: Tensor
+    """(B,), summed over the decision."""
+    next_observation: Tensor
+    """(B, D)."""
+    discount: Tensor
+    """(B,): gamma to the power of the decision's control steps; 0 where the episode terminated."""
+
+
+def sac_losses(
+    batch: Batch,
+    actor: Actor,
+    critics: TwinCritics,
+    targets: TwinCritics,
+    log_alpha: Tensor,
+    target_entropy: float,
+    noise: Tensor,
+    next_noise: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Return critic loss (eq. 5), actor loss (eq. 7), alpha loss (eq. 18), entropy and mean Q, all scalars.
+
+    The same values and gradients as `torchrl.objectives.SACLoss(loss_function="l2")`, which a test holds
+    it to; `noise` and `next_noise` (B, A) are the standard normal draws of the two actions.
+    Alpha's loss is taken in log alpha, as TorchRL does.
+    """
+    alpha = log_alpha.detach().exp()
+    with torch.no_grad():
+        next_action, next_log_prob = actor.sample(batch.next_observation, next_noise)
+        next_value = targets(batch.next_observation, next_action).amin(0) - alpha * next_log_prob
+        target = batch.reward + batch.discount * next_value
+    value = critics(batch.observation, batch.action)
+    critic_loss = (value - target).square().sum(0).mean()
+
+    action, log_prob = actor.sample(batch.observation, noise)
+    actor_loss = (alpha * log_prob - critics(batch.observation, action, frozen=True).amin(0)).mean()
+
+    entropy = -log_prob.detach().mean()
+    alpha_loss = log_alpha * (entropy - target_entropy)
+    return critic_loss, actor_loss, alpha_loss, entropy, value.detach().mean()
+
+
+class Sac:
+    """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
+
+    Draws from torch's global random state, so saving that and `state_dict` saves all there is.
+    `gamma` is per control step; every transition brings the number of control steps that it took.
+    """
+
+    def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, gamma: float) -> None:
+        self.config, self.gamma = config, gamma
+        self.observation_dim, self.action_dim = observation_dim, action_dim
+        hidden = list(config.hidden)
+        self.normaliser = Normaliser(observation_dim, config.normalise)
+        self.actor = Actor(observation_dim, action_dim, hidden)
+        self.critics = TwinCritics(observation_dim, action_dim, hidden)
+        self.targets = TwinCritics(observation_dim, action_dim, hidden).requires_grad_(False)
+        self.targets.load_state_dict(self.critics.state_dict())
+        self.log_alpha = torch.tensor(math.log(config.entropy_coefficient), requires_grad=True)
+        self._parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
+        self._critic_parameters = list(self.critics.parameters())
+        self._target_parameters = list(self.targets.parameters())
+        # The three losses share no gradient, so one fused step serves all.
+        self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.buffer_size),
+            sampler=RandomSampler(),
+            batch_size=config.batch_size,
+            prefetch=None,
+        )
+        self.updates = 0
+
+    @torch.no_grad()
+    def act(self, observation: Tensor) -> Tensor:
+        """Return exploring actions (N, A) in [-1, 1] for raw observations (N, D)."""
+        noise = torch.randn(observation.shape[0], self.action_dim)
+        return self.actor.sample(self.normaliser(observation), noise)[0]
+
+    def remember(
+        self,
+        observation: Tensor,
+        action: Tensor,
+        reward: Tensor,
+        next_observation: Tensor,
+        terminated: Tensor,
+        steps: Tensor,
+    ) -> None:
+        """Store N transitions: (N, D), (N, A), (N,) reward, (N, D), (N,) bool, (N,) control steps taken.
+
+        A truncated episode goes on bootstrapping; only a terminated one does not.
+        """
+        self.normaliser.update(observation)
+        discount = torch.where(terminated, 0.0, self.gamma ** steps.float())
+        self.buffer.extend(
+            TensorDict(
+                {
+                    "observation": observation,
+                    "action": action,
+                    "reward": reward.float(),
+                    "next_observation": next_observation,
+                    "discount": discount,
+                },
+                batch_size=[len(observation)],
+            )
+        )
+
+    def update(self) -> dict[str, float]:
+        """Do one gradient step on everything; return `TERMS` by name.
+
+        Raises:
+            TrainingDivergedError: a term is not finite; the parameters are left as they were.
+        """
+        sample = self.buffer.sample()
+        batch = Batch(
+            observation=self.normaliser(sample["observation"]),
+            action=sample["action"],
+            reward=sample["reward"],
+            next_observation=self.normaliser(sample["next_observation"]),
+            discount=sample["discount"],
+        )
+        noise, next_noise = torch.randn(2, *batch.action.shape)
+        alpha = self.log_alpha.detach().exp()
+        critic_loss, actor_loss, alpha_loss, entropy, q_mean = sac_losses(
+            batch,
+            self.actor,
+            self.critics,
+            self.targets,
+            self.log_alpha,
+            self.config.target_entropy,
+            noise,
+            next_noise,
+        )
+        scalars = [critic_loss.detach(), actor_loss.detach(), alpha_loss.detach(), alpha, entropy, q_mean]
+        terms = dict(zip(TERMS, torch.stack(scalars).tolist(), strict=True))
+        for name, value in terms.items():
+            if not math.isfinite(value):
+                raise TrainingDivergedError(f"training diverged at update {self.updates}: {name} is {value}")
+        self.optimiser.zero_grad(set_to_none=True)
+        (critic_loss + actor_loss + alpha_loss).backward()
+        self.optimiser.step()
+        torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
+        self.updates += 1
+        return terms
+
+    def networks_state(self) -> dict[str, Any]:
+        """Return the learnt tensors: what a policy file keeps.
+
+        Raises:
+            TrainingDivergedError: a parameter is not finite.
+        """
+        state = {
+            "actor": self.actor.state_dict(),
+            "critics": self.critics.state_dict(),
+            "targets": self.targets.state_dict(),
+            "normaliser": self.normaliser.state_dict(),
+            "log_alpha": self.log_alpha.detach().clone(),
+        }
+        for part in ("actor", "critics"):
+            for name, tensor in state[part].items():
+                if not tensor.isfinite().all():
+                    raise TrainingDivergedError(
+                        f"training diverged at update {self.updates}: {part} {name} is not finite"
+                    )
+        return state
+
+    def load_networks(self, state: dict[str, Any]) -> None:
+        """Take over the learnt tensors of `networks_state`; the optimiser and the buffer stay."""
+        self.actor.load_state_dict(state["actor"])
+        self.critics.load_state_dict(state["critics"])
+        self.targets.load_state_dict(state["targets"])
+        self.normaliser.load_state_dict(state["normaliser"])
+        with torch.no_grad():
+            self.log_alpha.copy_(state["log_alpha"])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to continue, as plain tensors and numbers; the buffer's filled part only."""
+        size = len(self.buffer)
+        return {
+            "networks": self.networks_state(),
+            "optimiser": self.optimiser.state_dict(),
+            "updates": self.updates,
+            "buffer": self.buffer.storage[:size].to_dict() if size else {},
+            "buffer_cursor": int(self.buffer.writer.state_dict()["_cursor"]),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`, in a learner that has stored nothing yet."""
+        self.load_networks(state["networks"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.updates = state["updates"]
+        if state["buffer"]:
+            size = len(state["buffer"]["reward"])
+            self.buffer.extend(TensorDict(state["buffer"], batch_size=[size]))
+            self.buffer.writer.load_state_dict({"_cursor": state["buffer_cursor"]})

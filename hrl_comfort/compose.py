@@ -1,0 +1,235 @@
+"""From `conf/*.yaml` and overrides to the frozen dataclasses of `config`, every key and type checked.
+
+Hydra composes; what leaves this module is plain dataclasses. Every mistake becomes a `ConfigError` of one line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import re
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, get_origin, get_type_hints
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig, ReportConfig, TrainConfig
+
+Config = TrainConfig | EvaluateConfig | ReportConfig
+ROOTS: dict[str, type[Config]] = {"train": TrainConfig, "evaluate": EvaluateConfig, "report": ReportConfig}
+T = TypeVar("T")
+
+
+def config_dir() -> Path:
+    """Return the folder of the YAML files: inside the package in a wheel, beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "train.yaml").is_file():
+            return folder
+    raise ConfigError(f"conf/ is neither in {package} nor beside it; install the package again")
+
+
+@cache
+def groups(root: str) -> dict[str, tuple[str, ...]]:
+    """Return the choices of every group that `root` composes, by group."""
+    defaults = OmegaConf.load(config_dir() / f"{root}.yaml").defaults
+    names = [str(key) for entry in defaults if isinstance(entry, DictConfig) for key in entry]
+    return {name: choices(name) for name in names}
+
+
+def choices(group: str) -> tuple[str, ...]:
+    """Return what `group` can be; files that begin with `_` hold what its choices share."""
+    return tuple(sorted(p.stem for p in (config_dir() / group).glob("*.yaml") if p.stem[0] != "_"))
+
+
+def compose(root: str, overrides: Iterable[str] = ()) -> Config:
+    """Return the configuration of the verb `root` under Hydra `overrides`.
+
+    For `evaluate`, a policy that belongs to a run is measured as it was trained: the run's own
+    config.yaml stands in for the defaults, and the overrides still win.
+    """
+    known = check_overrides(root, overrides)
+    try:
+        if root == "evaluate":
+            known = [*_as_trained(known), *known]
+        with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
+            return _freeze(ROOTS[root], hydra_compose(root, known))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from error
+
+
+def environment(config: TrainConfig | EvaluateConfig) -> EnvConfig:
+    """Return the sections that an environment is made of."""
+    return EnvConfig(**{field.name: getattr(config, field.name) for field in dataclasses.fields(EnvConfig)})
+
+
+def save_config(config: Config, path: str | Path) -> None:
+    """Write `config` as YAML that `load_config` reads back to an equal one."""
+    OmegaConf.save(OmegaConf.create(dataclasses.asdict(config)), path)
+
+
+def load_config(path: str | Path) -> Config:
+    """Return the configuration in `path`, a run's config.yaml or the folder that holds it."""
+    file = Path(path) / "config.yaml" if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise ConfigError(f"{file} does not exist; a run folder holds a config.yaml")
+    try:
+        loaded = OmegaConf.load(file)
+        for cls in ROOTS.values():
+            if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
+                return _freeze(cls, OmegaConf.merge(OmegaConf.structured(_schema(cls)), loaded))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{file}: {one_line(error)}") from error
+    raise ConfigError(f"{file} has not the keys of a {', '.join(ROOTS)} configuration")
+
+
+def override(key: str, value: object) -> str:
+    """Return `key=value` in Hydra's grammar, for a value from Python."""
+    return f"{key}={_text(value)}"
+
+
+def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) -> list[str]:
+    """Return `overrides` as Hydra takes them; raise ConfigError at an unknown key or choice.
+
+    Only a `sweep` may give one key several values.
+    """
+    if root not in ROOTS:
+        raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
+    known = []
+    for line in overrides:
+        try:
+            parsed = OverridesParser.create().parse_override(line)
+        except HydraException as error:
+            raise ConfigError(f"{line!r} is not an override; write key=value, such as human=arc") from error
+        if parsed.is_sweep_override() and not sweep:
+            raise ConfigError(f"{line} holds several values; add -m to run each of them, or write [a,b] for a list")
+        known.append(_checked(root, parsed, line))
+    return known
+
+
+def one_line(error: Exception) -> str:
+    """Return what Hydra or OmegaConf says over several lines, and its cause, in one."""
+    cause = error.__cause__ or error
+    if isinstance(cause, OmegaConfBaseException):
+        what = (cause.msg or str(cause)).splitlines()[0]
+        return f"{cause.full_key}: {what}" if cause.full_key and cause.full_key not in what else what
+    return " ".join(str(error).replace("\t", " ").split())
+
+
+def _checked(root: str, parsed: Override, line: str) -> str:
+    key, allowed = parsed.key_or_group, groups(root)
+    if key.split(".")[0] == "hydra":
+        return line
+    if key in allowed:
+        values = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]
+        for value in values:
+            if str(value) not in allowed[key] and not (key == "experiment" and value is None):
+                raise ConfigError(
+                    f"{key}={value} is not a choice{_near(str(value), allowed[key])}; "
+                    f"choose one of {', '.join(allowed[key])}"
+                )
+        return line
+    kind: Any = ROOTS[root]
+    for depth, name in enumerate(parts := key.split(".")):
+        if get_origin(kind) is dict:
+            return line if line[0] == "+" else f"++{line}"  # such a key is the user's own: nothing to override
+        fields = get_type_hints(kind) if dataclasses.is_dataclass(kind) else {}
+        if name not in fields:
+            inside = ".".join(parts[:depth]) or root
+            names = sorted({*fields, *(allowed if depth == 0 else ())})
+            raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}")
+        kind = fields[name]
+    return line
+
+
+def _near(word: str, words: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, list(words), n=1)
+    return f", did you mean {close[0]}?" if close else ""
+
+
+def _as_trained(overrides: list[str]) -> list[str]:
+    """Return overrides that set what the policy's run was trained with, save what a chosen group states itself."""
+    parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(overrides)}
+    folder = run_folder(str(parsed.get("policy")))
+    if folder is None:
+        return []
+    run, trained = load_config(folder), []
+    for section in (field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"):
+        stated = set()
+        if section in parsed:
+            stated = set(OmegaConf.load(config_dir() / section / f"{parsed[section]}.yaml"))
+        for key, value in _leaves(section, dataclasses.asdict(getattr(run, section))):
+            if key.split(".")[1] not in stated:
+                trained.append(override(key, value))
+    return trained
+
+
+def _leaves(key: str, tree: dict[str, Any]) -> Iterator[tuple[str, object]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(f"{key}.{name}", value)
+        else:
+            yield f"{key}.{name}", value
+
+
+def run_folder(policy: str) -> Path | None:
+    """Return the run folder that `policy` (folder, policy file or checkpoint) belongs to, if any."""
+    path = Path(policy)
+    candidates = (path, path.parent, path.parent.parent) if path.is_file() else (path,)
+    return next((folder for folder in candidates if (folder / "config.yaml").is_file()), None)
+
+
+def _evaluation_folder(policy: str | None, task: str) -> str:
+    folder = run_folder(policy) if policy else None
+    return str(folder / "eval") if folder else f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}"
+
+
+def _text(value: object) -> str:
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_text, value))}]"
+    if isinstance(value, (int, float)) or re.fullmatch(r"[\w./-]+", str(value)):
+        return str(value)
+    escaped = str(value).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+@cache
+def _schema(cls: type) -> type:
+    """Return a mutable twin of the frozen `cls`: OmegaConf cannot merge into a frozen dataclass."""
+    hints = get_type_hints(cls)
+    fields = [(f.name, _schema(h) if dataclasses.is_dataclass(h := hints[f.name]) else h) for f in dataclasses.fields(cls)]
+    return dataclasses.make_dataclass(cls.__name__, fields)
+
+
+def _freeze(cls: type[T], node: Any) -> T:
+    """Return the dataclass `cls` that `node` describes; its own checks run as it is made."""
+    missing = sorted(OmegaConf.missing_keys(node))
+    if missing:
+        raise ConfigError(f"{missing[0]} must be set: {missing[0]}=VALUE")
+    return _built(cls, OmegaConf.to_container(node, resolve=True))
+
+
+def _built(cls: type[T], tree: Any) -> T:
+    hints = get_type_hints(cls)
+    values = {}
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        value, hint = tree[field.name], hints[field.name]
+        values[field.name] = _built(hint, value) if dataclasses.is_dataclass(hint) else value
+    return cls(**values)
+
+
+OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)
+for _root, _cls in ROOTS.items():
+    ConfigStore.instance().store(f"{_root}_schema", _schema(_cls))

@@ -1,0 +1,103 @@
+"""The dm_control front: one cell as a `dm_control.rl.control.Environment`."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import mujoco
+import numpy as np
+from dm_control.mujoco import Physics
+from dm_control.rl import control
+from dm_env import specs
+from numpy.typing import NDArray
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.scene.workcell import CONTROL_SPEC, CONTROL_STEP_S, Scene, build_scene
+from hrl_comfort.sim.episodes import Episodes, Outcome
+
+Array = NDArray[np.float64]
+
+
+class CellPhysics(Physics):
+    """Physics that runs a queue of controls, one a substep, and keeps what the sensors read at each."""
+
+    def queue(self, controls: Array) -> None:
+        """Set the controls (substeps, ncontrol) of the coming decision."""
+        self._queue = controls
+        self.sensed: Array = np.zeros((len(controls), self.model.nsensordata))
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance `nstep` substeps along the queue (what dm_control calls once a decision)."""
+        model, data = self.model.ptr, self.data.ptr
+        for index in range(nstep):
+            mujoco.mj_setState(model, data, self._queue[index], CONTROL_SPEC)
+            mujoco.mj_step(model, data)
+            self.sensed[index] = data.sensordata
+
+    def sense(self, joint_pos: Array, control: Array) -> Array:
+        """Return sensordata (nsensor,) with the robot at rest at joint_pos (6,) under a control (ncontrol,)."""
+        model, data = self.model.ptr, self.data.ptr
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = joint_pos
+        mujoco.mj_setState(model, data, control, CONTROL_SPEC)
+        mujoco.mj_forward(model, data)
+        return np.array(data.sensordata)
+
+
+class CellTask(control.Task):
+    """A subtask as dm_control sees it: the episodes of one row."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
+        self.episodes = Episodes(scene, config, rows=1, seed=seed)
+        self.outcome: Outcome | None = None
+        self._width: int | None = None
+
+    def initialize_episode(self, physics: CellPhysics) -> None:
+        """Begin the row's next episode."""
+        self.outcome = None
+        self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
+
+    def before_step(self, action: Array, physics: CellPhysics) -> None:
+        """Plan the decision."""
+        physics.queue(self.episodes.plan(np.asarray(action, dtype=np.float64)[None])[0])
+
+    def after_step(self, physics: CellPhysics) -> None:
+        """Judge it."""
+        self.outcome = self.episodes.absorb(physics.sensed[None])
+
+    def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
+        """(6,) in [-1, 1]."""
+        return specs.BoundedArray((6,), np.float64, -1.0, 1.0, name="action")
+
+    def get_observation(self, physics: CellPhysics) -> OrderedDict[str, Array]:
+        """Return the named observation terms, unbatched."""
+        state = self.episodes.state
+        assert state is not None
+        terms = self.episodes.subtask.observations
+        return OrderedDict((name, term(state)[0].numpy().copy()) for name, term in terms.items())
+
+    def get_reward(self, physics: CellPhysics) -> float:
+        """Return the decision's reward."""
+        assert self.outcome is not None
+        return float(self.outcome.reward[0])
+
+    def get_termination(self, physics: CellPhysics) -> float | None:
+        """Return the discount that ends the episode: 0 on success or collision, 1 at the time limit, else None."""
+        assert self.outcome is not None
+        if self.outcome.terminated[0]:
+            return 0.0
+        return 1.0 if self.outcome.truncated[0] else None
+
+
+def make_environment(config: EnvConfig, seed: int) -> control.Environment:
+    """Return the subtask of `config` as a dm_control environment; its episodes are those of row 0 of `seed`.
+
+    A decision is one `step`; reaching `task.limit_steps` ends an episode with discount 1 (truncation).
+    """
+    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
+    decision_s = CONTROL_STEP_S * config.task.steps_per_decision
+    return control.Environment(physics, CellTask(scene, config, seed), control_timestep=decision_s)
+
+
+__all__ = ["CellPhysics", "CellTask", "make_environment"]

@@ -1,0 +1,130 @@
+"""The batched TorchRL environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.people import EvaluationSet
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.episodes import Outcome
+
+
+class CellEnv(EnvBase):
+    """N cells as one TorchRL environment of batch size (N,).
+
+    Action (N, 6) in [-1, 1]; observation (N, D) float32. Beside the reward, a step reports `success`,
+    `human_collision`, `other_collision` (N, 1) bool; `steps`, `decision_steps` (N, 1) int64, control steps in
+    the episode and in the decision; `human_distance` (N, 1) m, its mean over the decision; `reward_terms` (N, T).
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
+    ) -> None:
+        super().__init__(device="cpu", batch_size=torch.Size([rows]))
+        self.engine = Engine(config, rows, seed, evaluation)
+        self.task_name = config.task.name
+        self.reward_names = self.engine.episodes.reward_names
+        self.last: Outcome | None = None
+        """What the latest step led to, with every control step."""
+        self._make_specs(config)
+
+    def _make_specs(self, config: EnvConfig) -> None:
+        n = self.batch_size
+        state = self.engine.reset()
+        width = self.engine.episodes.subtask.observe(state).shape[-1]
+        flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
+        self.observation_spec = Composite(
+            observation=Unbounded(shape=(*n, width), dtype=torch.float32),
+            success=flag.clone(),
+            human_collision=flag.clone(),
+            other_collision=flag.clone(),
+            steps=count.clone(),
+            decision_steps=count.clone(),
+            human_distance=Unbounded(shape=(*n, 1), dtype=torch.float32),
+            reward_terms=Unbounded(shape=(*n, len(self.reward_names)), dtype=torch.float32),
+            shape=n,
+        )
+        self.action_spec = Bounded(-1.0, 1.0, shape=(*n, 6), dtype=torch.float32)
+        self.reward_spec = Unbounded(shape=(*n, 1), dtype=torch.float32)
+        self.full_done_spec = Composite(
+            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=n
+        )
+        self.engine.episodes.episode[:] = -1
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        rows = None
+        if tensordict is not None and "_reset" in tensordict.keys():
+            rows = np.flatnonzero(tensordict["_reset"].reshape(-1).numpy())
+        state = self.engine.reset(rows)
+        observation = self.engine.episodes.subtask.observe(state).float()
+        return TensorDict(
+            {
+                "observation": observation,
+                **{name: torch.zeros(self.rows, 1, dtype=torch.bool) for name in _FLAGS},
+                "steps": state.steps[:, None].clone(),
+                "decision_steps": torch.zeros(self.rows, 1, dtype=torch.int64),
+                "human_distance": (state.human_pos - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True).float(),
+                "reward_terms": torch.zeros(self.rows, len(self.reward_names)),
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        outcome = self.engine.step(tensordict["action"].double().numpy())
+        self.last = outcome
+        state, valid = outcome.state, outcome.valid
+        distance = torch.where(valid, outcome.human_distance, 0.0).sum(dim=1) / outcome.decision_steps
+        flags = {
+            "success": outcome.success,
+            "human_collision": state.human_collision,
+            "other_collision": state.table_collision | state.self_collision,
+            "terminated": outcome.terminated,
+            "truncated": outcome.truncated,
+            "done": outcome.done,
+        }
+        return TensorDict(
+            {
+                "observation": self.engine.episodes.subtask.observe(state).float(),
+                "reward": outcome.reward[:, None].float(),
+                **{name: value[:, None] for name, value in flags.items()},
+                "steps": state.steps[:, None].clone(),
+                "decision_steps": outcome.decision_steps[:, None],
+                "human_distance": distance[:, None].float(),
+                "reward_terms": outcome.reward_terms.float(),
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.engine.episodes.seed = seed
+            self.engine.episodes.episode[:] = -1
+
+    @property
+    def rows(self) -> int:
+        """Number of cells."""
+        return self.batch_size[0]
+
+    def set_precision(self, precision_m: float) -> None:
+        """From each row's next episode on, `take` is `precision_m`; `leave` and home keep their ratio to it."""
+        self.engine.episodes.precision_m = precision_m
+
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
+        """Return everything a bit-for-bit continuation needs."""
+        return self.engine.state_dict()
+
+    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
+        """Continue from `state_dict`."""
+        self.engine.load_state_dict(state_dict)
+
+
+_FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")

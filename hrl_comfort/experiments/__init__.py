@@ -1,0 +1,1 @@
+"""Train, evaluate, report: what the commands do."""

@@ -1,0 +1,150 @@
+"""People: where they begin, how they move, and what the policy is told of them. One file a motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import ConfigError, HumanConfig
+from hrl_comfort.people.approach import approach
+from hrl_comfort.people.arc import arc
+from hrl_comfort.people.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set
+from hrl_comfort.people.none import none
+from hrl_comfort.people.playback import playback, read_motion
+from hrl_comfort.people.random_walk import random_walk
+from hrl_comfort.people.still import still
+from hrl_comfort.people.walk import (
+    CONTROL_STEP_S,
+    FAR_AWAY_M,
+    NOISE,
+    SPEED_SMOOTHING,
+    Array,
+    KeepOut,
+    Motion,
+    Walk,
+    facing_base,
+    gait,
+    outside,
+)
+
+MOTIONS: dict[str, Motion] = {
+    "none": none,
+    "still": still,
+    "random_walk": random_walk,
+    "arc": arc,
+    "approach": approach,
+    "playback": playback,
+}
+UNBOUND = ("none", "playback")
+"""Motions that neither the movement bound nor the keep-out discs hold."""
+
+
+def motion(name: str) -> Motion:
+    """Return the registered motion; raise ConfigError if there is none."""
+    if name not in MOTIONS:
+        raise ConfigError(f"human.motion={name!r} is not allowed; choose one of {', '.join(MOTIONS)}")
+    return MOTIONS[name]
+
+
+def begin(config: HumanConfig, spawn: Array) -> Walk:
+    """Return people standing at spawn (n, 2) m and facing the robot (absent or at the file's start, if so chosen)."""
+    n = len(spawn)
+    position, yaw = spawn.copy(), facing_base(spawn)
+    if motion(config.motion) is none:
+        position, yaw = np.tile([FAR_AWAY_M, 0.0], (n, 1)), np.zeros(n)
+    elif config.motion == "playback":
+        assert config.file is not None
+        pose = read_motion(config.file)[1][0]
+        position, yaw = np.tile(pose[:2], (n, 1)), np.full(n, pose[2])
+    return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
+
+
+def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
+    """Return the walk one control step of 20 ms on; noise (n, NOISE), tcp (n, 2) m.
+
+    A step beyond `bound_m` of the spawn is drawn back to it; a step into a keep-out disc slides along its rim,
+    or is not taken where that leads into another.
+    """
+    position, yaw = motion(config.motion)(config, walk, noise, tcp)
+    if config.motion not in UNBOUND:
+        offset = position - walk.spawn
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        position = walk.spawn + offset * np.minimum(1.0, config.bound_m / np.maximum(distance, 1e-9))
+        blocked = keep_out.entered(position)
+        if blocked.any():
+            slid = position.copy()
+            discs = KeepOut(keep_out.centres[blocked], keep_out.radius_m)
+            nearest = np.linalg.norm(slid[blocked][:, None] - discs.centres, axis=-1).argmin(axis=1)
+            centre = discs.centres[np.arange(len(nearest)), nearest]
+            out = slid[blocked] - centre
+            length = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
+            slid[blocked] = centre + out / length * (keep_out.radius_m + 1e-9)
+            still_in = keep_out.entered(slid)
+            too_far = np.linalg.norm(slid - walk.spawn, axis=-1) > config.bound_m + 1e-9
+            position = np.where((blocked & (still_in | too_far))[:, None], walk.position, slid)
+    walked = np.linalg.norm(position - walk.position, axis=-1)
+    speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
+    return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)
+
+
+def moved_spawns(config: HumanConfig, goals: Array) -> Array:
+    """Return the spawn points (s, 2) m, those nearer than `keep_out_m` to a goal (g, 2) or the base moved out."""
+    spawns = np.array(config.spawns_m, dtype=np.float64)
+    return outside(spawns, around(goals, config.keep_out_m, len(spawns)))
+
+
+def around(goals: Array, radius_m: float, rows: int) -> KeepOut:
+    """Return the discs round goals (g, 2) and the robot's base, the same for every row."""
+    centres = np.vstack([goals, np.zeros((1, 2))])
+    return KeepOut(np.broadcast_to(centres, (rows, *centres.shape)), radius_m)
+
+
+def training_spawns(config: HumanConfig) -> NDArray[np.int64]:
+    """Return the indices of the spawn points that training uses."""
+    return np.array([i for i in range(len(config.spawns_m)) if i not in set(config.held_out)], dtype=np.int64)
+
+
+def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
+    """Return spawn (n, 2) displaced uniformly over a disc of `spawn_jitter_m`; uniform (n, 2) in [0, 1)."""
+    radius = config.spawn_jitter_m * np.sqrt(uniform[:, :1])
+    angle = 2 * np.pi * uniform[:, 1]
+    return spawn + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
+    """Return where the policy is told that people at position (n, 2) are.
+
+    `masked`: far away. `clipping=full`: at the nearest spawn point. `partial`: at the nearest spawn point only
+    while that point is nearer to the robot than the person is (the paper's "a given point nearer than the human").
+    """
+    if config.masked:
+        return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))
+    if config.clipping == "off":
+        return position
+    nearest = spawns[np.linalg.norm(position[:, None] - spawns[None], axis=-1).argmin(axis=1)]
+    if config.clipping == "full":
+        return nearest
+    nearer = np.linalg.norm(nearest, axis=-1) < np.linalg.norm(position, axis=-1)
+    return np.where(nearer[:, None], nearest, position)
+
+
+__all__ = [
+    "FAR_AWAY_M",
+    "MOTIONS",
+    "MOTION_STREAM",
+    "NOISE",
+    "EvaluationSet",
+    "KeepOut",
+    "Walk",
+    "advance",
+    "around",
+    "begin",
+    "gait",
+    "jittered_spawn",
+    "load_evaluation_set",
+    "motion",
+    "moved_spawns",
+    "outside",
+    "seen_position",
+    "training_spawns",
+]

@@ -1,0 +1,23 @@
+"""The physical world: arms, person and cell as one compiled MuJoCo model. Knows no learning."""
+
+from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
+from hrl_comfort.scene.robots import ROBOTS, TOOL_LENGTH_M, UrModel, build_robot, forward_kinematics
+from hrl_comfort.scene.workcell import AWAY_M, CONTROL_SPEC, MOCAP, OBSTACLES, PROPS, Scene, build_scene
+
+__all__ = [
+    "AWAY_M",
+    "CONTROL_SPEC",
+    "LIMBS",
+    "MOCAP",
+    "OBSTACLES",
+    "PROPS",
+    "ROBOTS",
+    "TOOL_LENGTH_M",
+    "Scene",
+    "UrModel",
+    "build_human",
+    "build_robot",
+    "build_scene",
+    "forward_kinematics",
+    "limb_poses",
+]

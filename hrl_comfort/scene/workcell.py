@@ -1,0 +1,169 @@
+"""The cell: robot, tables, pedestal, floor and person, compiled to one MuJoCo model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+from numpy.typing import NDArray
+
+from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
+from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
+from hrl_comfort.scene.robots import JOINTS, ROBOTS, build_robot
+
+CONTROL_STEP_S = 0.02
+"""The paper's step: joints move at most 2 deg in it."""
+AWAY_M = 50.0
+"""x of what is not in the cell: an absent person, an unused ball or marker."""
+PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
+"""Visual mocap bodies after the limbs; those not in use stand at x = AWAY_M."""
+MOCAP = LIMBS + PROPS
+OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
+CONTROL_SPEC = (
+    mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
+)
+"""What a control vector holds: ctrl (6), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
+
+_ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled cell and where to find things in it."""
+
+    xml: str
+    assets: Mapping[str, bytes]
+    model: mujoco.MjModel
+    sensors: Mapping[str, slice]
+    """Slices of sensordata: joint_pos (6) rad, joint_vel (6) rad/s, tcp_pos (3) m; and counts of
+    contacts with the robot: human (5, by limb), table (5, by OBSTACLES), self (1)."""
+    home: NDArray[np.float64]
+    """(6,) rad."""
+    joint_range: NDArray[np.float64]
+    """(6, 2) rad."""
+    nstate: int
+    """Length of mjSTATE_FULLPHYSICS."""
+    ncontrol: int
+    """Length of CONTROL_SPEC."""
+    mocap: tuple[str, ...]
+    """Names of the mocap bodies, by mocap index: LIMBS, then PROPS."""
+    floor_z: float
+
+
+def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
+    """Compile the cell; `substeps` physics steps make one control step of 20 ms."""
+    if robot.name not in ROBOTS:
+        raise ConfigError(f"robot.name={robot.name!r} is not allowed; choose one of {', '.join(ROBOTS)}")
+    root = mjcf.RootElement(model="cell")
+    _set_options(root, substeps)
+    floor_z = -cell.base_height_m
+    _add_surroundings(root.worldbody, cell, floor_z)
+    root.attach(build_robot(ROBOTS[robot.name]))
+    build_human(root.worldbody, limb_poses(AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
+    _add_props(root.worldbody, cell)
+    sizes = _add_sensors(root)
+
+    xml, assets = root.to_xml_string(), root.get_assets()
+    model = mujoco.MjModel.from_xml_string(xml, assets)
+    ends = np.cumsum(list(sizes.values())).tolist()
+    joints = [model.joint(f"robot/{name}").id for name in JOINTS]
+    ncontrol = mujoco.mj_stateSize(model, CONTROL_SPEC)
+    return Scene(
+        xml=xml,
+        assets=assets,
+        model=model,
+        sensors={key: slice(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)},
+        home=np.radians(np.asarray(robot.home_deg, dtype=np.float64)),
+        joint_range=model.jnt_range[joints].copy(),
+        nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
+        ncontrol=ncontrol,
+        mocap=MOCAP,
+        floor_z=floor_z,
+    )
+
+
+def _set_options(root: mjcf.RootElement, substeps: int) -> None:
+    root.compiler.angle = "radian"
+    root.option.timestep = CONTROL_STEP_S / substeps
+    root.option.integrator = "implicitfast"
+    # Without warm start the state is qpos and qvel alone, so a trajectory depends on nothing else.
+    root.option.flag.warmstart = "disable"
+    screen = getattr(root.visual, "global")
+    screen.offwidth, screen.offheight = 640, 480
+    root.visual.quality.shadowsize = 1024
+    root.visual.quality.offsamples = 0
+    root.visual.map.znear = 0.02
+    root.asset.add(
+        "texture",
+        name="sky",
+        type="skybox",
+        builtin="gradient",
+        rgb1=(0.8, 0.87, 0.95),
+        rgb2=(0.95, 0.97, 1),
+        width=64,
+        height=64,
+    )
+
+
+def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
+    """Add floor, pedestal, tables, drop markers, light and cameras."""
+    look = dict(contype=0, conaffinity=1, condim=1)
+    world.add("light", name="lamp", pos=(0.5, -0.8, 3), dir=(-0.15, 0.25, -1), diffuse=(0.7, 0.7, 0.7))
+    world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
+    world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
+    world.add(
+        "geom", name="floor", type="plane", pos=(0, 0, floor_z), size=(3, 3, 0.1), rgba=(0.85, 0.85, 0.83, 1), **look
+    )
+    if cell.base_height_m > 0:
+        post = world.add("body", name="pedestal")
+        post.add(
+            "geom",
+            name="pedestal",
+            type="cylinder",
+            fromto=(0, 0, floor_z, 0, 0, 0),
+            size=[0.08],
+            rgba=_STEEL,
+            **look,
+        )
+    goals = {"ball": cell.ball_m, "orange": cell.orange_drop_m, "pink": cell.pink_drop_m}
+    half, thick = cell.table_half_width_m, 0.01
+    for name, (x, y, z) in goals.items():
+        # The goal is the centre of a ball that lies on the table.
+        table = world.add("body", name=f"{name}_table", pos=(x, y, z - cell.ball_radius_m - thick))
+        table.add("geom", name=f"{name}_top", type="box", size=(half, half, thick), rgba=_WOOD, **look)
+        foot = floor_z - (z - cell.ball_radius_m - thick)
+        table.add(
+            "geom", name=f"{name}_leg", type="capsule", fromto=(0, 0, -0.03, 0, 0, foot), size=[0.02], rgba=_STEEL, **look
+        )
+    for name, colour in (("orange", _ORANGE), ("pink", _PINK)):
+        world.add("site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3))
+
+
+def _add_props(world: mjcf.Element, cell: CellConfig) -> None:
+    """Add the balls and point markers: sites, which are seen but never touched."""
+    looks = {"orange_ball": (*_ORANGE, 1), "pink_ball": (*_PINK, 1), "first_point": (0.2, 0.8, 0.3, 0.4)}
+    for name in PROPS:
+        body = world.add("body", name=name, mocap=True, pos=(AWAY_M, 0, 0))
+        size = cell.ball_radius_m * (1.0 if name.endswith("ball") else 1.5)
+        body.add("site", name=name, size=[size], rgba=looks.get(name, (0.2, 0.4, 0.9, 0.4)))
+
+
+def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:
+    """Add the sensors and return their sizes, in the order of sensordata."""
+    add = root.sensor.add
+    for name in JOINTS:
+        add("jointpos", name=f"{name}_pos", joint=f"robot/{name}")
+    for name in JOINTS:
+        add("jointvel", name=f"{name}_vel", joint=f"robot/{name}")
+    add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
+    found = dict(subtree1="robot/", data="found", num=1)
+    for name in LIMBS:
+        add("contact", name=f"{name}_contact", body2=name, **found)
+    for name in OBSTACLES[:-1]:
+        add("contact", name=f"{name}_contact", body2=name, **found)
+    add("contact", name="floor_contact", geom2="floor", **found)
+    add("contact", name="self_contact", subtree2="robot/", **found)
+    return {"joint_pos": 6, "joint_vel": 6, "tcp_pos": 3, "human": len(LIMBS), "table": len(OBSTACLES), "self": 1}

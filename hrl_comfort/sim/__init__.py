@@ -1,0 +1,1 @@
+"""Simulation: the batched engine, its episodes, and inverse kinematics."""

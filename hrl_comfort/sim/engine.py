@@ -1,0 +1,78 @@
+"""The batched engine: N cells stepped together by `mujoco.rollout`, with partial resets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from numpy.typing import NDArray
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.people import EvaluationSet
+from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
+from hrl_comfort.sim.episodes import Episodes, Outcome
+from hrl_comfort.tasks import State
+
+Array = NDArray[np.float64]
+
+
+class Engine:
+    """N cells of one model. `reset` the rows that ended, then `step` them all."""
+
+    def __init__(
+        self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
+    ) -> None:
+        self.scene = build_scene(config.robot, config.cell, config.engine.substeps)
+        self.episodes = Episodes(self.scene, config, rows, seed, evaluation)
+        self.rows = rows
+        self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
+        self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)
+        self.physics = np.zeros((rows, self.scene.nstate))
+        """(N, nstate) mjSTATE_FULLPHYSICS: time, qpos, qvel."""
+
+    def reset(self, rows: NDArray[np.int64] | None = None) -> State:
+        """Begin the next episode of `rows` (all by default) and return the state of every row."""
+        rows = np.arange(self.rows) if rows is None else rows
+        if len(rows):
+            start = self.episodes.begin(rows, self._probe)
+            self.physics[rows] = self._at_rest(start)
+        assert self.episodes.state is not None
+        return self.episodes.state
+
+    def step(self, action: Array) -> Outcome:
+        """Run one decision, action (N, 6) in [-1, 1], and return what it led to."""
+        control = self.episodes.plan(action)
+        states, sensed = self._run(self.physics, control)
+        self.physics = states[:, -1].copy()
+        return self.episodes.absorb(sensed)
+
+    def _probe(self, joint_pos: Array, control: Array) -> Array:
+        # Readings belong to the instant before a physics step is integrated: one step senses the start.
+        return self._run(self._at_rest(joint_pos), control[:, None])[1][:, 0]
+
+    def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
+        states, sensed = self._rollout.rollout(
+            self.scene.model, self._data, physics, control, control_spec=CONTROL_SPEC
+        )
+        return states, sensed
+
+    def _at_rest(self, joint_pos: Array) -> Array:
+        still = np.zeros((len(joint_pos), self.scene.nstate))
+        still[:, 1:7] = joint_pos
+        return still
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._rollout.close()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything a bit-for-bit continuation needs."""
+        return {"physics": torch.from_numpy(self.physics.copy()), "episodes": self.episodes.state_dict()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        self.physics = saved["physics"].numpy().copy()
+        self.episodes.load_state_dict(saved["episodes"])

@@ -1,0 +1,433 @@
+"""Episodes of N cells: how they begin, what moves the robot and the human, how they are judged.
+
+Physics is left to the caller (`engine` in batches, `envs.dm` one cell at a time): it runs the controls
+that `plan` returns and hands the sensor readings to `absorb`. Both fronts so share one definition of an
+episode, and every random draw of it comes from (seed, row, episode).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort import people
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.people import EvaluationSet
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.workcell import AWAY_M, PROPS, Scene
+from hrl_comfort.sim.cartesian import CartesianHand
+from hrl_comfort.sim.starts import start_states
+from hrl_comfort.tasks import State, Subtask, subtask
+
+Array = NDArray[np.float64]
+Probe = Callable[[Array, Array], Array]
+"""(joint_pos (r, 6), control (r, ncontrol)) -> sensordata (r, nsensor): the cells as they would begin."""
+
+MOVING_RAD_S = 0.05
+"""A robot none of whose joints is faster stands still: the human walked into it."""
+POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
+"""Random points of `reach` lie in this annulus round the base."""
+TABLE_CLEARANCE_M = 0.25
+START_NOISE_RAD = 0.05
+ATTEMPTS = 200
+MOVING_FIELDS = (
+    "joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen",
+    "human_collision", "table_collision", "self_collision",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one decision led to; K control steps, those after an episode's end are void."""
+
+    state: State
+    """The last valid instant of each row."""
+    reward_terms: Tensor
+    """(N, T) weighted, summed over the decision's control steps."""
+    success: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    """(N,) bool."""
+    decision_steps: Tensor
+    """(N,) int64, control steps this decision took."""
+    human_distance: Tensor
+    """(N, K) m, horizontal, tool to the human's axis."""
+    valid: Tensor
+    """(N, K) bool, steps up to and including the episode's last."""
+    steps: tuple[State, ...]
+    """The K instants, for recording."""
+
+    @property
+    def reward(self) -> Tensor:
+        """(N,) the sum of the terms."""
+        return self.reward_terms.sum(dim=-1)
+
+    @property
+    def done(self) -> Tensor:
+        """(N,) bool."""
+        return self.terminated | self.truncated
+
+    @property
+    def robot_moving(self) -> Tensor:
+        """(N,) bool: some joint is in motion."""
+        return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
+
+
+class Episodes:
+    """The episodes of `rows` cells.
+
+    With an `evaluation` set, row r runs the set's entry r (modulo its length): its spawn, motion and seed.
+    """
+
+    def __init__(
+        self, scene: Scene, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
+    ) -> None:
+        self.scene, self.config, self.rows, self.seed, self.evaluation = scene, config, rows, seed, evaluation
+        self.subtask: Subtask = subtask(config.task.name, config.task.observation)
+        weights = vars(config.reward)
+        self.reward_names = tuple(self.subtask.rewards)
+        self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
+        self.precision_m = config.task.precision.take_m
+        self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
+
+        cell = config.cell
+        self._ball = np.array(cell.ball_m)
+        self._drops = np.array([cell.orange_drop_m, cell.pink_drop_m])
+        self._goals = np.vstack([self._ball, self._drops])
+        self._spawns = people.moved_spawns(config.human, self._goals[:, :2])
+        self._training_spawns = people.training_spawns(config.human)
+        self._starts = start_states(scene, config, self.subtask.start)
+        self._tcp_home: Array | None = None
+
+        n, horizon = rows, config.task.limit_steps + config.task.steps_per_decision
+        self.episode = np.full(n, -1, dtype=np.int64)
+        self.noise = np.zeros((n, horizon, people.NOISE))
+        self.colour = np.zeros(n, dtype=np.int64)
+        self.spawn_id = np.zeros(n, dtype=np.int64)
+        self.motion_id = np.full(n, -1, dtype=np.int64)
+        self.points = np.zeros((n, 2, 3))
+        self.precision = np.full(n, self.precision_m)
+        self.joint_target = np.zeros((n, 6))
+        self.start = np.zeros((n, 6))
+        self.steps = np.zeros(n, dtype=np.int64)
+        self.walk = people.begin(config.human, np.zeros((n, 2)))
+        self.state: State | None = None
+        self._planned: dict[str, Array] = {}
+
+    # ---- beginning -------------------------------------------------------------------------------------
+
+    def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
+        """Begin the next episode of `rows`; return their joint angles (r, 6) rad, at rest.
+
+        Draws are repeated until the cell begins free of contact and unsolved.
+
+        Raises:
+          RuntimeError: no such beginning was found.
+        """
+        generators = {}
+        for row in rows:
+            self.episode[row] += 1
+            generators[row] = self._generator(row)
+            self._draw_episode(row, generators[row])
+        pending = rows
+        for _ in range(ATTEMPTS):
+            for row in pending:
+                self._draw_start(row, generators[row])
+            fresh = people.begin(self.config.human, self.walk.spawn[pending])
+            self.walk = self.walk.put(pending, fresh)
+            sensed = probe(self.start[pending], self._control(pending))
+            self._set_state(pending, sensed)
+            assert self.state is not None
+            index = torch.from_numpy(pending)
+            state = self.state.rows(index)
+            solved = self.subtask.next_stage(state) > 0
+            bad = (solved | self.subtask.failure(state)).numpy()
+            pending = pending[bad]
+            if not len(pending):
+                return self.start[rows].copy()
+        raise RuntimeError(
+            f"no free start found for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
+        )
+
+    def _generator(self, row: int) -> np.random.Generator:
+        if self.evaluation is not None:
+            entry = row % len(self.evaluation.episode)
+            key = [int(self.evaluation.episode_seed[entry]) << 32, int(self.episode[row])]
+        else:
+            key = [(self.seed << 32) + row, int(self.episode[row])]
+        return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
+
+    def _draw_episode(self, row: int, rng: np.random.Generator) -> None:
+        """Draw what stays through the attempts: colour, motion and, in evaluation, the spawn."""
+        colours = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}
+        self.colour[row] = colours[self.config.task.colour]
+        self.noise[row] = rng.random(self.noise.shape[1:])
+        self.precision[row] = self.precision_m
+        self.steps[row] = 0
+        if self.evaluation is not None:
+            entry = row % len(self.evaluation.episode)
+            motion = int(self.evaluation.motion_id[entry])
+            stream = np.random.Philox(key=np.array([motion, people.MOTION_STREAM], dtype=np.uint64))
+            self.noise[row] = np.random.Generator(stream).random(self.noise.shape[1:])
+            self.motion_id[row] = motion
+            self.spawn_id[row] = self.evaluation.spawn_id[entry]
+
+    def _draw_start(self, row: int, rng: np.random.Generator) -> None:
+        """Draw the robot's start, the points of `reach` and, in training, the human's spawn."""
+        human = self.config.human
+        bank = self._starts[self.colour[row] % len(self._starts)]
+        start = bank[rng.integers(len(bank))]
+        if self.subtask.start != "home":
+            start = start + rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
+        self.start[row] = self.joint_target[row] = np.clip(start, *self.scene.joint_range.T)
+        fixed = np.array([self.config.task.point_m, self.config.task.second_point_m])
+        self.points[row] = fixed if self.config.task.point == "fixed" else self._random_points(rng)
+        if self.evaluation is not None:
+            entry = row % len(self.evaluation.episode)
+            spawn = self.evaluation.position[entry]
+        else:
+            self.spawn_id[row] = rng.choice(self._training_spawns)
+            spawn = self._spawns[self.spawn_id[row]]
+            spawn = people.jittered_spawn(human, spawn[None], rng.random((1, 2)))[0]
+        spawn = people.outside(spawn[None], self._keep_out([row]))[0]
+        self.walk.spawn[row] = spawn
+
+    def _random_points(self, rng: np.random.Generator) -> Array:
+        """Return two points (2, 3) m, clear of the tables and of each other."""
+        for _ in range(ATTEMPTS):
+            radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
+            bearing = rng.uniform(-np.pi, np.pi, 2)
+            points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
+            from_tables = np.linalg.norm(points[:, None] - self._goals[None], axis=-1).min()
+            if from_tables > TABLE_CLEARANCE_M and np.linalg.norm(points[0] - points[1]) > TABLE_CLEARANCE_M:
+                return points
+        raise RuntimeError(f"no free points found after {ATTEMPTS} attempts")
+
+    def _keep_out(self, rows: Any = slice(None)) -> people.KeepOut:
+        """Return the discs the human stays out of: the goals of the task and the robot's base."""
+        n = len(self.start[rows])
+        if self.subtask.stages[0].name == "reach":
+            goals = self.points[rows][:, : len(self.subtask.stages), :2]
+        else:
+            goals = np.broadcast_to(self._goals[None, :, :2], (n, 3, 2))
+        return people.KeepOut(np.concatenate([goals, np.zeros((n, 1, 2))], axis=1), self.config.human.keep_out_m)
+
+    # ---- one decision ----------------------------------------------------------------------------------
+
+    def plan(self, action: Array) -> Array:
+        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
+
+        Joint targets are ramped at up to `max_step_deg` a control step. The human walks on meanwhile.
+        """
+        task, substeps = self.config.task, self.config.engine.substeps
+        n, steps = self.rows, task.steps_per_decision
+        assert self.state is not None
+        action = np.clip(action, -1.0, 1.0)
+        if self._hand is None:
+            increment = action * np.radians(task.max_step_deg)
+        else:
+            increment = self._hand.increments(self.joint_target, action)
+        ramp = np.arange(1, steps * substeps + 1) / substeps
+        targets = self.joint_target[:, None] + ramp[None, :, None] * increment[:, None]
+        targets = np.clip(targets, *self.scene.joint_range.T)
+
+        keep_out, tcp = self._keep_out(), self.state.tcp_pos[:, :2].numpy()
+        human, yaw = np.empty((n, steps, 2)), np.empty((n, steps))
+        limbs = np.empty((n, steps, len(LIMBS), 7))
+        for k in range(steps):
+            index = np.minimum(self.steps + k, self.noise.shape[1] - 1)
+            noise = self.noise[np.arange(n), index]
+            self.walk = people.advance(self.config.human, self.walk, noise, tcp, keep_out)
+            human[:, k], yaw[:, k] = self.walk.position, self.walk.yaw
+            limbs[:, k] = self._limbs(slice(None))
+        self.joint_target = targets[:, -1].copy()
+        self._planned = {
+            "joint_target": targets[:, substeps - 1 :: substeps],
+            "human_pos": human,
+            "human_yaw": yaw,
+            "human_seen": self._seen(human.reshape(-1, 2)).reshape(n, steps, 2),
+        }
+        bodies = np.repeat(limbs, substeps, axis=1)
+        return self._pack(targets, bodies)
+
+    def absorb(self, sensed: Array) -> Outcome:
+        """Judge a decision from its sensor readings (N, K * substeps, nsensor)."""
+        substeps, limit = self.config.engine.substeps, self.config.task.limit_steps
+        before = self.state
+        assert before is not None
+        n, count = self.rows, self.config.task.steps_per_decision
+        moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
+        active = torch.ones(n, dtype=torch.bool)
+        terms = torch.zeros(n, len(self.reward_names), dtype=torch.float64)
+        terminated, truncated = torch.zeros_like(active), torch.zeros_like(active)
+        stage, steps = before.stage, before.steps
+        valid, instants = [], []
+        previous = before
+        for k in range(count):
+            valid.append(active)
+            steps = steps + active
+            after = before.with_(steps=steps, stage=stage, **{name: moving[name][:, k] for name in MOVING_FIELDS})
+            stage = torch.where(active, self.subtask.next_stage(after), stage)
+            after = after.with_(stage=stage)
+            gained = torch.stack([term(previous, after) for term in self.subtask.rewards.values()], dim=-1)
+            terms += torch.where(active[:, None], gained * self._weights, 0.0)
+            failed = self.subtask.failure(after)
+            ended = active & (failed | self.subtask.success(after))
+            terminated = terminated | ended
+            truncated = truncated | (active & ~ended & (steps >= limit))
+            active = active & ~ended & (steps < limit)
+            instants.append(after)
+            previous = after
+        mask = torch.stack(valid, dim=1)
+        last = mask.sum(dim=1) - 1
+        rows = torch.arange(n)
+        final = {name: moving[name][rows, last] for name in MOVING_FIELDS}
+        self.state = before.with_(steps=steps, stage=stage, **final)
+        self.steps = steps.numpy().copy()
+        offsets = moving["human_pos"] - moving["tcp_pos"][..., :2]
+        return Outcome(
+            state=self.state,
+            reward_terms=terms,
+            # A collision in the step that completes the task is a failure.
+            success=terminated & self.subtask.success(self.state) & ~self.subtask.failure(self.state),
+            terminated=terminated,
+            truncated=truncated,
+            decision_steps=mask.sum(dim=1),
+            human_distance=offsets.norm(dim=-1),
+            valid=mask,
+            steps=tuple(instants),
+        )
+
+    # ---- pieces ----------------------------------------------------------------------------------------
+
+    def _limbs(self, rows: Any) -> Array:
+        walk = self.walk.rows(rows)
+        phase, swing = people.gait(walk)
+        return limb_poses(walk.position[:, 0], walk.position[:, 1], walk.yaw, phase, swing, self.scene.floor_z)
+
+    def _seen(self, position: Array) -> Array:
+        return people.seen_position(self.config.human, position, self._spawns)
+
+    def _control(self, rows: NDArray[np.int64]) -> Array:
+        """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
+        return self._pack(self.start[rows][:, None], self._limbs(rows)[:, None], rows)[:, 0]
+
+    def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
+        """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""
+        n, steps = targets.shape[:2]
+        props = np.zeros((n, steps, len(PROPS), 7))
+        props[..., 0], props[..., 3] = AWAY_M, 1.0
+        if self.subtask.stages[0].name == "reach":
+            props[:, :, 2 : 2 + len(self.subtask.stages), :3] = self.points[rows][:, None, : len(self.subtask.stages)]
+        else:
+            props[np.arange(n), :, self.colour[rows], :3] = self._ball_now(rows)[:, None]
+        bodies = np.concatenate([limbs, props], axis=2)
+        return np.concatenate(
+            [targets, bodies[..., :3].reshape(n, steps, -1), bodies[..., 3:].reshape(n, steps, -1)], axis=-1
+        )
+
+    def _ball_now(self, rows: Any) -> Array:
+        """Return where the ball is drawn (r, 3): on its table, on the gripper or at its drop point."""
+        n = len(self.start[rows])
+        ball = np.broadcast_to(self._ball, (n, 3)).copy()
+        if self.state is None:
+            return ball
+        names = [stage.name for stage in self.subtask.stages]
+        stage = self.state.stage.numpy()[rows]
+        now = np.array([*names, {"pick": "place", "place": "return"}.get(names[-1], names[-1])])[stage]
+        ball[now == "place"] = self.state.tcp_pos.numpy()[rows][now == "place"]
+        ball[now == "return"] = self._drops[self.colour[rows]][now == "return"]
+        return ball
+
+    def _moving(self, sensed: Array, planned: dict[str, Array]) -> dict[str, Tensor]:
+        """Return the fields of State that change within an episode, (N, K, ...), from sensor readings."""
+        at = self.scene.sensors
+        arrays: dict[str, Array] = {
+            "joint_pos": sensed[..., at["joint_pos"]],
+            "joint_vel": sensed[..., at["joint_vel"]],
+            "tcp_pos": sensed[..., at["tcp_pos"]],
+            **planned,
+        }
+        tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in arrays.items()}
+        for name, key in (("human_collision", "human"), ("table_collision", "table"), ("self_collision", "self")):
+            tensors[name] = torch.from_numpy(sensed[..., at[key]].any(axis=-1))
+        return tensors
+
+    def _set_state(self, rows: NDArray[np.int64], sensed: Array) -> None:
+        """Put the first instant of the episodes of `rows` into the state."""
+        n, task = len(rows), self.config.task
+        walk = self.walk.rows(rows)
+        planned = {
+            "joint_target": self.start[rows][:, None],
+            "human_pos": walk.position[:, None],
+            "human_yaw": walk.yaw[:, None],
+            "human_seen": self._seen(walk.position)[:, None],
+        }
+        moving = {name: value[:, 0] for name, value in self._moving(sensed[:, None], planned).items()}
+        scale = self.precision[rows] / task.precision.take_m
+
+        def constant(value: Array) -> Tensor:
+            return torch.from_numpy(np.broadcast_to(value, (n, *np.shape(value))).copy())
+
+        fresh = State(
+            **moving,
+            tcp_home=constant(self._home_tcp()),
+            joint_home=constant(self.scene.home),
+            ball_pos=constant(self._ball),
+            drop_pos=torch.from_numpy(self._drops[self.colour[rows]]),
+            orange_drop=constant(self._drops[0]),
+            pink_drop=constant(self._drops[1]),
+            points=torch.from_numpy(self.points[rows]),
+            colour=torch.from_numpy(self.colour[rows]),
+            stage=torch.zeros(n, dtype=torch.int64),
+            take=torch.from_numpy(self.precision[rows].copy()),
+            leave=torch.from_numpy(scale * task.precision.leave_m),
+            home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_deg)),
+            steps=torch.zeros(n, dtype=torch.int64),
+        )
+        if self.state is None:
+            if n != self.rows:
+                raise ConfigError("the first reset must reset every row")
+            self.state = fresh
+            return
+        index = torch.from_numpy(rows)
+        self.state = self.state.put(index, fresh)
+
+    def _home_tcp(self) -> Array:
+        if self._tcp_home is None:
+            data = mujoco.MjData(self.scene.model)
+            data.qpos[:] = self.scene.home
+            mujoco.mj_kinematics(self.scene.model, data)
+            self._tcp_home = data.site("robot/tcp").xpos.copy()
+        return self._tcp_home
+
+    # ---- saving ----------------------------------------------------------------------------------------
+
+    _ARRAYS = (
+        "episode", "noise", "colour", "spawn_id", "motion_id", "points", "precision", "joint_target", "start", "steps",
+    )  # fmt: skip
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything a bit-for-bit continuation needs, as tensors and plain numbers."""
+        assert self.state is not None
+        return {
+            "precision_m": self.precision_m,
+            "walk": {name: torch.from_numpy(np.array(value)) for name, value in vars(self.walk).items()},
+            "state": dict(vars(self.state)),
+            **{name: torch.from_numpy(getattr(self, name).copy()) for name in self._ARRAYS},
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        self.precision_m = saved["precision_m"]
+        self.walk = people.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
+        self.state = State(**saved["state"])
+        for name in self._ARRAYS:
+            setattr(self, name, saved[name].numpy().copy())

@@ -1,0 +1,94 @@
+"""Where place and return begin: joint angles in which the tool has just reached the ball or a drop point."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.scene.workcell import Scene
+
+Array = NDArray[np.float64]
+
+COUNT = 96
+"""Inverse-kinematics starts a goal."""
+ITERATIONS, STEP_S = 40, 0.1
+SPREAD_RAD = np.radians([25.0, 35.0, 50.0, 60.0, 60.0, 90.0])
+"""Standard deviation of the posture from which each solution is sought: trained policies leave the wrist anywhere."""
+
+
+def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
+    """Return the starts (M, 6) rad of a subtask: one array, or one a colour where the goal depends on it.
+
+    `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
+    `task.start` is an .npz with arrays `orange` and `pink` (M, 6), as `evaluate endings=` records them.
+
+    Raises:
+      ConfigError: the file is missing or of another form.
+    """
+    if start == "home":
+        return [scene.home[None]]
+    if config.task.start != "ik":
+        return recorded(config.task.start)
+    precision, cell = config.task.precision, config.cell
+    if start == "taken":
+        return [inverse_kinematics(scene.xml, tuple(cell.ball_m), precision.take_m, tuple(scene.home))]
+    drops = (cell.orange_drop_m, cell.pink_drop_m)
+    return [inverse_kinematics(scene.xml, tuple(drop), precision.leave_m, tuple(scene.home)) for drop in drops]
+
+
+def recorded(path: str) -> list[Array]:
+    """Return the recorded endings (M, 6) of each colour, orange first."""
+    if not Path(path).is_file():
+        raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
+    try:
+        with np.load(path) as file:
+            banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
+    except (KeyError, ValueError, OSError) as error:
+        raise ConfigError(f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 6)") from error
+    for colour, bank in zip(("orange", "pink"), banks, strict=True):
+        if bank.ndim != 2 or bank.shape[1] != 6 or not len(bank) or not np.isfinite(bank).all():
+            raise ConfigError(f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 6), finite")
+    return banks
+
+
+@lru_cache(maxsize=32)
+def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
+    """Return (COUNT, 6) rad: postures free of contact whose tool is within `precision_m` of `goal`.
+
+    Each begins at home turned towards the goal plus Gaussian noise and is drawn to a point of the precision
+    ball's outer shell, which is where a policy stops.
+    """
+    model = mujoco.MjModel.from_xml_string(xml)
+    rng = np.random.default_rng(0)
+    configuration = mink.Configuration(model)
+    tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-3)
+    limits = [mink.ConfigurationLimit(model)]
+    found: list[Array] = []
+    towards = np.arctan2(goal[1], goal[0])
+    for _ in range(50 * COUNT):
+        posture = np.array(home) + rng.normal(size=6) * SPREAD_RAD
+        # Either way round: the arm may come over the shoulder (home's side) or turned by half a circle.
+        posture[0] += towards + rng.choice([-np.pi, 0.0, np.pi])
+        posture[0] = (posture[0] + np.pi) % (2 * np.pi) - np.pi
+        direction = rng.normal(size=3)
+        point = np.array(goal) + direction / np.linalg.norm(direction) * precision_m * rng.uniform(0.6, 0.98)
+        configuration.update(posture)
+        tool.set_target(mink.SE3.from_translation(point))
+        for _ in range(ITERATIONS):
+            velocity = mink.solve_ik(configuration, [tool], STEP_S, "daqp", damping=1e-3, limits=limits)
+            configuration.integrate_inplace(velocity, STEP_S)
+            if np.linalg.norm(configuration.data.site("robot/tcp").xpos - goal) < precision_m * 0.98:
+                break
+        reached = np.linalg.norm(configuration.data.site("robot/tcp").xpos - goal) < precision_m
+        mujoco.mj_forward(model, configuration.data)
+        if reached and configuration.data.ncon == 0:
+            found.append(configuration.q.copy())
+            if len(found) == COUNT:
+                return np.array(found)
+    raise RuntimeError(f"only {len(found)} of {COUNT} starts found at {goal}: is the goal within reach?")

@@ -1,0 +1,40 @@
+"""Subtasks as values, by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.tasks.cycle import CYCLE
+from hrl_comfort.tasks.observations import LAYOUTS
+from hrl_comfort.tasks.pick import PICK
+from hrl_comfort.tasks.pick_place import PICK_PLACE
+from hrl_comfort.tasks.place import PLACE
+from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
+from hrl_comfort.tasks.reach import REACH
+from hrl_comfort.tasks.return_home import RETURN
+from hrl_comfort.tasks.state import State
+from hrl_comfort.tasks.subtask import Stage, Subtask
+
+SUBTASKS: dict[str, Subtask] = {
+    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE)
+}
+
+
+def subtask(name: str, observation: str = "default") -> Subtask:
+    """Return the registered subtask `name`, seen through the observation layout `observation`.
+
+    Raises:
+      ConfigError: no such subtask or layout.
+    """
+    if name not in SUBTASKS:
+        raise ConfigError(f"task.name={name!r} is not allowed; choose one of {', '.join(SUBTASKS)}")
+    if observation not in LAYOUTS:
+        raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
+    chosen = SUBTASKS[name]
+    if observation == "default":
+        return chosen
+    return replace(chosen, observations=LAYOUTS[observation](chosen.stages))
+
+
+__all__ = ["SUBTASKS", "Stage", "State", "Subtask", "subtask"]

@@ -1,0 +1,90 @@
+"""The world as the subtasks see it: one frozen record of tensors, batch first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class State:
+    """One instant of N cells. Tensors are float64 unless said otherwise; cell frame, SI units.
+
+    The cell frame has its origin in the robot's base, z up. Every quantity belongs to the same
+    instant: the last physics step of a control step, before it is integrated.
+    """
+
+    joint_pos: Tensor
+    """(N, 6) rad."""
+    joint_vel: Tensor
+    """(N, 6) rad/s."""
+    joint_target: Tensor
+    """(N, 6) rad, what the position servos follow."""
+    tcp_pos: Tensor
+    """(N, 3) m, tool centre point."""
+    tcp_home: Tensor
+    """(N, 3) m, tool centre point with every joint at home."""
+    joint_home: Tensor
+    """(N, 6) rad."""
+    human_pos: Tensor
+    """(N, 2) m, the human's vertical axis. Without a human: far away (`people.FAR_AWAY_M`)."""
+    human_yaw: Tensor
+    """(N,) rad."""
+    human_seen: Tensor
+    """(N, 2) m, where the policy is told the human is (clipping, masking)."""
+    ball_pos: Tensor
+    """(N, 3) m, where the ball lies until it is picked."""
+    drop_pos: Tensor
+    """(N, 3) m, the drop point of the ball's colour."""
+    orange_drop: Tensor
+    """(N, 3) m."""
+    pink_drop: Tensor
+    """(N, 3) m."""
+    points: Tensor
+    """(N, 2, 3) m, first and second point of `reach` and `point_to_point`."""
+    colour: Tensor
+    """(N,) int64, 0 orange, 1 pink."""
+    stage: Tensor
+    """(N,) int64, index of the stage in force in the subtask's `stages`."""
+    take: Tensor
+    """(N,) m, precision of taking and of reaching a point."""
+    leave: Tensor
+    """(N,) m, precision of leaving."""
+    home_tolerance: Tensor
+    """(N,) rad, how near every joint must come to home."""
+    human_collision: Tensor
+    """(N,) bool, robot touches human."""
+    table_collision: Tensor
+    """(N,) bool, robot touches a table, the pedestal or the floor."""
+    self_collision: Tensor
+    """(N,) bool."""
+    steps: Tensor
+    """(N,) int64, control steps since the episode began."""
+
+    def rows(self, index: Tensor) -> State:
+        """Return the state of the rows that `index` (bool (N,) or int64) selects."""
+        return State(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def where(self, mask: Tensor, other: State) -> State:
+        """Return a state with this one's rows where `mask` (N,) is true, `other`'s elsewhere."""
+
+        def pick(mine: Tensor, theirs: Tensor) -> Tensor:
+            return torch.where(mask.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
+
+        return State(**{f.name: pick(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+
+    def with_(self, **changes: Tensor) -> State:
+        """Return a copy with the given fields replaced."""
+        return replace(self, **changes)
+
+    def put(self, index: Tensor, other: State) -> State:
+        """Return a state whose rows at `index` (int64) are `other`'s, this one left as it is."""
+
+        def replaced(mine: Tensor, theirs: Tensor) -> Tensor:
+            fresh = mine.clone()
+            fresh[index] = theirs
+            return fresh
+
+        return State(**{f.name: replaced(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
