@@ -24,10 +24,9 @@ def train(overrides: list[str]) -> None:
 
     config = compose("train", overrides)
     assert isinstance(config, TrainConfig)
-    from hrl_comfort.envs.torchrl import make_env
-    from hrl_comfort.experiments.train import train as run
+    from hrl_comfort.experiments.train import train_cell
 
-    run(config, make_env)
+    train_cell(config)
 
 
 def evaluate(overrides: list[str]) -> None:
@@ -123,10 +122,9 @@ def multirun(verb: str, overrides: list[str]) -> None:
 def _job(verb: str, _: object) -> str | None:
     """Run one job of a sweep; return what went wrong if the user's choice did."""
     from hydra.core.hydra_config import HydraConfig
-    from omegaconf import OmegaConf
 
     hydra_config = HydraConfig.get()
-    overrides = list(OmegaConf.to_container(hydra_config.overrides.task))
+    overrides = [str(line) for line in hydra_config.overrides.task]
     folder = hydra_config.runtime.output_dir
     try:
         RUN[verb]([*overrides, f"output='{folder}'"])

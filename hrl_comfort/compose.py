@@ -1,6 +1,7 @@
 """From `conf/*.yaml` and overrides to the frozen dataclasses of `config`, every key and type checked.
 
-Hydra composes; what leaves this module is plain dataclasses. Every mistake becomes a `ConfigError` of one line.
+Hydra composes; what leaves this module is plain dataclasses. Every mistake becomes a `ConfigError`
+of one line.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
         except HydraException as error:
             raise ConfigError(f"{line!r} is not an override; write key=value, such as human=arc") from error
         if parsed.is_sweep_override() and not sweep:
-            raise ConfigError(f"{line} holds several values; add -m to run each of them, or write [a,b] for a list")
+            raise ConfigError(f"{line} holds several values; add -m to run each, or write [a,b] for a list")
         known.append(_checked(root, parsed, line))
     return known
 
@@ -142,12 +143,13 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     kind: Any = ROOTS[root]
     for depth, name in enumerate(parts := key.split(".")):
         if get_origin(kind) is dict:
-            return line if line[0] == "+" else f"++{line}"  # such a key is the user's own: nothing to override
+            return line if line[0] == "+" else f"++{line}"  # the user's own key: nothing to override
         fields = get_type_hints(kind) if dataclasses.is_dataclass(kind) else {}
         if name not in fields:
             inside = ".".join(parts[:depth]) or root
             names = sorted({*fields, *(allowed if depth == 0 else ())})
-            raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}")
+            have = ", ".join(names) or "none"
+            raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {have}")
         kind = fields[name]
     return line
 
@@ -158,7 +160,10 @@ def _near(word: str, words: Iterable[str]) -> str:
 
 
 def _as_trained(overrides: list[str]) -> list[str]:
-    """Return overrides that set what the policy's run was trained with, save what a chosen group states itself."""
+    """Return overrides that set what the policy's run was trained with.
+
+    What the file of a group chosen in `overrides` states itself is left to it.
+    """
     parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(overrides)}
     folder = run_folder(str(parsed.get("policy")))
     if folder is None:
@@ -191,7 +196,9 @@ def run_folder(policy: str) -> Path | None:
 
 def _evaluation_folder(policy: str | None, task: str) -> str:
     folder = run_folder(policy) if policy else None
-    return str(folder / "eval") if folder else f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}"
+    if folder:
+        return str(folder / "eval")
+    return f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}"
 
 
 def _text(value: object) -> str:
@@ -205,12 +212,11 @@ def _text(value: object) -> str:
     return f"'{escaped}'"
 
 
-@cache
-def _schema(cls: type) -> type:
+def _schema(cls: Any) -> Any:
     """Return a mutable twin of the frozen `cls`: OmegaConf cannot merge into a frozen dataclass."""
     hints = get_type_hints(cls)
-    fields = [(f.name, _schema(h) if dataclasses.is_dataclass(h := hints[f.name]) else h) for f in dataclasses.fields(cls)]
-    return dataclasses.make_dataclass(cls.__name__, fields)
+    twins = [(name, _schema(t) if dataclasses.is_dataclass(t) else t) for name, t in hints.items()]
+    return dataclasses.make_dataclass(cls.__name__, twins)
 
 
 def _freeze(cls: type[T], node: Any) -> T:
@@ -218,15 +224,15 @@ def _freeze(cls: type[T], node: Any) -> T:
     missing = sorted(OmegaConf.missing_keys(node))
     if missing:
         raise ConfigError(f"{missing[0]} must be set: {missing[0]}=VALUE")
-    return _built(cls, OmegaConf.to_container(node, resolve=True))
+    built: T = _built(cls, OmegaConf.to_container(node, resolve=True))
+    return built
 
 
-def _built(cls: type[T], tree: Any) -> T:
-    hints = get_type_hints(cls)
-    values = {}
-    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-        value, hint = tree[field.name], hints[field.name]
-        values[field.name] = _built(hint, value) if dataclasses.is_dataclass(hint) else value
+def _built(cls: Any, tree: Any) -> Any:
+    values = {
+        name: _built(hint, tree[name]) if dataclasses.is_dataclass(hint) else tree[name]
+        for name, hint in get_type_hints(cls).items()
+    }
     return cls(**values)
 
 

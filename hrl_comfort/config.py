@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 CLIPPINGS = ("off", "full", "partial")
+SPAWNS = ("points", "anywhere")
 COLOURS = ("random", "orange", "pink")
 ACTIONS = ("joint", "cartesian")
 CURRICULA = ("off", "linear", "adaptive")
@@ -79,8 +80,14 @@ class HumanConfig:
     """Spawn points (x, y), metres. Points nearer to a goal than `keep_out_m` are moved out to it."""
     held_out: list[int]
     """Indices into `spawns_m` that training never uses; the evaluation set uses them as unseen."""
+    spawn: str
+    """In training: `points` draws a spawn point that is not held out, `anywhere` a place round the robot."""
     spawn_jitter_m: float
-    """In training, a spawn is drawn uniformly from a disc of this radius round its point."""
+    """`points`: a spawn is drawn uniformly from a disc of this radius round its point."""
+    spawn_radius_m: list[float]
+    """`anywhere`: nearest and farthest distance from the robot's base."""
+    spawn_margin_m: float
+    """`anywhere`: least distance from every held-out point, so that these stay unseen."""
     keep_out_m: float
     """Least distance between the human's axis and any goal or the robot's base."""
     bound_m: float
@@ -110,6 +117,10 @@ class HumanConfig:
             _between("human.held_out", i, 0, len(self.spawns_m) - 1)
         if len(set(self.held_out)) >= len(self.spawns_m):
             raise ConfigError(f"human.held_out={list(self.held_out)!r} leaves no spawn for training")
+        _one_of("human.spawn", self.spawn, SPAWNS)
+        _point("human.spawn_radius_m", self.spawn_radius_m, 2)
+        _between("human.spawn_radius_m[0]", self.spawn_radius_m[0], 0.0, self.spawn_radius_m[1])
+        _between("human.spawn_margin_m", self.spawn_margin_m, 0.0, 0.5)
         _between("human.spawn_jitter_m", self.spawn_jitter_m, 0.0, 0.5)
         _between("human.keep_out_m", self.keep_out_m, 0.0, 1.0)
         _between("human.bound_m", self.bound_m, 0.0, 10.0)
@@ -372,7 +383,7 @@ class EvaluateConfig:
     record: bool
     """Write paths.csv."""
     endings: str | None
-    """Write the joint angles in which successful episodes ended to this .npz (starts for the next subtask)."""
+    """Write the joint angles that successful episodes ended in to this .npz: starts for the next subtask."""
     output: str
 
     def __post_init__(self) -> None:

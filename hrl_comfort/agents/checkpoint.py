@@ -6,8 +6,9 @@ import os
 import pickle
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from zipfile import BadZipFile
 
 import torch
@@ -18,7 +19,7 @@ FORMAT = "hrl-comfort checkpoint"
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 
 
-def write_atomically(path: Path, write) -> None:  # noqa: ANN001 (Callable[[BinaryIO], None])
+def write_atomically(path: Path, write: Callable[[BinaryIO], None]) -> None:
     """Let `write` fill a temporary file beside `path`, then put it in place in one step."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".tmp")

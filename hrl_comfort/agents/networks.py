@@ -6,6 +6,8 @@ All float32. B is a batch, D the observation's size, A the action's.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -61,7 +63,7 @@ class Normaliser(nn.Module):
         scaled = (observation - self._shift) * self._scale
         return scaled.clamp_(-NORMALISED_LIMIT, NORMALISED_LIMIT)
 
-    def load_state_dict(self, *args, **kwargs):  # noqa: ANN002, ANN003, ANN201 (nn.Module's own signature)
+    def load_state_dict(self, *args: Any, **kwargs: Any) -> Any:
         """Load the statistics (see nn.Module)."""
         result = super().load_state_dict(*args, **kwargs)
         self._refresh()
@@ -75,7 +77,7 @@ class Actor(nn.Module):
         super().__init__()
         sizes = [observation_dim, *hidden]
         layers: list[nn.Module] = []
-        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+        for fan_in, fan_out in pairwise(sizes):
             layers += [nn.Linear(fan_in, fan_out), nn.ReLU(inplace=True)]
         self.body = nn.Sequential(*layers, nn.Linear(sizes[-1], 2 * action_dim))
 
@@ -105,7 +107,7 @@ class TwinCritics(nn.Module):
         super().__init__()
         sizes = [observation_dim + action_dim, *hidden, 1]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+        for fan_in, fan_out in pairwise(sizes):
             bound = 1 / math.sqrt(fan_in)  # as nn.Linear starts
             self.weights.append(nn.Parameter(torch.empty(2, fan_in, fan_out).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(2, 1, fan_out).uniform_(-bound, bound)))

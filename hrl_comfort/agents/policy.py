@@ -11,6 +11,7 @@ from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.agents.sac import Sac
 from hrl_comfort.config import ConfigError
 
 
@@ -36,9 +37,8 @@ class ActorPolicy:
         """Return deterministic actions (N, A) in [-1, 1] for raw observations (N, D)."""
         expected = self.spec["observation_dim"]
         if observation.shape[-1] != expected:
-            raise ConfigError(
-                f"policy={self.spec['task']!r} was trained on {expected} observations, got {observation.shape[-1]}"
-            )
+            task, given = self.spec["task"], observation.shape[-1]
+            raise ConfigError(f"the policy for {task} was trained on {expected} observations, got {given}")
         return self.actor.mode(self.normaliser(observation.float()))
 
 
@@ -85,3 +85,25 @@ def policy_file(path: Path) -> Path:
             continue
         return candidate
     raise ConfigError(f"{path}: a run folder with a policy.pt or checkpoints/ is needed")
+
+
+def load_initial_policy(learner: Sac, path: Path) -> None:
+    """Let `learner` begin with the networks of a policy file or run folder.
+
+    Raises:
+        ConfigError: the file does not hold networks of the learner's shape.
+    """
+    file = policy_file(path)
+    state = checkpoint.load(file)
+    if "spec" not in state:
+        raise ConfigError(f"initial_policy={file} is not a policy file")
+    mine = {
+        "observation_dim": learner.observation_dim,
+        "action_dim": learner.action_dim,
+        "hidden": list(learner.config.hidden),
+        "normalise": learner.config.normalise,
+    }
+    for key, value in mine.items():
+        if state["spec"][key] != value:
+            raise ConfigError(f"initial_policy={file} has {key}={state['spec'][key]}, this training {value}")
+    learner.load_networks(state["networks"])

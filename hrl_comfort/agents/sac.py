@@ -17,7 +17,7 @@ from hrl_comfort.config import AgentConfig
 TERMS = ("critic_loss", "actor_loss", "alpha_loss", "alpha", "entropy", "q_mean")
 
 
-class TrainingDivergedError(RuntimeError):
+class TrainingDiverged(RuntimeError):
     """A training term is not finite any more; the message names the update and the term."""
 
 
@@ -73,11 +73,11 @@ class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
     Draws from torch's global random state, so saving that and `state_dict` saves all there is.
-    `gamma` is per control step; every transition brings the number of control steps that it took.
+    Gamma is per control step; every transition brings the number of control steps that it took.
     """
 
-    def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, gamma: float) -> None:
-        self.config, self.gamma = config, gamma
+    def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
+        self.config = config
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)
         self.normaliser = Normaliser(observation_dim, config.normalise)
@@ -119,7 +119,7 @@ class Sac:
         A truncated episode goes on bootstrapping; only a terminated one does not.
         """
         self.normaliser.update(observation)
-        discount = torch.where(terminated, 0.0, self.gamma ** steps.float())
+        discount = torch.where(terminated, 0.0, self.config.gamma ** steps.float())
         self.buffer.extend(
             TensorDict(
                 {
@@ -137,7 +137,7 @@ class Sac:
         """Do one gradient step on everything; return `TERMS` by name.
 
         Raises:
-            TrainingDivergedError: a term is not finite; the parameters are left as they were.
+            TrainingDiverged: a term is not finite; the parameters are left as they were.
         """
         sample = self.buffer.sample()
         batch = Batch(
@@ -163,7 +163,7 @@ class Sac:
         terms = dict(zip(TERMS, torch.stack(scalars).tolist(), strict=True))
         for name, value in terms.items():
             if not math.isfinite(value):
-                raise TrainingDivergedError(f"training diverged at update {self.updates}: {name} is {value}")
+                raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         self.optimiser.zero_grad(set_to_none=True)
         (critic_loss + actor_loss + alpha_loss).backward()
         self.optimiser.step()
@@ -175,7 +175,7 @@ class Sac:
         """Return the learnt tensors: what a policy file keeps.
 
         Raises:
-            TrainingDivergedError: a parameter is not finite.
+            TrainingDiverged: a parameter is not finite.
         """
         state = {
             "actor": self.actor.state_dict(),
@@ -187,7 +187,7 @@ class Sac:
         for part in ("actor", "critics"):
             for name, tensor in state[part].items():
                 if not tensor.isfinite().all():
-                    raise TrainingDivergedError(
+                    raise TrainingDiverged(
                         f"training diverged at update {self.updates}: {part} {name} is not finite"
                     )
         return state
@@ -202,7 +202,7 @@ class Sac:
             self.log_alpha.copy_(state["log_alpha"])
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that is needed to continue, as plain tensors and numbers; the buffer's filled part only."""
+        """Return all that is needed to continue, as plain data; of the buffer the filled part."""
         size = len(self.buffer)
         return {
             "networks": self.networks_state(),

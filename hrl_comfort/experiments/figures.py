@@ -22,10 +22,14 @@ from hrl_comfort.experiments.statistics import Floats, Row
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 ORANGE, SKY, PURPLE, BLACK = "#E69F00", "#56B4E9", "#CC79A7", "#222222"
-CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+CYCLE = (BLUE, VERMILLION, GREEN, SKY, PURPLE, ORANGE)
 CONTROL_STEP_S = 0.02
 TRUNK_RADIUS_M = 0.13
-GOALS = {"ball_m": ("ball", BLACK), "orange_drop_m": ("orange drop", ORANGE), "pink_drop_m": ("pink drop", PURPLE)}
+GOALS = {
+    "ball_m": ("ball", BLACK),
+    "orange_drop_m": ("orange drop", ORANGE),
+    "pink_drop_m": ("pink drop", PURPLE),
+}
 """Keys of the cell's configuration that are goals: their labels and colours."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
@@ -147,7 +151,9 @@ def success_by_checkpoint(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
             x, y = _thousands(table), 100 * table["success"]
             if {"success_low", "success_high"} <= table.keys():
                 around = [y - 100 * table["success_low"], 100 * table["success_high"] - y]
-                axis.errorbar(x, y, np.maximum(around, 0), color=BLUE, marker="o", markersize=3.5, capsize=2.5)
+                axis.errorbar(
+                    x, y, np.maximum(around, 0), color=BLUE, marker="o", markersize=3.5, capsize=2.5
+                )
             else:
                 axis.plot(x, y, color=BLUE, marker="o", markersize=3.5)
             axis.set(title=name, xlabel="decisions (thousands)", ylim=(-2, 102))
@@ -161,7 +167,9 @@ def _wide(axis: Axes, low: Floats, high: Floats) -> None:
     axis.set_aspect("equal", adjustable="box")
 
 
-def paths(episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str], cell: Mapping[str, Any]) -> Figure:
+def paths(
+    episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str], cell: Mapping[str, Any]
+) -> Figure:
     """Top and side view of tool and human, and their horizontal distance over time.
 
     Args:
@@ -182,7 +190,9 @@ def paths(episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str]
             for axis, across, up in ((top, x, y), (side, x, z)):
                 axis.plot(across, up, color=colour)
                 axis.plot(across[0], up[0], "o", color="white", markeredgecolor=colour, markersize=5)
-                axis.plot(across[-1], up[-1], "o" if success else "X", color=colour, markersize=5 if success else 7)
+                axis.plot(
+                    across[-1], up[-1], "o" if success else "X", color=colour, markersize=5 if success else 7
+                )
             seen_x.append(x)
             seen_y.append(y)
             near = np.abs(path["human_x"]) < 10  # someone who is not there stands far away
@@ -191,7 +201,9 @@ def paths(episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str]
             any_human = True
             human_x, human_y = path["human_x"][near], path["human_y"][near]
             top.plot(human_x, human_y, color=colour, linewidth=0.8, alpha=0.8)
-            top.add_patch(Circle((human_x[-1], human_y[-1]), TRUNK_RADIUS_M, color=colour, alpha=0.25, linewidth=0))
+            top.add_patch(
+                Circle((human_x[-1], human_y[-1]), TRUNK_RADIUS_M, color=colour, alpha=0.25, linewidth=0)
+            )
             side.axvline(float(human_x.mean()), color=colour, linewidth=5, alpha=0.2)
             seen_x.append(human_x)
             seen_y.append(human_y)
@@ -214,10 +226,12 @@ def paths(episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str]
         _wide(side, np.array([low[0], heights.min() - 0.1]), np.array([high[0], heights.max() + 0.1]))
         top.set(title="Top view", xlabel="x (m)", ylabel="y (m)")
         side.set(title="Side view", xlabel="x (m)", ylabel="height z (m)")
-        gap.set(title="Distance to human", xlabel="time (s)", ylabel="horizontal distance (m)")
+        gap.set(title="Horizontal distance to human", xlabel="time (s)", ylabel="distance (m)")
         gap.set_ylim(bottom=0)
         if not any_human:
-            gap.text(0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666")
+            gap.text(
+                0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666"
+            )
         handles = [
             Line2D([], [], color=BLACK, label="tool"),
             Line2D([], [], color=BLACK, marker="o", markerfacecolor="white", linestyle="", label="start"),
@@ -226,7 +240,13 @@ def paths(episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str]
             Patch(color=BLACK, alpha=0.25, linewidth=0, label="human (at the end)"),
         ]
         known = top.get_legend_handles_labels()[0]
-        figure.legend(handles=[*handles, *known], loc="outside lower center", ncols=9, handletextpad=0.4, columnspacing=1.2)
+        figure.legend(
+            handles=[*handles, *known],
+            loc="outside lower center",
+            ncols=9,
+            handletextpad=0.4,
+            columnspacing=1.2,
+        )
         return figure
 
 
@@ -242,20 +262,39 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
         axis = figure.subplots()
         names = list(dict.fromkeys(row["option"] for row in rows))
         colours = dict(zip(names, CYCLE * (1 + len(names) // len(CYCLE)), strict=False))
-        marks = {"failure": ("X", "failure"), "preempted": ("|", "preempted")}
+        marks = {"failure": "X", "preempted": "D"}
         for row in rows:
             if row["episode"] not in episodes:
                 continue
             y = episodes.index(row["episode"])
             start, end = (int(float(row[key])) * CONTROL_STEP_S for key in ("start_step", "end_step"))
-            axis.barh(y, end - start, left=start, height=0.68, color=colours[row["option"]], edgecolor="white", linewidth=1)
+            axis.barh(
+                y,
+                end - start,
+                left=start,
+                height=0.68,
+                color=colours[row["option"]],
+                edgecolor="white",
+                linewidth=1,
+            )
             if row["ending"] in marks:
-                axis.plot(end, y, marks[row["ending"]][0], color=BLACK, markersize=7, markeredgewidth=1.2, clip_on=False)
+                axis.plot(
+                    end,
+                    y,
+                    marks[row["ending"]],
+                    color=BLACK,
+                    markeredgecolor="white",
+                    markersize=7,
+                    clip_on=False,
+                )
         axis.set_yticks(range(len(episodes)), labels=list(episodes))
         axis.set_ylim(len(episodes) - 0.4, -0.6)
         axis.set(title="Option timeline", xlabel="time (s)", ylabel="episode")
         axis.grid(visible=False, axis="y")
         handles: list[Any] = [Patch(color=colours[name], label=name) for name in names]
-        handles += [Line2D([], [], color=BLACK, marker=mark, linestyle="", label=label) for mark, label in marks.values()]
+        handles += [
+            Line2D([], [], color=BLACK, marker=mark, linestyle="", label=label)
+            for label, mark in marks.items()
+        ]
         figure.legend(handles=handles, loc="outside right upper")
         return figure

@@ -73,7 +73,9 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def bootstrap_interval(values: Floats, seeds: Sequence[str], resamples: int = RESAMPLES) -> tuple[float, float]:
+def bootstrap_interval(
+    values: Floats, seeds: Sequence[str], resamples: int = RESAMPLES
+) -> tuple[float, float]:
     """Return the bootstrap percentile 95 % interval of the mean of `values` (n,).
 
     Two stages: training seeds `seeds` (n,) are drawn with replacement, then episodes within each drawn
@@ -121,7 +123,9 @@ def probability_of_improvement(x: Floats, y: Floats, resamples: int = RESAMPLES)
     training seed to speak of methods, one score an episode to speak of two given policies.
     """
     if len(x) == 0 or len(y) == 0:
-        raise ConfigError(f"probability_of_improvement of {len(x)} and {len(y)} scores: both need at least one")
+        raise ConfigError(
+            f"probability_of_improvement of {len(x)} and {len(y)} scores: both need at least one"
+        )
     wins = np.greater.outer(x, y) + 0.5 * np.equal.outer(x, y)
     rng = np.random.default_rng(SEED)
     draws = np.empty(resamples)
@@ -227,5 +231,7 @@ def write_summary(folder: Path | str, group_by: Sequence[str], limit_steps: int)
     if not episodes.is_file():
         raise ConfigError(f"output={str(folder)!r} holds no episodes.csv; evaluate writes one")
     summary = summarise(read_rows(episodes), group_by, limit_steps)
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    (folder / "summary.json").write_text(
+        json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
     return summary

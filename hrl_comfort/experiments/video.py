@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import CellConfig, RobotConfig
 from hrl_comfort.experiments.statistics import Floats
-from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
+from hrl_comfort.scene import AWAY_M, LIMBS, Scene, build_scene, limb_poses
+from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.scene.workcell import CONTROL_STEP_S
 from hrl_comfort.tasks import SUBTASKS
 
@@ -29,7 +30,7 @@ _BACKENDS = ("egl", "osmesa")
 
 
 class PicturesUnavailableError(RuntimeError):
-    """This machine cannot draw: no EGL library; the message names the packages that bring one."""
+    """There is no way to draw: no EGL library; the message names the packages that bring one."""
 
 
 def _open_screen() -> Any:
@@ -89,6 +90,12 @@ def _ball_place(task: str, stage: int) -> str:
     return "tool" if names[-1] == "pick" else "drop"
 
 
+def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the human's columns (steps,) with nobody there put where absent things stand."""
+    far = {"human_x": AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
+    return {name: np.where(np.isnan(path[name]), value, path[name]) for name, value in far.items()}
+
+
 def _poses(scene: Scene, path: Mapping[str, Floats]) -> NDArray[np.float64]:
     """Return the limbs' poses (frames, 5, 7)."""
     phase, swing = gait(path["human_x"], path["human_y"])
@@ -112,6 +119,8 @@ def frames(
     """
     scene = build_scene(robot, cell, substeps=2)
     model, data = scene.model, mujoco.MjData(scene.model)
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.35
+    model.light_cutoff[:] = 85  # the lamp lights the whole floor
     screen = _open_screen()
     context = None
     try:
@@ -121,10 +130,10 @@ def frames(
         camera.lookat[:] = (0.05, 0.0, 0.15)
         camera.distance, camera.azimuth, camera.elevation = 2.7, 75, -28
         rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-        shown = resample(path)
+        shown = resample({**path, **_absent_is_away(path)})
         limbs = _poses(scene, shown)
         goals = {"table": cell.ball_m, "drop": cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
-        joints = [model.joint(name).qposadr[0] for name in _joint_names(model)]
+        joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
         ball = scene.mocap.index(f"{colour}_ball")
         picture = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
         for i in range(len(shown["step"])):
@@ -145,21 +154,16 @@ def frames(
         screen.free()
 
 
-def _joint_names(model: mujoco.MjModel) -> Sequence[str]:
-    """Return the names of the six arm joints, base to tool."""
-    hinges = [i for i in range(model.njnt) if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE]
-    return [model.joint(i).name for i in hinges[:6]]
-
-
 def write_video(file: Path, pictures: Iterator[NDArray[np.uint8]]) -> Path:
     """Write pictures to an mp4 that browsers play, FRAMES_PER_S a second, and return its path."""
     import imageio.v2 as imageio
 
     file.parent.mkdir(parents=True, exist_ok=True)
     first = next(pictures)  # before the file is opened: no empty video where drawing fails
-    with imageio.get_writer(
+    writer: Any = imageio.get_writer(
         file, fps=FRAMES_PER_S, codec="libx264", quality=5, macro_block_size=2, ffmpeg_log_level="error"
-    ) as writer:
+    )
+    with writer:
         writer.append_data(first)
         for picture in pictures:
             writer.append_data(picture)

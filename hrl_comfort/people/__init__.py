@@ -35,6 +35,7 @@ MOTIONS: dict[str, Motion] = {
     "approach": approach,
     "playback": playback,
 }
+ATTEMPTS = 1000
 UNBOUND = ("none", "playback")
 """Motions that neither the movement bound nor the keep-out discs hold."""
 
@@ -47,7 +48,7 @@ def motion(name: str) -> Motion:
 
 
 def begin(config: HumanConfig, spawn: Array) -> Walk:
-    """Return people standing at spawn (n, 2) m and facing the robot (absent or at the file's start, if so chosen)."""
+    """Return people at spawn (n, 2) m who face the robot; absent, or at their file's start, if so chosen."""
     n = len(spawn)
     position, yaw = spawn.copy(), facing_base(spawn)
     if motion(config.motion) is none:
@@ -62,8 +63,8 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
 def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
     """Return the walk one control step of 20 ms on; noise (n, NOISE), tcp (n, 2) m.
 
-    A step beyond `bound_m` of the spawn is drawn back to it; a step into a keep-out disc slides along its rim,
-    or is not taken where that leads into another.
+    A step beyond `bound_m` of the spawn is drawn back to it; a step into a keep-out disc slides along
+    its rim, or is not taken where that leads into another.
     """
     position, yaw = motion(config.motion)(config, walk, noise, tcp)
     if config.motion not in UNBOUND:
@@ -88,7 +89,7 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
 
 
 def moved_spawns(config: HumanConfig, goals: Array) -> Array:
-    """Return the spawn points (s, 2) m, those nearer than `keep_out_m` to a goal (g, 2) or the base moved out."""
+    """Return the spawn points (s, 2) m, moved out where nearer than `keep_out_m` to a goal (g, 2) or base."""
     spawns = np.array(config.spawns_m, dtype=np.float64)
     return outside(spawns, around(goals, config.keep_out_m, len(spawns)))
 
@@ -111,13 +112,31 @@ def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
     return spawn + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def spawn_anywhere(config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator) -> Array:
+    """Return a place (2,) m round the robot, out of the discs and clear of every held-out spawn (s, 2).
+
+    Raises:
+      RuntimeError: none was found.
+    """
+    held_out = spawns[list(config.held_out)]
+    nearest, farthest = config.spawn_radius_m
+    for _ in range(ATTEMPTS):
+        radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
+        place = radius * np.array([np.cos(bearing), np.sin(bearing)])
+        clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
+        if clear and not keep_out.entered(place[None])[0]:
+            return place
+    raise RuntimeError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
+
+
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
     """Return where the policy is told that people at position (n, 2) are.
 
-    `masked`: far away. `clipping=full`: at the nearest spawn point. `partial`: at the nearest spawn point only
-    while that point is nearer to the robot than the person is (the paper's "a given point nearer than the human").
+    `masked`, or nobody there: far away. `clipping=full`: at the nearest spawn point. `partial`: there only
+    while that point is nearer to the robot than the person is. The paper's "a given point nearer than the
+    human" leaves open nearer to what; read so, nobody is told to be farther from the robot than they are.
     """
-    if config.masked:
+    if config.masked or config.motion == "none":
         return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))
     if config.clipping == "off":
         return position
@@ -146,5 +165,6 @@ __all__ = [
     "moved_spawns",
     "outside",
     "seen_position",
+    "spawn_anywhere",
     "training_spawns",
 ]

@@ -1,9 +1,9 @@
-"""The committed evaluation set: 1,000 spawns, motions and seeds; half of the spawns never seen in training."""
+"""The committed evaluation set: 1,000 spawns, motions and seeds; half the spawns unseen in training."""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 
@@ -30,9 +30,13 @@ class EvaluationSet:
     motion_id: NDArray[np.int64]
     seen: NDArray[np.bool_]
 
-    def first(self, count: int) -> EvaluationSet:
-        """Return the first `count` entries; seen and unseen alternate."""
-        return EvaluationSet(**{name: value[:count] for name, value in vars(self).items()})
+    def part(self, start: int, stop: int) -> EvaluationSet:
+        """Return entries start to stop; seen and unseen spawns alternate."""
+        return EvaluationSet(**{name: value[start:stop] for name, value in vars(self).items()})
+
+    def reseeded(self, seed: int) -> EvaluationSet:
+        """Return the same spawns and motions with episode seeds that begin at `seed`."""
+        return replace(self, episode_seed=self.episode_seed - FIRST_SEED + seed)
 
 
 @lru_cache(maxsize=1)
@@ -42,15 +46,45 @@ def load_evaluation_set() -> EvaluationSet:
     Raises:
       ConfigError: the file has been damaged.
     """
-    with (files("hrl_comfort.people") / "evaluation_set.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    if not rows or tuple(rows[0]) != COLUMNS:
-        raise ConfigError(f"people/evaluation_set.csv must have the columns {','.join(COLUMNS)}")
-    return EvaluationSet(
-        episode=np.array([int(r["episode"]) for r in rows]),
-        episode_seed=np.array([int(r["episode_seed"]) for r in rows]),
-        spawn_id=np.array([int(r["spawn_id"]) for r in rows]),
-        position=np.array([[float(r["x"]), float(r["y"])] for r in rows]),
-        motion_id=np.array([int(r["motion_id"]) for r in rows]),
-        seen=np.array([r["seen"] == "True" for r in rows]),
+    file = files("hrl_comfort.people") / "evaluation_set.csv"
+    return parse_evaluation_set(file.read_text(encoding="utf-8"))
+
+
+def parse_evaluation_set(text: str) -> EvaluationSet:
+    """Return the set that a file of this `text` holds; its arrays are read-only.
+
+    Raises:
+      ConfigError: other columns, or a bad line (named).
+    """
+    header, *lines = list(csv.reader(text.splitlines())) or [[]]
+    if tuple(header) != COLUMNS or not lines:
+        raise ConfigError(
+            f"people/evaluation_set.csv must have the columns {','.join(COLUMNS)} and an episode"
+        )
+    whole, places, seen = [], [], []
+    for number, line in enumerate(lines, start=2):
+        where = f"people/evaluation_set.csv line {number}: {','.join(line)!r}"
+        try:
+            episode, seed, spawn, x, y, motion, known = line
+            row, place = [int(v) for v in (episode, seed, spawn, motion)], [float(x), float(y)]
+            seen.append({"True": True, "False": False}[known])
+        except (ValueError, KeyError) as error:
+            raise ConfigError(f"{where} must hold {','.join(COLUMNS)}, seen True or False") from error
+        if row[0] != number - 2 or row[1] < FIRST_SEED or row[2] < 0 or not np.isfinite(place).all():
+            raise ConfigError(
+                f"{where} must be episode {number - 2}, with a seed from {FIRST_SEED} and finite x, y"
+            )
+        whole.append(row)
+        places.append(place)
+    numbers = np.array(whole, dtype=np.int64)
+    entries = EvaluationSet(
+        episode=numbers[:, 0].copy(),
+        episode_seed=numbers[:, 1].copy(),
+        spawn_id=numbers[:, 2].copy(),
+        position=np.array(places, dtype=np.float64),
+        motion_id=numbers[:, 3].copy(),
+        seen=np.array(seen, dtype=bool),
     )
+    for column in vars(entries).values():
+        column.setflags(write=False)
+    return entries

@@ -1,7 +1,7 @@
-"""Remake people/evaluation_set.csv: `python -m hrl_comfort.people.make_evaluation_set > FILE`.
+"""Remake people/evaluation_set.csv from conf/: `python -m hrl_comfort.people.make_evaluation_set > FILE`.
 
-Seen and unseen spawns alternate, so that any prefix of the set is half and half. A seen entry stands anywhere in
-the training disc of a training spawn; an unseen one at a held-out spawn, within `UNSEEN_JITTER_M` of it.
+Seen and unseen spawns alternate, so that any prefix of the set is half and half. A seen entry stands within
+`spawn_jitter_m` of a spawn point that training uses; an unseen one within `UNSEEN_JITTER_M` of a held-out one.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import csv
 import io
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import yaml
 
-from hrl_comfort.compose import compose
-from hrl_comfort.config import CellConfig, HumanConfig, TrainConfig
+from hrl_comfort.config import CellConfig, HumanConfig
 from hrl_comfort.people import around, jittered_spawn, moved_spawns, outside, training_spawns
 from hrl_comfort.people.evaluation import COLUMNS, FIRST_SEED
 
@@ -37,11 +38,18 @@ def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
         disc = human if seen else replace(human, spawn_jitter_m=UNSEEN_JITTER_M)
         place = jittered_spawn(disc, spawns[spawn][None], rng.random((1, 2)))
         x, y = outside(place, around(goals, human.keep_out_m, 1))[0]
-        writer.writerow([episode, FIRST_SEED + episode, spawn, f"{x:.6f}", f"{y:.6f}", FIRST_SEED + episode, seen])
+        writer.writerow(
+            [episode, FIRST_SEED + episode, spawn, f"{x:.6f}", f"{y:.6f}", FIRST_SEED + episode, seen]
+        )
     return text.getvalue()
 
 
+def default_choices(conf: Path) -> tuple[HumanConfig, CellConfig]:
+    """Return the spawns and the cell that the YAML files in `conf` hold; Hydra is not for this layer."""
+    human = yaml.safe_load((conf / "human" / "_shared.yaml").read_text(encoding="utf-8"))
+    cell = yaml.safe_load((conf / "cell" / "default.yaml").read_text(encoding="utf-8"))
+    return HumanConfig(motion="random_walk", **human), CellConfig(**cell)
+
+
 if __name__ == "__main__":
-    config = compose("train", ["task=pick"])
-    assert isinstance(config, TrainConfig)
-    sys.stdout.write(evaluation_set(config.human, config.cell))
+    sys.stdout.write(evaluation_set(*default_choices(Path("conf"))))

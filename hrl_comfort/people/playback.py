@@ -36,16 +36,22 @@ def read_motion(path: str) -> tuple[Array, Array]:
         lines = list(csv.reader(file))
     if not lines or [name.strip() for name in lines[0]] != HEADER:
         raise ConfigError(f"human.file={path!r}: line 1 must be {','.join(HEADER)}")
-    rows = []
+    rows: list[list[float]] = []
     for number, line in enumerate(lines[1:], start=2):
         try:
             values = [float(value) for value in line]
         except ValueError as error:
-            raise ConfigError(f"human.file={path!r}: line {number} is not four numbers: {','.join(line)}") from error
+            raise ConfigError(
+                f"human.file={path!r}: line {number} is not four numbers: {','.join(line)}"
+            ) from error
         if len(values) != 4 or not np.isfinite(values).all():
-            raise ConfigError(f"human.file={path!r}: line {number} is not four finite numbers: {','.join(line)}")
+            raise ConfigError(
+                f"human.file={path!r}: line {number} is not four finite numbers: {','.join(line)}"
+            )
         if rows and values[0] <= rows[-1][0]:
-            raise ConfigError(f"human.file={path!r}: line {number} has t={values[0]:g}, not after {rows[-1][0]:g}")
+            raise ConfigError(
+                f"human.file={path!r}: line {number} has t={values[0]:g}, not after {rows[-1][0]:g}"
+            )
         rows.append(values)
     if not rows:
         raise ConfigError(f"human.file={path!r} holds no line after its header")

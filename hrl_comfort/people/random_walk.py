@@ -9,7 +9,7 @@ from hrl_comfort.people.walk import Array, Walk, facing_base
 
 
 def random_walk(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Jitter by up to `jitter_m` an axis or, with `forward_probability`, step `forward_m` towards the base."""
+    """Jitter by up to `jitter_m` an axis or, with `forward_probability`, step `forward_m` to the base."""
     jitter = (2 * noise[:, :2] - 1) * config.jitter_m
     yaw = facing_base(walk.position)
     forward = config.forward_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)

@@ -55,7 +55,7 @@ class Walk:
 
 
 Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
-"""(config, walk, noise (n, NOISE), tcp (n, 2)) -> proposed position (n, 2) m and yaw (n,) rad, one step on."""
+"""(config, walk, noise (n, NOISE), tcp (n, 2)) -> position (n, 2) m and yaw (n,) rad proposed, a step on."""
 
 
 @dataclass(frozen=True)
@@ -78,23 +78,41 @@ def facing_base(position: Array) -> Array:
 
 
 def outside(position: Array, keep_out: KeepOut) -> Array:
-    """Return position (n, 2) moved out of every disc by the least push, disc after disc until none is entered."""
-    position = position.copy()
-    rows = np.arange(len(position))
-    for _ in range(50):
-        if not keep_out.centres.shape[1]:
-            return position
-        offsets = position[:, None] - keep_out.centres
-        distances = np.linalg.norm(offsets, axis=-1)
-        nearest = distances.argmin(axis=1)
-        least, offset = distances[rows, nearest], offsets[rows, nearest]
-        inside = least < keep_out.radius_m
-        if not inside.any():
-            return position
-        towards = np.where(least[:, None] > MARGIN_M, offset / np.maximum(least, MARGIN_M)[:, None], [1.0, 0.0])
-        pushed = keep_out.centres[rows, nearest] + towards * (keep_out.radius_m + MARGIN_M)
-        position[inside] = pushed[inside]
-    raise RuntimeError(f"no way out of the keep-out discs of {keep_out.radius_m} m for {position[inside].tolist()}")
+    """Return position (n, 2), what lies in a disc replaced by the nearest point outside all of them.
+
+    From inside one disc that is straight away from its centre; where discs overlap it may be a corner.
+    """
+    inside = keep_out.entered(position)
+    moved = position.copy()
+    if inside.any():
+        moved[inside] = _nearest_free(
+            position[inside], keep_out.centres[inside], keep_out.radius_m + MARGIN_M
+        )
+    return moved
+
+
+def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
+    """Return the point (m, 2) nearest to each of `points` that lies in no disc round `centres` (m, g, 2).
+
+    It is on a rim, straight out from a centre or where two rims cross: the nearest of those that are free.
+    """
+    offset = points[:, None] - centres
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    away = np.where(length > MARGIN_M, offset / np.maximum(length, MARGIN_M), [1.0, 0.0])
+    radial = centres + away * radius
+
+    first, second = np.triu_indices(centres.shape[1], 1)
+    half = (centres[:, second] - centres[:, first]) / 2
+    gap = np.linalg.norm(half, axis=-1, keepdims=True)
+    across = np.stack([-half[..., 1], half[..., 0]], axis=-1) / np.maximum(gap, MARGIN_M)
+    across = across * np.sqrt(np.maximum(radius**2 - gap**2, 0.0))
+    middle = (centres[:, first] + centres[:, second]) / 2
+
+    tried = np.concatenate([radial, middle + across, middle - across], axis=1)
+    clearance = np.linalg.norm(tried[:, :, None] - centres[:, None], axis=-1).min(axis=2)
+    distance = np.linalg.norm(tried - points[:, None], axis=-1)
+    distance = np.where(clearance >= radius - MARGIN_M / 2, distance, np.inf)
+    return tried[np.arange(len(points)), distance.argmin(axis=1)]
 
 
 def gait(walk: Walk) -> tuple[Array, Array]:

@@ -23,9 +23,7 @@ SHOULDER_HALF_WIDTH_M = 0.18
 
 # Joint of each limb with the trunk: sideways (left is +), height; and the sign of its swing,
 # each arm opposite to the leg of its side.
-_SIDE = np.array(
-    [0.0, HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M, SHOULDER_HALF_WIDTH_M, -SHOULDER_HALF_WIDTH_M]
-)
+_SIDE = np.array([0.0, HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M, SHOULDER_HALF_WIDTH_M, -SHOULDER_HALF_WIDTH_M])
 _TOP = np.array([HIP_M, HIP_M, HIP_M, SHOULDER_M, SHOULDER_M])
 _SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0])
 
@@ -46,7 +44,7 @@ def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
     for limb, pose in zip(LIMBS, poses, strict=True):
         body = world.add("body", name=limb, mocap=True, pos=pose[:3], quat=pose[3:])
         fromto, radius, colour = shapes[limb.split("_")[-1]]
-        look = dict(contype=0, conaffinity=1, condim=1)
+        look = {"contype": 0, "conaffinity": 1, "condim": 1}
         body.add("geom", name=limb, type="capsule", fromto=fromto, size=[radius], rgba=colour, **look)
         if limb == "trunk":
             centre = (0, 0, HEIGHT_M - HIP_M - HEAD_RADIUS_M)

@@ -55,8 +55,9 @@ class UrModel:
     armature_kg_m2: Six
     """Reflected rotor inertia. Not published; small against the links' inertia in mid-range poses."""
     stiffness_nm_rad: Six
-    """Position servo gain: about (65 rad/s)^2 times the joint's inertia with the arm half stretched,
-    so that with `SERVO_LAG_S` the servo is close to critically damped."""
+    """Position servo gain, our choice. Stiff enough to follow a ramp of 100 deg/s within 2 deg, and no
+    stiffer: where the inertia is least, a servo driven into its torque limit by every 2 deg step
+    would chatter at 10 ms a physics step."""
 
 
 _ALPHA: Six = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
@@ -83,7 +84,7 @@ UR3E = UrModel(
     forearm_radius_m=0.040,
     wrist_radius_m=0.045,
     armature_kg_m2=(0.1, 0.1, 0.1, 0.03, 0.03, 0.03),
-    stiffness_nm_rad=(3000.0, 3000.0, 1500.0, 300.0, 250.0, 150.0),
+    stiffness_nm_rad=(1500.0, 1500.0, 750.0, 300.0, 250.0, 150.0),
 )
 
 # UR5e and UR10e capsule radii are estimates: the UR3e's, scaled to the size of the joints fitted.
@@ -112,7 +113,7 @@ UR5E = UrModel(
     forearm_radius_m=0.045,
     wrist_radius_m=0.045,
     armature_kg_m2=(0.2, 0.2, 0.2, 0.05, 0.05, 0.05),
-    stiffness_nm_rad=(9000.0, 9000.0, 4500.0, 500.0, 400.0, 250.0),
+    stiffness_nm_rad=(3000.0, 4500.0, 2250.0, 500.0, 400.0, 250.0),
 )
 
 UR10E = UrModel(
@@ -140,7 +141,7 @@ UR10E = UrModel(
     forearm_radius_m=0.055,
     wrist_radius_m=0.050,
     armature_kg_m2=(0.4, 0.4, 0.3, 0.1, 0.1, 0.1),
-    stiffness_nm_rad=(25000.0, 25000.0, 10000.0, 900.0, 700.0, 500.0),
+    stiffness_nm_rad=(8500.0, 12500.0, 5000.0, 900.0, 700.0, 500.0),
 )
 
 ROBOTS: dict[str, UrModel] = {model.name: model for model in (UR3E, UR5E, UR10E)}
@@ -182,6 +183,7 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
         name="base",
         fromto=(0, 0, 0.03, 0, 0, 0.5 * model.d_m[0]),
         size=[model.shoulder_radius_m],
+        mass=0,
         rgba=(0.3, 0.3, 0.33, 1),
     )
     for i, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
@@ -287,5 +289,7 @@ def _add_gripper(flange: mjcf.Element) -> None:
     dark = (0.2, 0.2, 0.22, 1)
     gripper.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, 0.09), size=[radius], rgba=dark)
     for name, side in (("left_finger", FINGER_SPREAD_M), ("right_finger", -FINGER_SPREAD_M)):
-        gripper.add("geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark)
+        gripper.add(
+            "geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark
+        )
     gripper.add("site", name="tcp", pos=(0, 0, TOOL_LENGTH_M), size=[0.005], group=4)

@@ -110,12 +110,18 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
 
 def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
     """Add floor, pedestal, tables, drop markers, light and cameras."""
-    look = dict(contype=0, conaffinity=1, condim=1)
+    look = {"contype": 0, "conaffinity": 1, "condim": 1}
     world.add("light", name="lamp", pos=(0.5, -0.8, 3), dir=(-0.15, 0.25, -1), diffuse=(0.7, 0.7, 0.7))
     world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
     world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
     world.add(
-        "geom", name="floor", type="plane", pos=(0, 0, floor_z), size=(3, 3, 0.1), rgba=(0.85, 0.85, 0.83, 1), **look
+        "geom",
+        name="floor",
+        type="plane",
+        pos=(0, 0, floor_z),
+        size=(3, 3, 0.1),
+        rgba=(0.85, 0.85, 0.83, 1),
+        **look,
     )
     if cell.base_height_m > 0:
         post = world.add("body", name="pedestal")
@@ -136,10 +142,18 @@ def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> 
         table.add("geom", name=f"{name}_top", type="box", size=(half, half, thick), rgba=_WOOD, **look)
         foot = floor_z - (z - cell.ball_radius_m - thick)
         table.add(
-            "geom", name=f"{name}_leg", type="capsule", fromto=(0, 0, -0.03, 0, 0, foot), size=[0.02], rgba=_STEEL, **look
+            "geom",
+            name=f"{name}_leg",
+            type="capsule",
+            fromto=(0, 0, -0.03, 0, 0, foot),
+            size=[0.02],
+            rgba=_STEEL,
+            **look,
         )
     for name, colour in (("orange", _ORANGE), ("pink", _PINK)):
-        world.add("site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3))
+        world.add(
+            "site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3)
+        )
 
 
 def _add_props(world: mjcf.Element, cell: CellConfig) -> None:
@@ -159,11 +173,18 @@ def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:
     for name in JOINTS:
         add("jointvel", name=f"{name}_vel", joint=f"robot/{name}")
     add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
-    found = dict(subtree1="robot/", data="found", num=1)
+    found = {"subtree1": "robot/", "data": "found", "num": 1}
     for name in LIMBS:
         add("contact", name=f"{name}_contact", body2=name, **found)
     for name in OBSTACLES[:-1]:
         add("contact", name=f"{name}_contact", body2=name, **found)
     add("contact", name="floor_contact", geom2="floor", **found)
     add("contact", name="self_contact", subtree2="robot/", **found)
-    return {"joint_pos": 6, "joint_vel": 6, "tcp_pos": 3, "human": len(LIMBS), "table": len(OBSTACLES), "self": 1}
+    return {
+        "joint_pos": 6,
+        "joint_vel": 6,
+        "tcp_pos": 3,
+        "human": len(LIMBS),
+        "table": len(OBSTACLES),
+        "self": 1,
+    }

@@ -20,7 +20,7 @@ from torch import Tensor
 from hrl_comfort import people
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import AWAY_M, PROPS, Scene
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.starts import start_states
@@ -187,33 +187,44 @@ class Episodes:
         if self.subtask.start != "home":
             start = start + rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
         self.start[row] = self.joint_target[row] = np.clip(start, *self.scene.joint_range.T)
-        fixed = np.array([self.config.task.point_m, self.config.task.second_point_m])
-        self.points[row] = fixed if self.config.task.point == "fixed" else self._random_points(rng)
+        drawn = self.config.task.point == "random"
+        self.points[row] = np.array([self.config.task.point_m, self.config.task.second_point_m])
         if self.evaluation is not None:
-            entry = row % len(self.evaluation.episode)
-            spawn = self.evaluation.position[entry]
+            spawn = self.evaluation.position[row % len(self.evaluation.episode)]
+        elif human.spawn == "anywhere":
+            self.spawn_id[row] = -1
+            spawn = people.spawn_anywhere(human, self._spawns, self._keep_out([row], drawn), rng)
         else:
             self.spawn_id[row] = rng.choice(self._training_spawns)
-            spawn = self._spawns[self.spawn_id[row]]
-            spawn = people.jittered_spawn(human, spawn[None], rng.random((1, 2)))[0]
-        spawn = people.outside(spawn[None], self._keep_out([row]))[0]
+            spawn = people.jittered_spawn(human, self._spawns[self.spawn_id[row]][None], rng.random((1, 2)))[0]
+        spawn = people.outside(spawn[None], self._keep_out([row], drawn))[0]
+        if drawn:
+            self.points[row] = self._random_points(spawn, rng)
         self.walk.spawn[row] = spawn
 
-    def _random_points(self, rng: np.random.Generator) -> Array:
-        """Return two points (2, 3) m, clear of the tables and of each other."""
+    def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
+        """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
+        human = self.config.human
         for _ in range(ATTEMPTS):
             radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
             bearing = rng.uniform(-np.pi, np.pi, 2)
             points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
             from_tables = np.linalg.norm(points[:, None] - self._goals[None], axis=-1).min()
-            if from_tables > TABLE_CLEARANCE_M and np.linalg.norm(points[0] - points[1]) > TABLE_CLEARANCE_M:
+            apart = np.linalg.norm(points[0] - points[1])
+            from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
+            if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= human.keep_out_m:
                 return points
         raise RuntimeError(f"no free points found after {ATTEMPTS} attempts")
 
-    def _keep_out(self, rows: Any = slice(None)) -> people.KeepOut:
-        """Return the discs the human stays out of: the goals of the task and the robot's base."""
+    def _keep_out(self, rows: Any = slice(None), points_drawn: bool = False) -> people.KeepOut:
+        """Return the discs the human stays out of: the goals of the task and the robot's base.
+
+        Points that are yet to be drawn (`points_drawn`) keep clear of the human themselves.
+        """
         n = len(self.start[rows])
-        if self.subtask.stages[0].name == "reach":
+        if self.subtask.stages[0].name == "reach" and points_drawn:
+            goals = np.empty((n, 0, 2))
+        elif self.subtask.stages[0].name == "reach":
             goals = self.points[rows][:, : len(self.subtask.stages), :2]
         else:
             goals = np.broadcast_to(self._goals[None, :, :2], (n, 3, 2))
@@ -239,14 +250,15 @@ class Episodes:
         targets = np.clip(targets, *self.scene.joint_range.T)
 
         keep_out, tcp = self._keep_out(), self.state.tcp_pos[:, :2].numpy()
-        human, yaw = np.empty((n, steps, 2)), np.empty((n, steps))
-        limbs = np.empty((n, steps, len(LIMBS), 7))
+        walks = []
         for k in range(steps):
             index = np.minimum(self.steps + k, self.noise.shape[1] - 1)
             noise = self.noise[np.arange(n), index]
             self.walk = people.advance(self.config.human, self.walk, noise, tcp, keep_out)
-            human[:, k], yaw[:, k] = self.walk.position, self.walk.yaw
-            limbs[:, k] = self._limbs(slice(None))
+            walks.append(self.walk)
+        human = np.stack([walk.position for walk in walks], axis=1)
+        yaw = np.stack([walk.yaw for walk in walks], axis=1)
+        limbs = self._limbs(walks)
         self.joint_target = targets[:, -1].copy()
         self._planned = {
             "joint_target": targets[:, substeps - 1 :: substeps],
@@ -307,17 +319,19 @@ class Episodes:
 
     # ---- pieces ----------------------------------------------------------------------------------------
 
-    def _limbs(self, rows: Any) -> Array:
-        walk = self.walk.rows(rows)
-        phase, swing = people.gait(walk)
-        return limb_poses(walk.position[:, 0], walk.position[:, 1], walk.yaw, phase, swing, self.scene.floor_z)
+    def _limbs(self, walks: list[people.Walk]) -> Array:
+        """Return the limb poses (n, len(walks), 5, 7) of n people along their walks."""
+        phase, swing = np.stack([people.gait(walk) for walk in walks], axis=-1)
+        x, y = np.stack([walk.position for walk in walks], axis=1).transpose(2, 0, 1)
+        yaw = np.stack([walk.yaw for walk in walks], axis=1)
+        return limb_poses(x, y, yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
         return people.seen_position(self.config.human, position, self._spawns)
 
     def _control(self, rows: NDArray[np.int64]) -> Array:
         """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
-        return self._pack(self.start[rows][:, None], self._limbs(rows)[:, None], rows)[:, 0]
+        return self._pack(self.start[rows][:, None], self._limbs([self.walk.rows(rows)]), rows)[:, 0]
 
     def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 COUNT = 96
 """Inverse-kinematics starts a goal."""
 ITERATIONS, STEP_S = 40, 0.1
-SPREAD_RAD = np.radians([25.0, 35.0, 50.0, 60.0, 60.0, 90.0])
+SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
 """Standard deviation of the posture from which each solution is sought: trained policies leave the wrist anywhere."""
 
 

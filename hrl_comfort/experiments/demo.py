@@ -1,0 +1,105 @@
+"""`hrl-comfort demo`: the whole line of work in minutes, from nothing to a report.
+
+Each subtask is trained from where the one before it ended: pick from home, place from recorded endings of
+pick, return from recorded endings of place. Then every policy and their chain are evaluated.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from hrl_comfort.compose import compose
+from hrl_comfort.config import EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.experiments.evaluate import evaluate
+from hrl_comfort.experiments.report import report
+from hrl_comfort.experiments.train import train_cell
+
+LINE = ("pick", "place", "return")
+ENDINGS_EPISODES = 500
+
+
+def demo(overrides: list[str], output: Path = Path("runs/demo")) -> Path:
+    """Train, evaluate, chain and report under `output`; return the report's path.
+
+    `overrides` go to every training, on top of `experiment=demo`.
+    """
+    begin = time.perf_counter()
+    policies = train_line(output, ["experiment=demo", *overrides])
+    evaluate_line(output, policies, episodes=200)
+    page = report(ReportConfig(run=str(output), output=None, video=True))
+    print_table(output, time.perf_counter() - begin)
+    Console().print(f"report: {page}", soft_wrap=True)
+    return page
+
+
+def train_line(output: Path, overrides: list[str]) -> dict[str, Path]:
+    """Train pick, place and return, each from recorded endings of the one before; return their run folders."""
+    folders: dict[str, Path] = {}
+    start = "ik"
+    for name in LINE:
+        folder = folders[name] = output / name
+        config = compose("train", [f"task={name}", f"task.start='{start}'", f"output='{folder}'", *overrides])
+        assert isinstance(config, TrainConfig)
+        train_cell(config)
+        if name != LINE[-1]:
+            start = record_endings(folder, name)
+    return folders
+
+
+def record_endings(folder: Path, name: str) -> str:
+    """Record in which joint angles the trained policy ends, over episodes drawn as in training."""
+    path = folder / "endings.npz"
+    choices = [f"task={name}", f"policy='{folder}'", f"episodes={ENDINGS_EPISODES}", f"endings='{path}'"]
+    config = compose("evaluate", [*choices, f"output='{folder}/endings'"])
+    assert isinstance(config, EvaluateConfig)
+    evaluate(config)
+    return str(path)
+
+
+def evaluate_line(output: Path, policies: dict[str, Path], episodes: int) -> None:
+    """Evaluate every policy, its checkpoints, and their chain."""
+    for name, folder in policies.items():
+        choices = [f"task={name}", f"policy='{folder}'"]
+        run_evaluation([*choices, f"episodes={episodes}", "record=true", "group_by=[seen]"])
+        run_evaluation([*choices, "episodes=100", "checkpoints=all"])
+    chained = [f"policies.{name}='{folder}'" for name, folder in policies.items()]
+    where = f"output='{output}/cycle/eval'"
+    run_evaluation(["task=cycle", "meta=scripted", *chained, f"episodes={episodes}", "record=true", "group_by=[seen]", where])
+
+
+def run_evaluation(overrides: list[str]) -> None:
+    """Compose and run one evaluation."""
+    config = compose("evaluate", overrides)
+    assert isinstance(config, EvaluateConfig)
+    evaluate(config)
+
+
+def print_table(output: Path, seconds: float) -> None:
+    """Print what was reached."""
+    table = Table(title=f"{output}: {seconds / 60:.1f} minutes")
+    for name in ("task", "spawns", "episodes", "success [95 % interval]", "steps", "human distance, m"):
+        table.add_column(name, justify="left" if name in ("task", "spawns") else "right")
+    for name in (*LINE, "cycle"):
+        summary = json.loads((output / name / "eval" / "summary.json").read_text(encoding="utf-8"))
+        for group in summary["groups"]:
+            metrics = group["metrics"]
+            low, high = metrics["success"]["ci95"]
+            table.add_row(
+                name,
+                "seen" if group["seen"] else "unseen",
+                str(group["episodes"]),
+                f"{metrics['success']['mean']:.1%} [{low:.1%}, {high:.1%}]",
+                cell(metrics, "steps", "{:.0f}"),
+                cell(metrics, "human_distance_mean_m", "{:.3f}"),
+            )
+    Console().print(table)
+
+
+def cell(metrics: dict, name: str, form: str) -> str:
+    """Return a metric's mean as text; a dash where there was nothing to measure."""
+    return form.format(metrics[name]["mean"]) if name in metrics else "-"

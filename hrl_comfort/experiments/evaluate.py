@@ -1,0 +1,305 @@
+"""Evaluation: a policy, every checkpoint of a run, or a chain of policies, on the committed set."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.experiments.statistics import wilson_interval, write_summary
+from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
+from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
+from hrl_comfort.people import EvaluationSet, load_evaluation_set
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.tasks import State, subtask
+
+CHUNK = 250
+"""Episodes simulated side by side."""
+COLOURS = ("orange", "pink")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
+
+    task: str
+    policy: str
+    train_seed: int | None
+    episode_seed: int
+    episode: int
+    colour: str
+    spawn_id: int
+    motion_id: int
+    seen: bool
+    comfort_level: int | None
+    human: str
+    precision_m: float
+    success: bool
+    steps: int
+    decisions: int
+    # `return` is a Python keyword; the column is named without the underscore.
+    return_: float
+    human_distance_mean_m: float | None
+    human_distance_min_m: float | None
+    human_collision: bool
+    robot_moving_at_collision: bool | None
+    other_collision: str
+    truncated: bool
+
+
+def evaluate(config: EvaluateConfig) -> Path:
+    """Evaluate what `config` asks for; return the folder that holds episodes.csv and summary.json.
+
+    Raises:
+      ConfigError: no such policy, or one of another subtask.
+    """
+    torch.set_num_threads(1)
+    if config.checkpoints == "all":
+        return evaluate_checkpoints(config)
+    output = Path(config.output)
+    output.mkdir(parents=True, exist_ok=True)
+    result = measure(config)
+    result.write(output)
+    save_config(config, output / "config.yaml")
+    write_summary(output, config.group_by, config.task.limit_steps)
+    if config.endings is not None:
+        result.write_endings(config.endings)
+    return output
+
+
+@dataclass
+class Result:
+    """What an evaluation saw."""
+
+    episodes: list[Episode]
+    options: list[dict[str, Any]]
+    paths: list[list[Any]]
+    endings: dict[str, list[np.ndarray]]
+
+    @property
+    def success(self) -> float:
+        """Share of episodes that succeeded."""
+        return float(np.mean([episode.success for episode in self.episodes]))
+
+    def write(self, output: Path) -> None:
+        """Write episodes.csv, options.csv and, where paths were recorded, paths.csv; each whole or not at all."""
+        header = [field.name.rstrip("_") for field in fields(Episode)]
+        write_table(output / "episodes.csv", header, (asdict(row).values() for row in self.episodes))
+        if self.options:
+            write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
+        if self.paths:
+            write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+
+    def write_endings(self, path: str) -> None:
+        """Write the joint angles (M, 6) rad that successes ended in, by colour: starts for the next subtask."""
+        for colour, found in self.endings.items():
+            if not found:
+                raise ConfigError(f"endings={path!r}: no {colour} episode succeeded, so there is none to write")
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, **{colour: np.array(found) for colour, found in self.endings.items()})
+
+
+def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV through a temporary file; None becomes an empty cell."""
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+    temporary.replace(path)
+
+
+def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
+    """Run `config.episodes` episodes, the first of the evaluation set; `policy` stands in for the config's.
+
+    With `endings` asked for, episodes are drawn as in training instead: what is recorded there becomes training
+    data, and the evaluation set stays held out.
+    """
+    entries = load_evaluation_set().reseeded(config.episode_seed)
+    if config.episodes > len(entries.episode):
+        raise ConfigError(f"episodes={config.episodes} is more than the evaluation set's {len(entries.episode)}")
+    result = Result([], [], [], {colour: [] for colour in COLOURS})
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[success]}"), TimeRemainingColumn())
+    with Progress(*columns, transient=True) as progress:
+        bar = progress.add_task(f"evaluate {config.task.name}", total=config.episodes, success="")
+        for start in range(0, config.episodes, CHUNK):
+            part = entries.part(start, min(start + CHUNK, config.episodes))
+            Chunk(config, policy, part, result).run(lambda done: progress.advance(bar, done))
+            progress.update(bar, success=f"success {result.success:.1%}")
+    return result
+
+
+class Chunk:
+    """Episodes that run side by side, one a row."""
+
+    def __init__(self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result) -> None:
+        self.config, self.entries, self.result = config, entries, result
+        self.label = policy or config.policy or f"meta={config.meta.name}"
+        rows = len(entries.episode)
+        env = environment(config)
+        training_draws = config.endings is not None
+        seed = int(entries.episode_seed[0])
+        self.engine = Engine(env, rows, seed, None if training_draws else entries)
+        self.controller = make_controller(config, policy, self.engine)
+        self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
+
+    def run(self, advance: Callable[[int], None]) -> None:
+        """Run every row to the end of its episode."""
+        rows = len(self.entries.episode)
+        state = self.engine.reset()
+        self.controller.begin(rows)
+        active = torch.ones(rows, dtype=torch.bool)
+        self.totals = {name: np.zeros(rows) for name in ("decisions", "return", "distance", "steps")}
+        self.nearest = np.full(rows, np.inf)
+        found: dict[int, Episode] = {}
+        if self.config.record:
+            self._record(state, active)
+        while bool(active.any()):
+            action = self.controller.act(state)
+            outcome = self.engine.step(action.numpy())
+            self._add(outcome, active)
+            given_up = self.controller.observe(outcome)
+            ended = active & (outcome.done | given_up)
+            for row in torch.nonzero(ended).squeeze(-1).tolist():
+                found[row] = self._episode(row, outcome)
+            active = active & ~ended
+            state = outcome.state
+            advance(int(ended.sum()))
+        self.engine.close()
+        self.result.episodes += [found[row] for row in range(rows)]
+        self.result.options += [self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))]
+
+    def _add(self, outcome: Outcome, active: torch.Tensor) -> None:
+        valid = (outcome.valid & active[:, None]).numpy()
+        distance = outcome.human_distance.numpy()
+        self.totals["decisions"] += active.numpy()
+        self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
+        self.totals["distance"] += (distance * valid).sum(axis=1)
+        self.totals["steps"] += valid.sum(axis=1)
+        self.nearest = np.minimum(self.nearest, np.where(valid, distance, np.inf).min(axis=1))
+        if self.config.record:
+            for k, instant in enumerate(outcome.steps):
+                self._record(instant, outcome.valid[:, k] & active)
+
+    def _record(self, state: State, rows: torch.Tensor) -> None:
+        """Append a line of paths.csv for each of the rows (N,) bool."""
+        for row in torch.nonzero(rows).squeeze(-1).tolist():
+            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
+            distance = float(np.linalg.norm(tcp[:2] - human))
+            numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
+            self.result.paths.append(
+                [int(self.entries.episode[row]), int(state.steps[row]), int(state.stage[row]), *map(rounded, numbers)]
+            )
+
+    def _episode(self, row: int, outcome: Outcome) -> Episode:
+        config, state, entries = self.config, outcome.state, self.entries
+        success = bool(outcome.success[row])
+        hit = bool(state.human_collision[row])
+        absent = config.human.motion == "none"
+        colour = COLOURS[int(state.colour[row])]
+        if success:
+            self.result.endings[colour].append(state.joint_pos[row].numpy().copy())
+        table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
+        episodes = self.engine.episodes
+        return Episode(
+            task=config.task.name,
+            policy=self.label,
+            train_seed=self.train_seed,
+            episode_seed=int(entries.episode_seed[row]),
+            episode=int(entries.episode[row]),
+            colour=colour,
+            spawn_id=int(episodes.spawn_id[row]),
+            motion_id=int(episodes.motion_id[row]),
+            seen=bool(entries.seen[row]),
+            comfort_level=config.comfort.level,
+            human=config.human.motion,
+            precision_m=config.task.precision.take_m,
+            success=success,
+            steps=int(state.steps[row]),
+            decisions=int(self.totals["decisions"][row]),
+            return_=rounded(self.totals["return"][row]),
+            human_distance_mean_m=None if absent else rounded(self.totals["distance"][row] / self.totals["steps"][row]),
+            human_distance_min_m=None if absent else rounded(self.nearest[row]),
+            human_collision=hit,
+            robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
+            other_collision="table" if table else "self" if itself else "none",
+            truncated=not success and not (hit or table or itself),
+        )
+
+    def _option(self, run: OptionRun) -> dict[str, Any]:
+        line = asdict(run)
+        return {"episode": int(self.entries.episode[line.pop("row")]), **line}
+
+
+PATH_COLUMNS = [
+    "episode", "step", "stage", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
+    "human_x", "human_y", "human_yaw", "human_distance_m",
+]  # fmt: skip
+
+
+def rounded(value: float) -> float:
+    """Return a number as tables hold it: to a micrometre, or the like."""
+    return round(float(value), 6)
+
+
+def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Scripted:
+    """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
+    env, scene, task = environment(config), engine.scene, engine.episodes.subtask
+    if config.meta.name == "none":
+        source = policy or config.policy
+        if source is None:
+            raise ConfigError(f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}")
+        act = make_policy(source, task, scene, env, config.episode_seed)
+        return single(task, Option(task.name, task, act), config.task.limit_steps)
+    missing = [name for name in config.meta.options if name not in config.policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
+    options = []
+    for name in config.meta.options:
+        part = subtask(name)
+        act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
+        options.append(Option(name, part, act))
+    return Scripted(config.meta, task, chain(options))
+
+
+def train_seed(source: str | None) -> int | None:
+    """Return the training seed of the run that a policy belongs to; None for one that was not trained."""
+    folder = run_folder(source) if source else None
+    if folder is None:
+        return None
+    trained = load_config(folder)
+    return trained.train_seed if isinstance(trained, TrainConfig) else None
+
+
+def evaluate_checkpoints(config: EvaluateConfig) -> Path:
+    """Evaluate every light checkpoint of the run in `policy`; write eval/checkpoints.csv and their episodes."""
+    folder = Path(config.policy or "")
+    found = checkpoint.steps(folder / "checkpoints")
+    if not found:
+        raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
+    output = Path(config.output) / "checkpoints"
+    output.mkdir(parents=True, exist_ok=True)
+    every, curve = Result([], [], [], {}), []
+    for path in found:
+        result = measure(config, str(path))
+        every.episodes += result.episodes
+        wins = sum(episode.success for episode in result.episodes)
+        low, high = wilson_interval(wins, len(result.episodes))
+        counters = checkpoint.load(path)["counters"]
+        curve.append([counters["decisions"], wins / len(result.episodes), low, high, config.task.precision.take_m])
+    header = ["decisions", "success", "success_low", "success_high", "precision_m"]
+    write_table(output.parent / "checkpoints.csv", header, curve)
+    every.write(output)
+    save_config(config, output / "config.yaml")
+    write_summary(output, config.group_by, config.task.limit_steps)
+    return output

@@ -1,0 +1,30 @@
+"""The line that a training shows while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+@contextmanager
+def training_line(task: str, total: int, done: int) -> Iterator[Callable[[int, Sequence[bool], float], None]]:
+    """Show a line with the task, the success so far, the precision and the time left."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f}%"),
+        TextColumn("success {task.fields[success]}"),
+        TextColumn("precision {task.fields[precision]}"),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, refresh_per_second=2, speed_estimate_period=60) as progress:
+        line = progress.add_task(f"train {task}", total=total, completed=done, success="-", precision="-")
+
+        def show(decisions: int, outcomes: Sequence[bool], precision_m: float) -> None:
+            success = f"{sum(outcomes) / len(outcomes):4.0%}" if outcomes else "-"
+            progress.update(line, completed=decisions, success=success, precision=f"{precision_m:.3g} m")
+
+        yield show

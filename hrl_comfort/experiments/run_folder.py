@@ -1,0 +1,144 @@
+"""A run folder as the report reads it: what is there, and None for what is not."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments.statistics import Floats, Row, column, number, read_rows
+
+ORDER = ("pick", "place", "return", "pick_place", "cycle")
+"""Runs appear in the order of the work, then by name."""
+ENDINGS = (
+    "success",
+    "robot hit human",
+    "human walked into still robot",
+    "hit table",
+    "self-collision",
+    "time limit",
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run folder holds; None where the file is not there."""
+
+    name: str
+    folder: Path
+    configs: dict[str, str]
+    """Text of the config.yaml of training and of evaluation, where there is one."""
+    config: dict[str, Any]
+    """What was evaluated, or else trained; empty when no config.yaml says."""
+    provenance: dict[str, Any] | None
+    metrics: dict[str, Floats] | None
+    minutes: float | None
+    groups: list[dict[str, Any]] | None
+    episodes: list[Row] | None
+    checkpoints: dict[str, Floats] | None
+    options: list[Row] | None
+    paths: Path | None
+
+
+def _table(path: Path) -> dict[str, Floats] | None:
+    if not path.is_file():
+        return None
+    rows = read_rows(path)
+    return {name: column(rows, name) for name in rows[0]} if rows else None
+
+
+def _rows(path: Path) -> list[Row] | None:
+    return read_rows(path) if path.is_file() else None
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder with its `eval/`, or a folder that an evaluation alone has written."""
+    evaluation = folder / "eval" if (folder / "eval").is_dir() else folder
+    files = {"training": folder / "config.yaml", "evaluation": evaluation / "config.yaml"}
+    if evaluation == folder:
+        del files["training" if (folder / "episodes.csv").is_file() else "evaluation"]
+    configs = {name: file.read_text(encoding="utf-8") for name, file in files.items() if file.is_file()}
+    config: Any = OmegaConf.to_container(OmegaConf.create(list(configs.values())[-1])) if configs else {}
+    timing = _table(folder / "timing.csv")
+    summary = _json(evaluation / "summary.json")
+    paths = evaluation / "paths.csv"
+    return Run(
+        name=folder.resolve().name,
+        folder=folder,
+        configs=configs,
+        config=config,
+        provenance=_json(folder / "provenance.json") or _json(evaluation / "provenance.json"),
+        metrics=_table(folder / "metrics.csv"),
+        minutes=None if timing is None else float(timing["seconds"][-1]) / 60,
+        groups=None if summary is None else summary["groups"],
+        episodes=_rows(evaluation / "episodes.csv"),
+        checkpoints=_table(evaluation / "checkpoints.csv"),
+        options=_rows(evaluation / "options.csv"),
+        paths=paths if paths.is_file() else None,
+    )
+
+
+def find_runs(folder: Path) -> list[Run]:
+    """Return the run that `folder` is, or the runs in it.
+
+    Raises:
+      ConfigError: there is none.
+    """
+
+    def is_run(path: Path) -> bool:
+        marks = ("metrics.csv", "episodes.csv", "eval/episodes.csv", "eval/summary.json", "config.yaml")
+        return any((path / mark).is_file() for mark in marks)
+
+    if not folder.is_dir():
+        raise ConfigError(f"run={str(folder)!r} is not a folder")
+    if is_run(folder):
+        return [read_run(folder)]
+    inside = [path for path in folder.iterdir() if path.is_dir() and is_run(path)]
+    if not inside:
+        raise ConfigError(
+            f"run={str(folder)!r} holds no run: neither metrics.csv nor eval/episodes.csv is in it"
+        )
+    place = {name: i for i, name in enumerate(ORDER)}
+    inside.sort(key=lambda path: (place.get(path.name, len(ORDER)), path.name))
+    return [read_run(path) for path in inside]
+
+
+def ending(row: Row) -> str:
+    """Return how an episode ended, in words."""
+    if number(row.get("success")) > 0:
+        return "success"
+    if number(row.get("human_collision")) > 0:
+        moving = number(row.get("robot_moving_at_collision"))
+        return "human walked into still robot" if moving == 0 else "robot hit human"
+    other = row.get("other_collision") or "none"
+    if other != "none":
+        return {"table": "hit table", "self": "self-collision"}.get(other, other)
+    return "time limit" if number(row.get("truncated")) > 0 else "other"
+
+
+def recorded_paths(run: Run, count: int) -> dict[str, dict[str, Floats]]:
+    """Return the columns of the first `count` recorded episodes, by episode; none when not recorded."""
+    if run.paths is None:
+        return {}
+    kept: dict[str, list[Row]] = {}
+    with run.paths.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            if row["episode"] in kept or len(kept) < count:
+                kept.setdefault(row["episode"], []).append(row)
+    tables = {name: {key: column(rows, key) for key in rows[0]} for name, rows in kept.items()}
+    return {name: _ordered(table) for name, table in tables.items()}
+
+
+def _ordered(table: dict[str, Floats]) -> dict[str, Floats]:
+    order = np.argsort(table["step"], kind="stable")
+    return {name: values[order] for name, values in table.items()}

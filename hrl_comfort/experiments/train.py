@@ -1,0 +1,283 @@
+"""Teach one subtask to one policy: a thin loop over an environment, a learner and a curriculum."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.policy import load_initial_policy, save_policy
+from hrl_comfort.agents.sac import Sac
+from hrl_comfort.compose import environment, load_config, save_config
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.curriculum import Curriculum
+from hrl_comfort.experiments.progress import training_line
+from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
+
+FEWEST_EPISODES = 20
+"""Episodes between two checkpoints below which neither can be called the best."""
+SAME_PRECISION_M = 0.005
+"""Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
+
+
+def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Path:
+    """Train as `config` says and return the run folder.
+
+    With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
+    it had never stopped. `make_env` gets the configuration in force.
+
+    Raises:
+        ConfigError: a choice is not allowed, or the folder is taken.
+        TrainingDiverged: a loss or a parameter is not finite any more.
+    """
+    torch.set_num_threads(1)
+    folder = Path(config.resume or config.output)
+    with claim(folder, resume=config.resume is not None):
+        if config.resume is None:
+            Training(config, make_env(config), folder).run()
+        else:
+            config = _config_of(folder)
+            training = Training(config, make_env(config), folder)
+            training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
+            training.run()
+    return folder
+
+
+def _config_of(folder: Path) -> TrainConfig:
+    config = load_config(folder)
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(f"resume={folder} is not the folder of a training")
+    if (folder / "provenance.json").exists() and read_provenance(folder)["finished"]:
+        raise ConfigError(f"resume={folder} is finished; train on from it with initial_policy={folder}")
+    return replace(config, output=str(folder), resume=None)
+
+
+class Training:
+    """One training in progress: everything that a resumable checkpoint holds."""
+
+    def __init__(self, config: TrainConfig, env: EnvBase, folder: Path) -> None:
+        self.config, self.env, self.folder = config, env, folder
+        self.rows = env.batch_size[0]
+        self.reward_names: tuple[str, ...] = env.reward_names
+        torch.manual_seed(config.train_seed)
+        agent = config.agent
+        observation_dim = env.observation_spec["observation"].shape[-1]
+        self.learner = Sac(agent, observation_dim, env.action_spec.shape[-1])
+        if config.initial_policy is not None:
+            load_initial_policy(self.learner, Path(config.initial_policy))
+        self.curriculum = Curriculum(config.curriculum, config.task.precision, agent.decisions)
+        self.log = MetricsLog(folder, self.reward_names)
+        self.decisions = 0
+        self.updates_due = 0.0
+        self.seconds = 0.0
+        self.best: dict[str, float] = {}
+        self.recent: list[tuple[float, bool]] = []
+        """Precision and success of the episodes since the last checkpoint."""
+        env.set_precision(self.curriculum.precision_m)
+        self.now: TensorDictBase = env.reset()
+        self.precision = torch.full((self.rows,), self.curriculum.precision_m, dtype=torch.float64)
+        self.returns = torch.zeros(self.rows, dtype=torch.float64)
+        self.terms = torch.zeros(self.rows, len(self.reward_names), dtype=torch.float64)
+        self._resumed = False
+
+    def run(self) -> None:
+        """Train to the end, or go on to it."""
+        agent = self.config.agent
+        if not self._resumed:
+            save_config(self.config, self.folder / "config.yaml")
+            self._write_provenance(finished=False)
+        self.log.start(self.decisions)
+        began = time.monotonic() - self.seconds
+        lap = (self.seconds, self.decisions, self.learner.updates)
+        shown: deque[bool] = deque(maxlen=self.config.curriculum.window)
+        try:
+            with training_line(self.config.task.name, agent.decisions, self.decisions) as show:
+                while self.decisions < agent.decisions:
+                    finished = self.decide()
+                    shown.extend(success for _, success in finished)
+                    self.learn()
+                    self.seconds = time.monotonic() - began
+                    ends = self.decisions >= agent.decisions
+                    if self._due(agent.log_every) or ends:
+                        lap = self._write_row(lap)
+                    if self._due(agent.checkpoint_every) or ends:
+                        self.save(resumable=not ends)
+                    show(self.decisions, shown, self.curriculum.precision_m)
+        finally:
+            self.log.close()
+        self._write_provenance(finished=True)
+        checkpoint.drop_resumable(self.folder / "checkpoints")
+
+    def _write_row(self, lap: tuple[float, int, int]) -> tuple[float, int, int]:
+        now = self.seconds, self.decisions, self.learner.updates
+        spent = max(now[0] - lap[0], 1e-9)
+        timing = (self.seconds, (now[1] - lap[1]) / spent, (now[2] - lap[2]) / spent)
+        self.log.write_row(self.decisions, self.learner.updates, self.curriculum.precision_m, timing)
+        return now
+
+    def _due(self, every: int) -> bool:
+        """Return whether the decision just made was the first past a multiple of `every`."""
+        return self.decisions // every > (self.decisions - self.rows) // every
+
+    def decide(self) -> list[tuple[float, bool]]:
+        """Make one decision in every row; return (precision, success) of the episodes that it ended."""
+        observation = self.now["observation"]
+        if self.config.initial_policy is None and self.decisions < self.config.agent.warmup_decisions:
+            action = torch.rand(self.rows, self.learner.action_dim) * 2 - 1
+        else:
+            action = self.learner.act(observation)
+        stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
+        after = stepped["next"]
+        self.learner.remember(
+            observation,
+            action,
+            after["reward"][:, 0],
+            after["observation"],
+            after["terminated"][:, 0],
+            after["decision_steps"][:, 0],
+        )
+        self.decisions += self.rows
+        finished = self._end_episodes(after)
+        self.curriculum.advance(self.decisions, finished)
+        self.env.set_precision(self.curriculum.precision_m)
+        return finished
+
+    def _end_episodes(self, after: TensorDictBase) -> list[tuple[float, bool]]:
+        self.returns += after["reward"][:, 0].double()
+        self.terms += after["reward_terms"].double()
+        rows = after["done"][:, 0].nonzero()[:, 0]
+        finished = []
+        for row in rows.tolist():
+            outcome = {
+                "success": float(after["success"][row]),
+                "return": float(self.returns[row]),
+                "steps": float(after["steps"][row]),
+                "human_collision": float(after["human_collision"][row]),
+                "other_collision": float(after["other_collision"][row]),
+            }
+            terms = self.terms[row].tolist()
+            outcome |= {f"reward/{name}": value for name, value in zip(self.reward_names, terms, strict=True)}
+            self.log.episode(outcome)
+            finished.append((float(self.precision[row]), bool(after["success"][row])))
+        self.returns[rows] = 0.0
+        self.terms[rows] = 0.0
+        self.precision[rows] = self.curriculum.precision_m  # what their next episodes have just started with
+        self.recent += finished
+        return finished
+
+    def learn(self) -> None:
+        """Do the updates that are due."""
+        if self.decisions <= self.config.agent.warmup_decisions:
+            return
+        self.updates_due += self.rows * self.config.agent.updates_per_decision
+        while self.updates_due >= 1.0:
+            self.updates_due -= 1.0
+            self.log.update(self.learner.update())
+
+    def save(self, resumable: bool) -> None:
+        """Write policy.pt, a light checkpoint, the best one if this is it, and what resuming needs."""
+        checkpoints = self.folder / "checkpoints"
+        networks = self.learner.networks_state()
+        precision_m = self.curriculum.precision_m
+        counters = {"decisions": self.decisions, "updates": self.learner.updates, "precision_m": precision_m}
+        paths = [checkpoint.step_path(checkpoints, self.decisions), self.folder / "policy.pt"]
+        if self._is_best():
+            paths.append(checkpoints / "best.pt")
+        for path in paths:
+            save_policy(path, networks, self.spec(), counters)
+        checkpoint.keep_newest(checkpoints, self.config.agent.keep_checkpoints)
+        self.recent.clear()
+        if resumable:
+            checkpoint.save_resumable(checkpoints, self.state_dict())
+
+    def _is_best(self) -> bool:
+        """Return whether the policy did best so far: at the tightest precision first, then by success."""
+        now_m = self.curriculum.precision_m
+        outcomes = [success for begun_m, success in self.recent if begun_m <= now_m + SAME_PRECISION_M]
+        if len(outcomes) < FEWEST_EPISODES:
+            return False
+        success = sum(outcomes) / len(outcomes)
+        if self.best and (now_m, -success) > (self.best["precision_m"], -self.best["success"]):
+            return False
+        self.best = {"precision_m": now_m, "success": success, "decisions": self.decisions}
+        return True
+
+    def spec(self) -> dict[str, Any]:
+        """Return what a policy file says of its policy."""
+        task = self.config.task
+        return {
+            "task": task.name,
+            "observation_dim": self.learner.observation_dim,
+            "action_dim": self.learner.action_dim,
+            "hidden": list(self.config.agent.hidden),
+            "normalise": self.config.agent.normalise,
+            "meta": {
+                "steps_per_decision": task.steps_per_decision,
+                "action": task.action,
+                "observation": task.observation,
+                "robot": self.config.robot.name,
+                "train_seed": self.config.train_seed,
+            },
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to continue, as plain data."""
+        return {
+            "learner": self.learner.state_dict(),
+            "env": self.env.state_dict(),
+            "now": dict(self.now.items()),
+            "curriculum": self.curriculum.state_dict(),
+            "log": self.log.state_dict(),
+            "rng": torch.get_rng_state(),
+            "rows": {"precision": self.precision, "returns": self.returns, "terms": self.terms},
+            "decisions": self.decisions,
+            "updates_due": self.updates_due,
+            "seconds": self.seconds,
+            "best": dict(self.best),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        self.learner.load_state_dict(state["learner"])
+        self.env.load_state_dict(state["env"])
+        self.now = TensorDict(state["now"], batch_size=self.env.batch_size)
+        self.curriculum.load_state_dict(state["curriculum"])
+        self.log.load_state_dict(state["log"])
+        rows: dict[str, Tensor] = state["rows"]
+        self.precision, self.returns, self.terms = rows["precision"], rows["returns"], rows["terms"]
+        self.decisions, self.updates_due, self.seconds = state["decisions"], state["updates_due"], state["seconds"]
+        self.best = state["best"]
+        self.env.set_precision(self.curriculum.precision_m)
+        torch.set_rng_state(state["rng"])
+        self._resumed = True
+
+    def _write_provenance(self, finished: bool) -> None:
+        seeds = {"train_seed": self.config.train_seed, "episode_seed": self.config.episode_seed}
+        write_provenance(
+            self.folder,
+            seeds,
+            finished=finished,
+            decisions=self.decisions,
+            updates=self.learner.updates,
+            wall_seconds=round(self.seconds, 1),
+            best=self.best,
+        )
+
+
+def train_cell(config: TrainConfig) -> Path:
+    """Train in the batched cell; see `train`."""
+
+    def make_env(chosen: TrainConfig) -> EnvBase:
+        return CellEnv(environment(chosen), chosen.engine.rows, chosen.episode_seed)
+
+    return train(config, make_env)

@@ -1,0 +1,1 @@
+"""The hierarchy: frozen subtask policies as options, and what sequences them."""

@@ -1,0 +1,104 @@
+"""Meta-controllers: which option runs in which cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.config import ConfigError, MetaConfig
+from hrl_comfort.meta.options import Ending, Option
+from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.tasks import State, Subtask
+
+
+@dataclass(frozen=True)
+class OptionRun:
+    """One run of an option in one cell; steps are control steps of the episode."""
+
+    row: int
+    option: str
+    attempt: int
+    start_step: int
+    end_step: int
+    ending: str
+
+
+class Scripted:
+    """Runs options in their fixed order: the next one when one succeeds, the same again when its time is up.
+
+    An option that has been preempted once more than `retries` allows ends the episode.
+    """
+
+    def __init__(self, config: MetaConfig, task: Subtask, options: list[Option]) -> None:
+        names = [stage.name for option in options for stage in option.subtask.stages]
+        expected = [stage.name for stage in task.stages]
+        if names != expected:
+            raise ConfigError(
+                f"meta.options={[o.name for o in options]} do the stages {names}; task.name={task.name} needs {expected}"
+            )
+        self.config, self.options = config, options
+        self.runs: list[OptionRun] = []
+
+    def begin(self, rows: int) -> None:
+        """Start afresh with N rows, each at its first option."""
+        self._option = torch.zeros(rows, dtype=torch.int64)
+        self._started = torch.zeros(rows, dtype=torch.int64)
+        self._attempt = torch.zeros(rows, dtype=torch.int64)
+        self._over = torch.zeros(rows, dtype=torch.bool)
+        self.runs = []
+
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 6): in each row those of the option in force; rows that are over stand still."""
+        action = torch.zeros_like(state.joint_pos)
+        for index, option in enumerate(self.options):
+            chosen = torch.nonzero((self._option == index) & ~self._over).squeeze(-1)
+            if len(chosen):
+                action[chosen] = option.act(state.rows(chosen)).to(action.dtype)
+        return action
+
+    def observe(self, outcome: Outcome) -> Tensor:
+        """Note what a decision led to and return (N,) bool: rows whose episode the controller gives up."""
+        state = outcome.state
+        failed = outcome.done & ~outcome.success
+        given_up = torch.zeros_like(self._over)
+        for row in torch.nonzero(~self._over).squeeze(-1).tolist():
+            option = self.options[int(self._option[row])]
+            now = int(state.steps[row])
+            if bool(failed[row]):
+                ending = Ending.PREEMPTED if bool(outcome.truncated[row]) else Ending.FAILURE
+                self._end(row, now, ending)
+                self._over[row] = True
+            elif int(state.stage[row]) >= option.last:
+                self._end(row, now, Ending.SUCCESS)
+                self._option[row] += 1
+                self._attempt[row] = 0
+                self._over[row] = bool(outcome.done[row])
+            elif now - int(self._started[row]) >= self.config.time_limit_steps:
+                self._end(row, now, Ending.PREEMPTED)
+                self._attempt[row] += 1
+                if self._attempt[row] > self.config.retries:
+                    self._over[row] = given_up[row] = True
+        return given_up
+
+    def _end(self, row: int, now: int, ending: Ending) -> None:
+        name = self.options[int(self._option[row])].name
+        start = int(self._started[row])
+        self.runs.append(OptionRun(row, name, int(self._attempt[row]) + 1, start, now, ending.value))
+        self._started[row] = now
+
+
+def chain(options: list[Option]) -> list[Option]:
+    """Return the options with `first` set so that each takes over where the one before it ends."""
+    placed, first = [], 0
+    for option in options:
+        placed.append(Option(option.name, option.subtask, option.policy, first))
+        first = placed[-1].last
+    return placed
+
+
+def single(task: Subtask, option: Option, limit_steps: int) -> Scripted:
+    """Return the controller of a lone policy: its one option runs until the episode ends."""
+    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit_steps + 1, retries=0)
+    return Scripted(config, task, [option])

@@ -1,0 +1,84 @@
+"""Options: one frozen subtask policy each, run until it succeeds, fails or is preempted.
+
+The options framework (Sutton, Precup, Singh 1999): an option acts by its policy until its termination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.expert import Expert
+from hrl_comfort.tasks import State, Subtask, subtask
+
+SCRIPTED = ("expert", "random")
+Act = Callable[[State], Tensor]
+"""State of N cells -> actions (N, 6) in [-1, 1]."""
+
+
+class Ending(Enum):
+    """How an option ended."""
+
+    SUCCESS = "success"
+    FAILURE = "failure"
+    PREEMPTED = "preempted"
+
+
+@dataclass(frozen=True)
+class Option:
+    """A subtask with a frozen policy for it.
+
+    `first` is the stage of the longer task at which the option starts; it is responsible for as many stages as
+    its subtask has, and sees their index counted from its own.
+    """
+
+    name: str
+    subtask: Subtask
+    policy: Act
+    first: int = 0
+
+    @property
+    def last(self) -> int:
+        """One past the last stage the option is responsible for."""
+        return self.first + len(self.subtask.stages)
+
+    def act(self, state: State) -> Tensor:
+        """Return the actions (N, 6) of the option's policy."""
+        return self.policy(state.with_(stage=(state.stage - self.first).clamp(min=0)))
+
+
+def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:
+    """Return what acts for `task`: `expert`, `random`, or the policy of a run folder, checkpoint or file.
+
+    Raises:
+      ConfigError: there is no such policy, or it was trained for another subtask or decision length.
+    """
+    if source == "expert":
+        return Expert(scene, config, task).act
+    if source == "random":
+        generator = torch.Generator().manual_seed(seed)
+        return lambda state: torch.rand(len(state.steps), 6, generator=generator, dtype=torch.float64) * 2 - 1
+    if not Path(source).exists():
+        raise ConfigError(
+            f"policy={source!r} is not there; give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
+        )
+    actor = load_policy(source)
+    meta = actor.spec["meta"]
+    if actor.spec["task"] != task.name:
+        raise ConfigError(f"policy={source!r} was trained for {actor.spec['task']!r}, not for {task.name!r}")
+    if meta.get("action", config.task.action) != config.task.action:
+        raise ConfigError(f"policy={source!r} was trained with action={meta['action']}; set task.action to it")
+    seen = subtask(task.name, meta.get("observation", config.task.observation))
+
+    def act(state: State) -> Tensor:
+        return actor(seen.observe(state).float()).double()
+
+    return act
