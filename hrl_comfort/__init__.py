@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
 __version__ = "0.1.0"
+
+# dm_control looks for a screen when it is imported; without one it draws off-screen, which is no news.
+warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
 
 
 def load(task: str = "pick", seed: int = 0, **choices: object) -> Environment:

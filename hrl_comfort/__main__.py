@@ -17,6 +17,9 @@ VERBS = {
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
+ERRORS = (ConfigError, FloatingPointError, OSError)
+"""What gets one line and no traceback: a wrong choice, a training that diverged, a file that is not there."""
+
 
 def train(overrides: list[str]) -> None:
     """Run `hrl-comfort train`."""
@@ -82,12 +85,10 @@ RUN: dict[str, Callable[[list[str]], None]] = {
 
 def multirun(verb: str, overrides: list[str]) -> None:
     """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder."""
-    import hydra  # noqa: F401  (sets Hydra's version before its internals are used)
     from hydra import version
     from hydra._internal.hydra import Hydra
     from hydra._internal.utils import create_config_search_path
     from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.utils import JobStatus
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -108,28 +109,27 @@ def multirun(verb: str, overrides: list[str]) -> None:
         GlobalHydra.instance().clear()
     failed = 0
     for job in jobs:
-        words = " ".join(job.overrides)
-        if job.status == JobStatus.COMPLETED and job.return_value is None:
-            print(f"done: {words} in {job.working_dir}")
-        else:
-            failed += 1
-            reason = job.return_value if job.status == JobStatus.COMPLETED else repr(job._return_value)
-            print(f"failed: {words}: {reason}", file=sys.stderr)
+        words, problem = " ".join(job.overrides), job.return_value
+        failed += problem is not None
+        print(f"done: {words}: {job.working_dir}" if problem is None else f"failed: {words}: {problem}")
     if failed:
         raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
 
 
 def _job(verb: str, _: object) -> str | None:
-    """Run one job of a sweep; return what went wrong if the user's choice did."""
+    """Run one job of a sweep; return what stopped it, so that the others go on."""
+    from hydra.core.global_hydra import GlobalHydra
     from hydra.core.hydra_config import HydraConfig
 
-    hydra_config = HydraConfig.get()
-    overrides = [str(line) for line in hydra_config.overrides.task]
-    folder = hydra_config.runtime.output_dir
+    from hrl_comfort.compose import override
+
+    job = HydraConfig.get()
+    overrides = [str(line) for line in job.overrides.task]
+    GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
     try:
-        RUN[verb]([*overrides, f"output='{folder}'"])
-    except ConfigError as error:
-        return str(error)
+        RUN[verb]([*overrides, override("output", job.runtime.output_dir)])
+    except ERRORS as error:
+        return " ".join(str(error).split())
     return None
 
 
@@ -165,7 +165,7 @@ def main(words: list[str] | None = None) -> int:
         sweep = {"-m", "--multirun"} & set(rest)
         overrides = [word for word in rest if word not in ("-m", "--multirun")]
         multirun(verb, overrides) if sweep else RUN[verb](overrides)
-    except (ConfigError, OSError) as error:
+    except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

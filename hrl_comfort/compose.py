@@ -151,6 +151,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             have = ", ".join(names) or "none"
             raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {have}")
         kind = fields[name]
+    if dataclasses.is_dataclass(kind) and not isinstance(parsed.value(), dict):
+        inside = ", ".join(f"{key}.{name}" for name in get_type_hints(kind))
+        raise ConfigError(f"{line} sets no single value; set {inside}")
     return line
 
 
@@ -213,10 +216,17 @@ def _text(value: object) -> str:
 
 
 def _schema(cls: Any) -> Any:
-    """Return a mutable twin of the frozen `cls`: OmegaConf cannot merge into a frozen dataclass."""
-    hints = get_type_hints(cls)
-    twins = [(name, _schema(t) if dataclasses.is_dataclass(t) else t) for name, t in hints.items()]
-    return dataclasses.make_dataclass(cls.__name__, twins)
+    """Return a mutable twin of the frozen `cls`: OmegaConf cannot merge into a frozen dataclass.
+
+    It is a name of this module, so that the processes of a sweep find the same class.
+    """
+    name = f"{cls.__name__}Schema"
+    if name not in globals():
+        hints = get_type_hints(cls)
+        twins = [(key, _schema(t) if dataclasses.is_dataclass(t) else t) for key, t in hints.items()]
+        globals()[name] = twin = dataclasses.make_dataclass(name, twins)
+        twin.__module__ = __name__
+    return globals()[name]
 
 
 def _freeze(cls: type[T], node: Any) -> T:

@@ -24,8 +24,9 @@ SPAWNS = [
 ]  # fmt: skip
 HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
-    spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5, jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0,
-    arc_steps=500, speed_m_s=0.5, file=None, clipping="off", masked=False,
+    spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
+    jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
+    file=None, clipping="off", masked=False,
 )  # fmt: skip
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
@@ -164,13 +165,13 @@ def test_a_human_who_walks_into_a_disc_slides_round_its_edge() -> None:
 
 def test_the_gait_goes_with_the_ground_covered_and_swings_at_most_25_degrees() -> None:
     walks = stroll(
-        human("approach", bound_m=50.0, speed_m_s=2.0), np.array([[9.0, 0.0]]), 200, (0, 0), no_discs(1)
+        human("approach", bound_m=10.0, speed_m_s=2.0), np.array([[9.0, 0.0]]), 200, (0, 0), no_discs(1)
     )
     phase, swing = people.gait(walks[-1])
     np.testing.assert_allclose(np.degrees(swing), 25.0)
     assert walks[-1].walked_m[0] == pytest.approx(200 * 0.04, rel=0.02)
     assert phase[0] == pytest.approx(2 * np.pi * walks[-1].walked_m[0] / 1.4)
-    slow = stroll(human("approach", bound_m=50.0), np.array([[9.0, 0.0]]), 300, (0, 0), no_discs(1))[-1]
+    slow = stroll(human("approach", bound_m=10.0), np.array([[9.0, 0.0]]), 300, (0, 0), no_discs(1))[-1]
     assert np.degrees(people.gait(slow)[1][0]) == pytest.approx(12.5, rel=0.01)
 
 
@@ -384,3 +385,12 @@ def test_a_damaged_evaluation_set_is_refused_and_its_line_named(line: str, says:
 def test_an_evaluation_set_with_other_columns_is_refused() -> None:
     with pytest.raises(ConfigError, match="columns"):
         parse_evaluation_set("episode,seed\n0,1\n")
+
+
+def test_a_part_of_the_set_and_other_seeds_keep_spawns_and_motions() -> None:
+    entries = people.load_evaluation_set()
+    part = entries.part(10, 14).reseeded(5_000_000)
+    assert part.episode.tolist() == [10, 11, 12, 13]
+    assert part.episode_seed.tolist() == [5_000_010, 5_000_011, 5_000_012, 5_000_013]
+    np.testing.assert_array_equal(part.position, entries.position[10:14])
+    np.testing.assert_array_equal(part.motion_id, entries.motion_id[10:14])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -20,17 +21,23 @@ from hrl_comfort.experiments.report import report
 from hrl_comfort.experiments.train import train_cell
 
 LINE = ("pick", "place", "return")
+SHARE = {"pick": 0.3, "place": 1.0, "return": 0.6}
+"""How much of `agent.decisions` each subtask is given: pick is learnt soonest, place last."""
 ENDINGS_EPISODES = 500
 
 
-def demo(overrides: list[str], output: Path = Path("runs/demo")) -> Path:
-    """Train, evaluate, chain and report under `output`; return the report's path.
+def demo(overrides: list[str]) -> Path:
+    """Train, evaluate, chain and report; return the report's path.
 
-    `overrides` go to every training, on top of `experiment=demo`.
+    `overrides` go to every training, on top of `experiment=demo` unless they name another; `output=DIR` says
+    where (runs/demo), `episodes=N` how many each evaluation runs (200).
     """
     begin = time.perf_counter()
-    policies = train_line(output, ["experiment=demo", *overrides])
-    evaluate_line(output, policies, episodes=200)
+    chosen = dict(line.split("=", 1) for line in overrides if "=" in line)
+    output, episodes = Path(chosen.pop("output", "runs/demo")), chosen.pop("episodes", "200")
+    chosen.setdefault("experiment", "demo")
+    policies = train_line(output, [f"{key}={value}" for key, value in chosen.items()])
+    evaluate_line(output, policies, episodes)
     page = report(ReportConfig(run=str(output), output=None, video=True))
     print_table(output, time.perf_counter() - begin)
     Console().print(f"report: {page}", soft_wrap=True)
@@ -45,7 +52,8 @@ def train_line(output: Path, overrides: list[str]) -> dict[str, Path]:
         folder = folders[name] = output / name
         config = compose("train", [f"task={name}", f"task.start='{start}'", f"output='{folder}'", *overrides])
         assert isinstance(config, TrainConfig)
-        train_cell(config)
+        agent = replace(config.agent, decisions=round(config.agent.decisions * SHARE[name]))
+        train_cell(replace(config, agent=agent))
         if name != LINE[-1]:
             start = record_endings(folder, name)
     return folders
@@ -61,7 +69,7 @@ def record_endings(folder: Path, name: str) -> str:
     return str(path)
 
 
-def evaluate_line(output: Path, policies: dict[str, Path], episodes: int) -> None:
+def evaluate_line(output: Path, policies: dict[str, Path], episodes: str) -> None:
     """Evaluate every policy, its checkpoints, and their chain."""
     for name, folder in policies.items():
         choices = [f"task={name}", f"policy='{folder}'"]

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
+from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.experiments.statistics import Floats, Row
 
@@ -164,7 +165,8 @@ def success_by_checkpoint(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
 def _wide(axis: Axes, low: Floats, high: Floats) -> None:
     """Give an axis of equal units at least the limits low..high (2,), m."""
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axis.set_aspect("equal", adjustable="box")
+    axis.set_aspect("equal", adjustable="box", anchor="W")
+    axis.xaxis.set_major_locator(MaxNLocator(6))
 
 
 def paths(
@@ -178,8 +180,8 @@ def paths(
       cell: `cell` of the run's configuration; empty when it is not known, then no goal is drawn.
     """
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.2, 4.6))
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
+        figure = Figure(figsize=(10.2, 5.0))
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), height_ratios=(1.3, 1.0))
         top = figure.add_subplot(grid[:, 0])
         side, gap = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
         seen_x, seen_y = [np.zeros(1)], [np.zeros(1)]
@@ -268,25 +270,11 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
                 continue
             y = episodes.index(row["episode"])
             start, end = (int(float(row[key])) * CONTROL_STEP_S for key in ("start_step", "end_step"))
-            axis.barh(
-                y,
-                end - start,
-                left=start,
-                height=0.68,
-                color=colours[row["option"]],
-                edgecolor="white",
-                linewidth=1,
-            )
+            colour = colours[row["option"]]
+            axis.barh(y, end - start, left=start, height=0.68, color=colour, edgecolor="white", linewidth=1)
             if row["ending"] in marks:
-                axis.plot(
-                    end,
-                    y,
-                    marks[row["ending"]],
-                    color=BLACK,
-                    markeredgecolor="white",
-                    markersize=7,
-                    clip_on=False,
-                )
+                look = {"color": BLACK, "markeredgecolor": "white", "markersize": 9, "clip_on": False}
+                axis.plot(end, y, marks[row["ending"]], **look)
         axis.set_yticks(range(len(episodes)), labels=list(episodes))
         axis.set_ylim(len(episodes) - 0.4, -0.6)
         axis.set(title="Option timeline", xlabel="time (s)", ylabel="episode")

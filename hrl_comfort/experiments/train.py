@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torchrl
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
@@ -41,6 +42,7 @@ def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Pa
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
     torch.set_num_threads(1)
+    torchrl.logger.setLevel("WARNING")  # it reports on every buffer that it allocates
     folder = Path(config.resume or config.output)
     with claim(folder, resume=config.resume is not None):
         if config.resume is None:
@@ -255,7 +257,8 @@ class Training:
         self.log.load_state_dict(state["log"])
         rows: dict[str, Tensor] = state["rows"]
         self.precision, self.returns, self.terms = rows["precision"], rows["returns"], rows["terms"]
-        self.decisions, self.updates_due, self.seconds = state["decisions"], state["updates_due"], state["seconds"]
+        self.decisions, self.updates_due = state["decisions"], state["updates_due"]
+        self.seconds = state["seconds"]
         self.best = state["best"]
         self.env.set_precision(self.curriculum.precision_m)
         torch.set_rng_state(state["rng"])

@@ -96,6 +96,14 @@ def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
     return {name: np.where(np.isnan(path[name]), value, path[name]) for name, value in far.items()}
 
 
+def _azimuth_deg(path: Mapping[str, Floats]) -> float:
+    """Return where the camera looks: past the robot towards the person, a little from the side."""
+    x, y = (float(np.median(path[name])) for name in ("human_x", "human_y"))
+    if not math.hypot(x, y) < AWAY_M / 2:  # nobody there
+        return 75.0
+    return math.degrees(math.atan2(y, x)) + 25.0
+
+
 def _poses(scene: Scene, path: Mapping[str, Floats]) -> NDArray[np.float64]:
     """Return the limbs' poses (frames, 5, 7)."""
     phase, swing = gait(path["human_x"], path["human_y"])
@@ -120,6 +128,7 @@ def frames(
     scene = build_scene(robot, cell, substeps=2)
     model, data = scene.model, mujoco.MjData(scene.model)
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.35
+    model.vis.map.znear = 0.05 / model.stat.extent  # the extent holds what is put far away
     model.light_cutoff[:] = 85  # the lamp lights the whole floor
     screen = _open_screen()
     context = None
@@ -127,8 +136,8 @@ def frames(
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
         view, camera, option = mujoco.MjvScene(model, maxgeom=500), mujoco.MjvCamera(), mujoco.MjvOption()
-        camera.lookat[:] = (0.05, 0.0, 0.15)
-        camera.distance, camera.azimuth, camera.elevation = 2.7, 75, -28
+        camera.lookat[:] = (0.0, 0.0, 0.2)
+        camera.distance, camera.azimuth, camera.elevation = 2.9, _azimuth_deg(path), -27
         rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         shown = resample({**path, **_absent_is_away(path)})
         limbs = _poses(scene, shown)

@@ -1,7 +1,7 @@
 """Remake people/evaluation_set.csv from conf/: `python -m hrl_comfort.people.make_evaluation_set > FILE`.
 
 Seen and unseen spawns alternate, so that any prefix of the set is half and half. A seen entry stands within
-`spawn_jitter_m` of a spawn point that training uses; an unseen one within `UNSEEN_JITTER_M` of a held-out one.
+`spawn_jitter_m` of a point that is not held out; an unseen one within `UNSEEN_JITTER_M` of a held-out one.
 """
 
 from __future__ import annotations

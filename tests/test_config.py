@@ -1,0 +1,263 @@
+"""Every choice composes, every mistake gets one line, what is written loads back."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import pytest
+
+import hrl_comfort
+from hrl_comfort import __main__ as commands
+from hrl_comfort import compose as composing
+from hrl_comfort.compose import (
+    ROOTS,
+    choices,
+    compose,
+    config_dir,
+    groups,
+    load_config,
+    override,
+    save_config,
+)
+from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+
+NEEDED = {"playback": ["human.file=walk.csv"]}
+"""What a choice cannot do without."""
+CHOICES = [
+    (root, group, name)
+    for root in ("train", "evaluate")
+    for group, names in groups(root).items()
+    for name in names
+]
+
+
+def trained(*overrides: str) -> TrainConfig:
+    config = compose("train", overrides)
+    assert isinstance(config, TrainConfig)
+    return config
+
+
+@pytest.mark.parametrize(("root", "group", "name"), CHOICES)
+def test_every_choice_composes(root, group, name):
+    config = compose(root, [f"{group}={name}", *NEEDED.get(name, [])])
+    assert isinstance(config, ROOTS[root])
+    own = {"human": "motion", "curriculum": "kind", "robot": "name", "task": "name", "meta": "name"}
+    if group in own and name != "fine":
+        assert getattr(getattr(config, group), own[group]) == name
+
+
+@pytest.mark.parametrize("root", ROOTS)
+def test_every_root_composes_to_frozen_dataclasses(root):
+    config = compose(root, ["run=runs"] if root == "report" else [])
+    assert type(config) is ROOTS[root]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.output = "elsewhere"
+
+
+def test_every_group_on_disk_belongs_to_a_command():
+    folders = {path.name for path in config_dir().iterdir() if path.is_dir()}
+    assert folders == set(groups("train")) | set(groups("evaluate"))
+
+
+def test_a_group_restates_no_number_that_its_choices_share():
+    for shared in config_dir().glob("*/_shared.yaml"):
+        lines = {line for line in shared.read_text().splitlines() if line and line[0] not in "# "}
+        for name in choices(shared.parent.name):
+            own = (shared.parent / f"{name}.yaml").read_text().splitlines()
+            assert not lines & set(own), f"{shared.parent.name}/{name}.yaml repeats a line of _shared.yaml"
+
+
+def test_values_of_the_user_win_over_the_experiment():
+    config = trained("experiment=paper", "task=pick", "engine.rows=3")
+    assert (config.task.name, config.task.steps_per_decision, config.engine.rows) == ("pick", 1, 3)
+
+
+def test_the_paper_experiment_is_the_papers():
+    config = trained("experiment=paper")
+    assert (config.agent.batch_size, config.agent.buffer_size, config.agent.gamma) == (1028, 1_000_000, 0.99)
+    assert (config.engine.rows, config.task.steps_per_decision, config.task.observation) == (5, 1, "paper")
+    assert (config.reward.pick, config.reward.place, config.reward.home) == (50, 100, 150)
+    assert config.curriculum.kind == "off"
+    assert config.reward.progress == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["learn"], "learn is not a verb; choose one of train, evaluate"),
+        (["train", "task=plce"], "task=plce is not a choice, did you mean place?; choose one of cycle, pick"),
+        (["train", "experiment=papr"], "experiment=papr is not a choice, did you mean paper?"),
+        (["train", "tsk=pick"], "tsk is not a key, did you mean task?; train has agent, cell"),
+        (
+            ["train", "task.colur=pink"],
+            "task.colur is not a key, did you mean colour?; task has action, colour",
+        ),
+        (["train", "+task.size=3"], "task.size is not a key"),
+        (["train", "output.x=3"], "output.x is not a key"),
+        (["train", "task.precision=1"], "set task.precision.take_m, "),
+        (
+            ["train", "task.colour=red"],
+            "task.colour='red' is not allowed; choose one of random, orange, pink",
+        ),
+        (["train", "agent.batch_size=many"], "agent.batch_size: Value 'many' of type 'str'"),
+        (["train", "agent.tau=4"], "agent.tau=4.0 is outside its range [0, 1]"),
+        (["train", "agent.tau=.nan"], "agent.tau=nan is outside its range"),
+        (["train", "agent.tau=null"], "agent.tau"),
+        (["train", "human.spawns_m=[[a,b]]"], "human.spawns_m[0]: Value 'a'"),
+        (["train", "human=playback"], "human.file=null: motion=playback needs a CSV"),
+        (["train", "output=${nowhere}"], "output: Interpolation key 'nowhere' not found"),
+        (["train", "task=pick,place"], "task=pick,place holds several values; add -m"),
+        (["train", "pick"], "'pick' is not an override; write key=value"),
+        (["train", "a=["], "'a=[' is not an override"),
+        (["train", "agent={"], "'agent={' is not an override"),
+        (["train", "hydra.nothing=1"], "hydra.nothing"),
+        (["train", "-m", "task=pick,plce"], "task=plce is not a choice"),
+        (["report"], "run must be set: run=VALUE"),
+        (["report", "run=/no/such/folder"], "/no/such/folder"),
+        (["report", "task=pick"], "task is not a key; report has output, run, video"),
+        (["bench"], "say bench env"),
+        (["bench", "-m"], "bench cannot be swept"),
+    ],
+)
+def test_a_mistake_gets_one_line_and_exit_code_1(words, says, capsys):
+    assert commands.main(words) == 1
+    out, error = capsys.readouterr()
+    assert error.startswith("hrl-comfort: ")
+    assert error.count("\n") == 1
+    assert says in error
+    assert "Traceback" not in out + error
+
+
+def test_help_lists_every_verb_and_choice(capsys):
+    assert commands.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for word in [*commands.VERBS, *(name for _, _, name in CHOICES)]:
+        assert word in text
+    assert set(commands.RUN) == set(commands.VERBS)
+
+
+@pytest.mark.parametrize("root", ROOTS)
+def test_a_written_configuration_loads_back_equal(root, tmp_path):
+    config = compose(root, ["run=runs"] if root == "report" else ["human.speed_m_s=0.1234567890123"])
+    save_config(config, tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml") == load_config(tmp_path) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "does not exist"),
+        ("run: x\nvideo: true\n", "has not the keys of"),
+        ("run: x\noutput: null\nvideo: perhaps\n", "video: Value 'perhaps'"),
+        ("- a list\n", "has not the keys of"),
+    ],
+)
+def test_a_broken_configuration_file_is_named(text, says, tmp_path):
+    file = tmp_path / "config.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ConfigError, match=says) as error:
+        load_config(file)
+    assert str(file) in str(error.value)
+
+
+def test_a_policy_is_evaluated_as_it_was_trained_unless_said_otherwise(tmp_path):
+    run = trained(
+        "task=place",
+        "robot=ur5e",
+        "human=arc",
+        "human.clipping=full",
+        "reward=sparse",
+        "task.max_step_deg=1.5",
+    )
+    save_config(run, tmp_path / "config.yaml")
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint = tmp_path / "checkpoints" / "10.pt"
+    checkpoint.touch()
+    for policy in (tmp_path, checkpoint):
+        config = compose("evaluate", [override("policy", policy)])
+        assert isinstance(config, EvaluateConfig)
+        assert (config.robot, config.human, config.task, config.reward) == (
+            run.robot,
+            run.human,
+            run.task,
+            run.reward,
+        )
+        assert config.output == str(tmp_path / "eval")
+    config = compose("evaluate", [override("policy", tmp_path), "human=still", "task.max_step_deg=1"])
+    assert isinstance(config, EvaluateConfig)
+    assert (config.human.motion, config.human.clipping) == ("still", "full")
+    assert (config.task.name, config.task.max_step_deg) == ("place", 1.0)
+
+
+def test_policies_of_a_chain_are_named_by_subtask():
+    config = compose(
+        "evaluate", ["task=cycle", "meta=scripted", "policies.pick=a/b.pt", "policies.place=expert"]
+    )
+    assert isinstance(config, EvaluateConfig)
+    assert config.policies == {"pick": "a/b.pt", "place": "expert"}
+    assert config.output == "runs/evaluate/cycle/chain"
+
+
+@pytest.mark.parametrize("value", ["a b", "it's", "x=1,2", "C:\\runs", "[]", "${x}", "", "null ", "ü"])
+def test_text_from_python_reaches_the_configuration_unchanged(value):
+    if value == "${x}":
+        with pytest.raises(ConfigError, match="'x' not found"):
+            trained(override("output", value))
+    else:
+        assert trained(override("output", value)).output == value
+
+
+def test_numbers_lists_and_flags_from_python_keep_their_type():
+    config = trained(
+        override("human.masked", True), override("agent.hidden", [8, 4]), override("agent.tau", 1e-6)
+    )
+    assert (config.human.masked, config.agent.hidden, config.agent.tau) == (True, [8, 4], 1e-6)
+    assert trained(override("resume", None)).resume is None
+
+
+def test_load_passes_choices_on_to_the_environment(monkeypatch):
+    seen = {}
+    dm = type(sys)("dm")
+    dm.make_environment = lambda config, seed: seen.update(config=config, seed=seed)
+    monkeypatch.setitem(sys.modules, "hrl_comfort.envs.dm", dm)
+    hrl_comfort.load("place", seed=4, human="arc", **{"human.speed_m_s": 1.0})
+    assert (seen["seed"], seen["config"].task.name) == (4, "place")
+    assert (seen["config"].human.motion, seen["config"].human.speed_m_s) == ("arc", 1.0)
+    with pytest.raises(ConfigError, match="did you mean arc"):
+        hrl_comfort.load("place", human="ark")
+
+
+def test_a_missing_conf_is_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(composing, "__file__", str(tmp_path / "compose.py"))
+    with pytest.raises(ConfigError, match="conf/ is neither in"):
+        config_dir()
+
+
+def test_a_sweep_gives_each_job_its_folder_and_reports_the_failing_one(tmp_path, monkeypatch, capsys):
+    def run(overrides: list[str]) -> None:
+        config = compose("report", overrides)
+        assert isinstance(config, ReportConfig)
+        if config.run == "bad":
+            raise FileNotFoundError("bad holds\nno run")
+        (Path(str(config.output)) / "done.txt").write_text(config.run)
+
+    monkeypatch.setitem(commands.RUN, "report", run)
+    words = ["report", "-m", "run=a,bad,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
+    assert commands.main(words) == 1
+    out, error = capsys.readouterr()
+    assert "failed: run=bad: bad holds no run" in out
+    assert error == "hrl-comfort: 1 of 3 jobs failed\n"
+    assert [(tmp_path / job / "done.txt").read_text() for job in ("0", "2")] == ["a", "b"]
+
+
+def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):
+    assert (
+        commands.main(["report", "-m", "run=/no/a,/no/b", f"output={tmp_path}", "hydra.launcher.n_jobs=2"])
+        == 1
+    )
+    out = capsys.readouterr().out
+    assert [line.split(":")[1].strip() for line in out.splitlines()] == ["run=/no/a", "run=/no/b"]
+    assert "/no/a" in out.splitlines()[0].split(": ", 2)[2]

@@ -1,0 +1,224 @@
+"""The learner against TorchRL's own loss, and its bookkeeping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.objectives import SACLoss
+
+from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser, TwinCritics
+from hrl_comfort.agents.sac import TERMS, Batch, Sac, TrainingDiverged, sac_losses
+from hrl_comfort.compose import compose
+from hrl_comfort.config import AgentConfig
+
+B, D, A = 64, 7, 3
+
+
+def agent(**changes: object) -> AgentConfig:
+    small = {"batch_size": 16, "buffer_size": 64, "hidden": [16, 16], "warmup_decisions": 0}
+    return replace(compose("train").agent, **{**small, **changes})
+
+
+def filled(learner: Sac, rows: int = 40, reward: float | None = None) -> Sac:
+    learner.remember(
+        torch.randn(rows, D),
+        torch.rand(rows, A) * 2 - 1,
+        torch.randn(rows) if reward is None else torch.full((rows,), reward),
+        torch.randn(rows, D),
+        torch.rand(rows) < 0.2,
+        torch.randint(1, 6, (rows,)),
+    )
+    return learner
+
+
+class Critic(nn.Module):
+    """One of the twin critics as plain linear layers."""
+
+    def __init__(self, twins: TwinCritics, which: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for weight, bias in zip(twins.weights, twins.biases, strict=True):
+            linear = nn.Linear(weight.shape[1], weight.shape[2])
+            linear.weight.data.copy_(weight[which].detach().T)
+            linear.bias.data.copy_(bias[which, 0].detach())
+            layers += [linear, nn.ReLU()]
+        self.body = nn.Sequential(*layers[:-1])
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.body(torch.cat([observation, action], dim=-1))
+
+
+def torchrl_loss(actor: Actor, critics: TwinCritics, targets: TwinCritics, log_alpha: float) -> SACLoss:
+    policy = ProbabilisticActor(
+        TensorDictModule(actor, in_keys=["observation"], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    keys = {"in_keys": ["observation", "action"], "out_keys": ["state_action_value"]}
+    loss = SACLoss(
+        policy,
+        [TensorDictModule(Critic(critics, i), **keys) for i in range(2)],
+        loss_function="l2",
+        alpha_init=math.exp(log_alpha),
+        target_entropy=-float(A),
+    )
+    loss.make_value_estimator(gamma=0.98)
+    for i in range(2):
+        wanted = Critic(targets, i).state_dict()
+        for key, value in loss.target_qvalue_network_params.flatten_keys(".").items():
+            value.data[i].copy_(wanted[key.removeprefix("module.")])
+    return loss
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    torch.manual_seed(0)
+
+
+def test_losses_and_gradients_equal_torchrls_sac_loss():
+    actor, critics, targets = Actor(D, A, [16, 16]), TwinCritics(D, A, [16, 16]), TwinCritics(D, A, [16, 16])
+    log_alpha = torch.tensor(math.log(0.3), requires_grad=True)
+    steps, terminated = torch.randint(1, 6, (B,)), torch.rand(B) < 0.3
+    observation, after = torch.randn(2, B, D)
+    action, reward = torch.rand(B, A) * 1.8 - 0.9, torch.randn(B)
+
+    reference = torchrl_loss(actor, critics, targets, log_alpha.item())
+    done = terminated[:, None]
+    data = TensorDict(
+        {
+            "observation": observation,
+            "action": action,
+            "steps_to_next_obs": steps[:, None],
+            "next": {
+                "observation": after,
+                "reward": reward[:, None],
+                "terminated": done,
+                "done": done | (torch.rand(B, 1) < 0.3),  # truncated rows must bootstrap
+            },
+        },
+        batch_size=[B],
+    )
+    torch.manual_seed(1)
+    expected = reference(data)
+    sum(expected[f"loss_{name}"] for name in ("qvalue", "actor", "alpha")).backward()
+
+    torch.manual_seed(1)
+    next_noise = torch.normal(torch.zeros(B, A), torch.ones(B, A))
+    noise = torch.normal(torch.zeros(B, A), torch.ones(B, A))
+    discount = torch.where(terminated, 0.0, 0.98 ** steps.float())
+    batch = Batch(observation, action, reward, after, discount)
+    critic, actor_loss, alpha, entropy, _ = sac_losses(
+        batch, actor, critics, targets, log_alpha, -float(A), noise, next_noise
+    )
+    (critic + actor_loss + alpha).backward()
+
+    close = {"rtol": 1e-5, "atol": 1e-5}
+    torch.testing.assert_close(critic, expected["loss_qvalue"], **close)
+    torch.testing.assert_close(actor_loss, expected["loss_actor"], **close)
+    torch.testing.assert_close(alpha, expected["loss_alpha"], **close)
+    torch.testing.assert_close(entropy, expected["entropy"], **close)
+    torch.testing.assert_close(log_alpha.grad, reference.log_alpha.grad, **close)
+    theirs = {k: v.grad for k, v in reference.actor_network_params.flatten_keys(".").items()}
+    mine = dict(actor.named_parameters())
+    assert len(theirs) == len(mine) == 6
+    for key, gradient in theirs.items():
+        torch.testing.assert_close(mine[key.split("module.", 1)[1]].grad, gradient, **close)
+    theirs = {k: v.grad for k, v in reference.qvalue_network_params.flatten_keys(".").items()}
+    for i, (weight, bias) in enumerate(zip(critics.weights, critics.biases, strict=True)):
+        torch.testing.assert_close(weight.grad.mT, theirs[f"module.body.{2 * i}.weight"], **close)
+        torch.testing.assert_close(bias.grad[:, 0], theirs[f"module.body.{2 * i}.bias"], **close)
+
+
+def test_discount_is_gamma_to_the_steps_taken_and_zero_only_where_terminated():
+    learner = Sac(agent(gamma=0.9), D, A)
+    terminated = torch.tensor([False, True, False])
+    zeros = torch.zeros(3, D)
+    learner.remember(zeros, torch.zeros(3, A), torch.zeros(3), zeros, terminated, torch.tensor([5, 5, 2]))
+    torch.testing.assert_close(learner.buffer.storage[:3]["discount"], torch.tensor([0.9**5, 0.0, 0.81]))
+
+
+def test_update_moves_every_parameter_and_targets_follow_by_tau():
+    learner = filled(Sac(agent(tau=0.25), D, A))
+    before = [p.detach().clone() for p in learner._parameters]
+    targets = [p.clone() for p in learner._target_parameters]
+    terms = learner.update()
+    assert tuple(terms) == TERMS
+    assert all(not torch.equal(p, q) for p, q in zip(learner._parameters, before, strict=True))
+    for old, new, critic in zip(targets, learner._target_parameters, learner._critic_parameters, strict=True):
+        torch.testing.assert_close(new, old + 0.25 * (critic - old))
+
+
+def test_a_broken_term_stops_before_the_parameters_change():
+    learner = filled(Sac(agent(), D, A), reward=math.nan)
+    before = [p.detach().clone() for p in learner._parameters]
+    with pytest.raises(TrainingDiverged, match=r"update 0: critic_loss is nan"):
+        learner.update()
+    assert all(torch.equal(p, q) for p, q in zip(learner._parameters, before, strict=True))
+
+
+def test_a_broken_parameter_is_never_saved():
+    learner = Sac(agent(), D, A)
+    learner.critics.weights[1].data[0, 0, 0] = math.inf
+    with pytest.raises(TrainingDiverged, match=r"critics weights\.1 is not finite"):
+        learner.state_dict()
+
+
+def test_a_loaded_learner_goes_on_bit_for_bit_even_after_the_buffer_wrapped():
+    learner = Sac(agent(), D, A)
+    for _ in range(3):
+        filled(learner)
+        learner.update()
+    state, rng = learner.state_dict(), torch.get_rng_state()
+    state = {**state, "networks": learner.networks_state()}
+    state = torch.utils._pytree.tree_map(lambda x: x.clone() if isinstance(x, torch.Tensor) else x, state)
+
+    def go_on(one: Sac) -> list[dict[str, float]]:
+        torch.set_rng_state(rng)
+        return [filled(one, 10).update() for _ in range(5)]
+
+    other = Sac(agent(), D, A)
+    other.load_state_dict(state)
+    assert len(other.buffer) == 64
+    assert go_on(other) == go_on(learner)
+
+
+def test_normaliser_equals_the_statistics_of_everything_seen():
+    data = torch.randn(100, D) * torch.linspace(0.1, 50, D) + 3
+    normaliser = Normaliser(D)
+    for part in data.split(30):
+        normaliser.update(part)
+    torch.testing.assert_close(normaliser.mean, data.double().mean(0))
+    torch.testing.assert_close(normaliser.variance, data.double().var(0, correction=0))
+    scaled = normaliser(data)
+    torch.testing.assert_close(scaled.mean(0), torch.zeros(D), rtol=0, atol=1e-5)
+    torch.testing.assert_close(scaled.std(0, correction=0), torch.ones(D), rtol=0, atol=1e-4)
+
+
+def test_normaliser_bounds_outliers_and_leaves_a_constant_feature_at_zero():
+    normaliser = Normaliser(2)
+    normaliser.update(torch.stack([torch.randn(50), torch.full((50,), 50.0)], dim=1))
+    scaled = normaliser(torch.tensor([[1e6, 50.0]]))
+    assert scaled.tolist() == [[NORMALISED_LIMIT, 0.0]]
+
+
+def test_normaliser_off_is_the_identity():
+    normaliser = Normaliser(D, enabled=False)
+    data = torch.randn(20, D) * 100
+    normaliser.update(data)
+    assert torch.equal(normaliser(data), data)
+
+
+def test_log_probability_stays_finite_for_saturated_actions():
+    actor = Actor(D, A, [8])
+    actor.body[-1].bias.data[:A] = 40.0
+    action, log_prob = actor.sample(torch.randn(5, D), torch.randn(5, A))
+    assert action.abs().max() <= 1
+    assert log_prob.isfinite().all()

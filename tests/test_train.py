@@ -1,0 +1,191 @@
+"""The training loop on a point that must reach the origin."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.agents.sac import TERMS
+from hrl_comfort.compose import load_config
+from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments.train import Training, train
+from hrl_comfort.experiments.training_log import claim
+from tests.point_env import PointEnv, Stopped, make_point_env, small_config
+
+
+def rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
+    with (folder / name).open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A whole training."""
+    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_point_env)
+
+
+def interrupted(folder: Path, calls: int) -> Path:
+    with pytest.raises(Stopped):
+        train(small_config(folder), lambda c: PointEnv(c.engine.rows, c.episode_seed, stop_after=calls))
+    return folder
+
+
+def test_sac_learns_to_reach_the_origin(tmp_path):
+    config = small_config(
+        tmp_path / "run", "agent.decisions=6000", "agent.buffer_size=6000", "agent.learning_rate=0.003"
+    )
+    policy = load_policy(train(config, make_point_env))
+    env = PointEnv(64, seed=7)
+    env.set_precision(0.15)
+    now, solved = env.reset(), torch.zeros(64, 1, dtype=torch.bool)
+    for _ in range(19):
+        now = env.step(now.set("action", policy(now["observation"])))["next"].exclude("reward")
+        solved |= now["success"]
+    assert solved.float().mean() > 0.95
+    assert float(rows(tmp_path / "run")[-1]["precision_m"]) < 0.3
+
+
+def test_metrics_have_the_contracts_columns_and_empty_cells_where_nothing_came(run):
+    table = rows(run)
+    assert list(table[0]) == [
+        *("decisions", "updates", "episodes", "precision_m", "success", "return", "steps"),
+        *("human_collision", "other_collision", "reward/progress", "reward/reach", *TERMS),
+    ]
+    assert [row["decisions"] for row in table] == [str(n) for n in range(200, 1601, 200)]
+    assert all(table[0][term] == "" for term in TERMS)
+    assert table[1]["critic_loss"] != ""
+    assert int(table[-1]["updates"]) == 0.25 * (1600 - 200)
+
+
+def test_reward_terms_sum_to_the_return(run):
+    for row in rows(run):
+        terms = float(row["reward/progress"]) + float(row["reward/reach"])
+        assert terms == pytest.approx(float(row["return"]), abs=1e-4)
+
+
+def test_a_row_without_a_finished_episode_has_empty_outcomes(tmp_path):
+    folder = train(small_config(tmp_path / "run", "agent.log_every=8", "agent.decisions=16"), make_point_env)
+    first = rows(folder)[0]
+    if first["episodes"] == "0":
+        assert first["success"] == first["return"] == first["reward/reach"] == ""
+    assert first["critic_loss"] == ""
+    assert {row["episodes"] for row in rows(folder)}
+
+
+def test_the_folder_holds_what_the_contract_says(run):
+    assert load_config(run) == small_config(run)
+    provenance = json.loads((run / "provenance.json").read_text())
+    assert provenance["finished"] is True
+    assert provenance["decisions"] == 1600
+    assert provenance["versions"]["torchrl"] == "0.14.1"
+    assert provenance["seeds"] == {"train_seed": 0, "episode_seed": 0}
+    assert list(run.glob("events.out.tfevents.*"))
+    assert [p.name for p in checkpoint.steps(run / "checkpoints")] == ["step_000001504.pt", "step_000001600.pt"]
+    assert not (run / "checkpoints" / "latest.pt").exists()
+    assert load_policy(run).spec["meta"]["steps_per_decision"] == 5
+    assert set(rows(run, "timing.csv")[0]) == {"decisions", "seconds", "decisions_per_s", "updates_per_s"}
+
+
+def test_the_same_seeds_write_the_same_metrics_and_another_seed_does_not(run, tmp_path):
+    again = train(small_config(tmp_path / "again"), make_point_env)
+    other = train(small_config(tmp_path / "other", train_seed=1), make_point_env)
+    assert (again / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+    assert (other / "metrics.csv").read_bytes() != (run / "metrics.csv").read_bytes()
+
+
+@pytest.mark.parametrize("calls", [120, 160])
+def test_a_training_stopped_half_way_and_resumed_is_bit_for_bit_the_same(run, tmp_path, calls):
+    half = interrupted(tmp_path / "half", calls)
+    assert len(rows(half)) < len(rows(run))
+    config = small_config(Path("elsewhere"), resume=str(half))
+    assert train(config, make_point_env) == half
+    assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+    mine, whole = checkpoint.load(half / "policy.pt"), checkpoint.load(run / "policy.pt")
+    for name, tensor in whole["networks"]["actor"].items():
+        assert torch.equal(tensor, mine["networks"]["actor"][name])
+    assert len(rows(half, "timing.csv")) == len(rows(run))
+
+
+def test_resuming_passes_over_a_truncated_checkpoint(run, tmp_path):
+    half = interrupted(tmp_path / "half", 160)
+    latest = half / "checkpoints" / "latest.pt"
+    latest.write_bytes(latest.read_bytes()[:1000])
+    with pytest.warns(UserWarning, match=r"latest\.pt"):
+        train(small_config(half, resume=str(half)), make_point_env)
+    assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+
+
+def test_a_killed_process_resumes_bit_for_bit(run, tmp_path):
+    script = (
+        "import sys; from pathlib import Path; from tests.point_env import *\n"
+        "from hrl_comfort.experiments.train import train\n"
+        "train(small_config(Path(sys.argv[1])), lambda c: PointEnv(c.engine.rows, c.episode_seed, 100, True))"
+    )
+    folder = tmp_path / "killed"
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", script, str(folder)], cwd=root, capture_output=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
+    train(small_config(folder, resume=str(folder)), make_point_env)
+    assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+
+
+def test_a_folder_that_holds_a_run_is_refused(run):
+    with pytest.raises(ConfigError, match="already holds a run"):
+        train(small_config(run), make_point_env)
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    with claim(tmp_path / "run", resume=False), pytest.raises(ConfigError, match="in use"):
+        train(small_config(tmp_path / "run"), make_point_env)
+
+
+@pytest.mark.parametrize(("what", "message"), [("finished", "is finished"), ("nothing", "not a run folder")])
+def test_what_cannot_be_resumed_is_refused(run, tmp_path, what, message):
+    folder = run if what == "finished" else tmp_path / "nothing"
+    with pytest.raises(ConfigError, match=message):
+        train(small_config(tmp_path, resume=str(folder)), make_point_env)
+
+
+def test_training_on_starts_from_the_networks_of_the_run_and_skips_random_actions(run, tmp_path):
+    config = small_config(tmp_path / "on", initial_policy=str(run))
+    training = Training(config, make_point_env(config), tmp_path / "on")
+    saved = checkpoint.load(run / "policy.pt")["networks"]
+    for part, module in (("critics", training.learner.critics), ("targets", training.learner.targets)):
+        for name, tensor in module.state_dict().items():
+            assert torch.equal(tensor, saved[part][name])
+    assert torch.equal(training.learner.log_alpha.detach(), saved["log_alpha"])
+    torch.manual_seed(3)
+    training.decide()
+    torch.manual_seed(3)
+    fresh = Training(replace(config, train_seed=0), make_point_env(config), tmp_path / "on")
+    torch.manual_seed(3)
+    expected = fresh.learner.act(fresh.now["observation"])
+    assert torch.equal(training.learner.buffer.storage[:8]["action"], expected)
+
+
+def test_training_on_from_networks_of_another_shape_is_refused(run, tmp_path):
+    config = small_config(tmp_path / "on", "agent.hidden=[16,16]", initial_policy=str(run))
+    with pytest.raises(ConfigError, match=r"hidden=\[32, 32\], this training \[16, 16\]"):
+        train(config, make_point_env)
+
+
+def test_best_prefers_the_tighter_precision_then_the_higher_success(tmp_path):
+    training = Training(config := small_config(tmp_path), make_point_env(config), tmp_path)
+    verdicts = []
+    for precision_m, successes in ((0.3, 20), (0.26, 10), (0.26, 9), (0.3, 20), (0.26, 11)):
+        training.curriculum.load_state_dict({"precision_m": precision_m, "outcomes": []})
+        training.recent = [(precision_m, i < successes) for i in range(20)]
+        verdicts.append(training._is_best())
+    assert verdicts == [True, True, False, False, True]
+    training.recent = training.recent[:19]
+    assert not training._is_best()
