@@ -111,7 +111,8 @@ def multirun(verb: str, overrides: list[str]) -> None:
     for job in jobs:
         words, problem = " ".join(job.overrides), job.return_value
         failed += problem is not None
-        print(f"done: {words}: {job.working_dir}" if problem is None else f"failed: {words}: {problem}")
+        where = job.hydra_cfg.hydra.runtime.output_dir
+        print(f"done: {words}: {where}" if problem is None else f"failed: {words}: {problem}")
     if failed:
         raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
 

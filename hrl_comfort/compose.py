@@ -209,9 +209,10 @@ def _text(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, (list, tuple)):
         return f"[{','.join(map(_text, value))}]"
-    if isinstance(value, (int, float)) or re.fullmatch(r"[\w./-]+", str(value)):
+    if isinstance(value, (int, float)) or re.fullmatch(r"[\w./-]+", str(value), re.ASCII):
         return str(value)
-    escaped = str(value).replace("\\", "\\\\").replace("'", "\\'")
+    # Hydra reads a backslash as such, save before a quote or another backslash that leads to one.
+    escaped = re.sub(r"(\\+)(?='|$)", r"\1\1", str(value)).replace("'", "\\'")
     return f"'{escaped}'"
 
 

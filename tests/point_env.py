@@ -56,7 +56,7 @@ class PointEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         rows = torch.ones(len(self.point), dtype=torch.bool)
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             rows = tensordict["_reset"].reshape(-1)
         fresh = torch.rand(len(self.point), 2, generator=self.generator) * 2 - 1
         self.point = torch.where(rows[:, None], fresh, self.point)

@@ -103,7 +103,7 @@ def test_the_paper_experiment_is_the_papers():
         ),
         (["train", "agent.batch_size=many"], "agent.batch_size: Value 'many' of type 'str'"),
         (["train", "agent.tau=4"], "agent.tau=4.0 is outside its range [0, 1]"),
-        (["train", "agent.tau=.nan"], "agent.tau=nan is outside its range"),
+        (["train", "agent.tau=nan"], "agent.tau=nan is outside its range"),
         (["train", "agent.tau=null"], "agent.tau"),
         (["train", "human.spawns_m=[[a,b]]"], "human.spawns_m[0]: Value 'a'"),
         (["train", "human=playback"], "human.file=null: motion=playback needs a CSV"),
@@ -201,7 +201,9 @@ def test_policies_of_a_chain_are_named_by_subtask():
     assert config.output == "runs/evaluate/cycle/chain"
 
 
-@pytest.mark.parametrize("value", ["a b", "it's", "x=1,2", "C:\\runs", "[]", "${x}", "", "null ", "ü"])
+@pytest.mark.parametrize(
+    "value", ["a b", "it's", "x=1,2", "C:\\runs", "a\\", "\\'b", "[]", "${x}", "", "null ", "ü"]
+)
 def test_text_from_python_reaches_the_configuration_unchanged(value):
     if value == "${x}":
         with pytest.raises(ConfigError, match="'x' not found"):
@@ -249,6 +251,7 @@ def test_a_sweep_gives_each_job_its_folder_and_reports_the_failing_one(tmp_path,
     assert commands.main(words) == 1
     out, error = capsys.readouterr()
     assert "failed: run=bad: bad holds no run" in out
+    assert f"done: run=a: {tmp_path}/0\n" in out
     assert error == "hrl-comfort: 1 of 3 jobs failed\n"
     assert [(tmp_path / job / "done.txt").read_text() for job in ("0", "2")] == ["a", "b"]
 

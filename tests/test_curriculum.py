@@ -10,7 +10,9 @@ from hrl_comfort.compose import compose
 from hrl_comfort.experiments.curriculum import Curriculum
 
 CONFIG = compose("train")
-ADAPTIVE = replace(CONFIG.curriculum, kind="adaptive", start_m=0.3, end_m=0.1, step_m=0.04, threshold=0.9, window=10)
+ADAPTIVE = replace(
+    CONFIG.curriculum, kind="adaptive", start_m=0.3, end_m=0.1, step_m=0.04, threshold=0.9, window=10
+)
 
 
 def adaptive() -> Curriculum:

@@ -54,7 +54,9 @@ def test_cartesian_action_runs_one_trajectory_on_both_fronts() -> None:
     for _ in range(4):
         front.step(up)
         outcome = engine.step(np.tile(up, (2, 1)))
-    torch.testing.assert_close(front.task.episodes.state.tcp_pos[0], outcome.state.tcp_pos[0], rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        front.task.episodes.state.tcp_pos[0], outcome.state.tcp_pos[0], rtol=0, atol=1e-9
+    )
     moved = (outcome.state.tcp_pos - start)[0]
     assert moved[2] < -0.02 and moved[2].abs() > moved[:2].abs().max()
 
@@ -114,7 +116,9 @@ def test_time_limit_truncates_and_does_not_terminate() -> None:
 
 
 def test_human_walking_into_a_still_robot_is_told_apart() -> None:
-    config = configured("task=reach", "human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.speed_m_s=1.0")
+    config = configured(
+        "task=reach", "human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.speed_m_s=1.0"
+    )
     engine = Engine(config, 4, 0)
     engine.reset()
     hit = torch.zeros(4, dtype=torch.bool)
@@ -158,7 +162,9 @@ def test_human_never_within_35_cm_of_a_goal(task: str) -> None:
     centres = torch.from_numpy(engine.episodes._keep_out().centres)
     for _ in range(30):
         outcome = engine.step(np.zeros((16, 6)))
-        gaps = (torch.stack([s.human_pos for s in outcome.steps], 1)[:, :, None] - centres[:, None]).norm(dim=-1)
+        gaps = (torch.stack([s.human_pos for s in outcome.steps], 1)[:, :, None] - centres[:, None]).norm(
+            dim=-1
+        )
         assert gaps.min() >= 0.35 - 1e-6
 
 
@@ -184,5 +190,5 @@ def test_torchrl_environment_reports_what_the_engine_does() -> None:
 
 
 def test_engine_rejects_a_start_file_that_is_not_there() -> None:
-    with pytest.raises(ValueError, match="task.start='nowhere.npz' is neither 'ik' nor"):
+    with pytest.raises(ValueError, match=r"task\.start='nowhere\.npz' is neither 'ik' nor"):
         Engine(configured("task=place", "task.start=nowhere.npz"), 2, 0)

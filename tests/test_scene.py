@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -237,6 +238,23 @@ def test_tables_hold_the_ball_at_the_goals() -> None:
         top = data.geom(f"{name}_top").xpos[2] + cell.model.geom(f"{name}_top").size[2]
         assert top == pytest.approx(goal[2] - CELL.ball_radius_m)
         np.testing.assert_allclose(data.geom(f"{name}_top").xpos[:2], goal[:2])
+
+
+def test_robot_may_stand_on_the_floor() -> None:
+    robot = RobotConfig(name="ur3e", home_deg=[0, -90, 0, 0, 90, 0])
+    cell = build_scene(robot, replace(CELL, base_height_m=0.0), 2)
+    assert cell.floor_z == 0.0
+    assert data_at(cell, cell.home).ncon == 0
+    assert touching(cell, data_at(cell, np.radians([0, 60, 0, 0, 90, 0])))["table"][-1] == OBSTACLES.index(
+        "floor"
+    )
+
+
+def test_cameras_see_the_cell_although_the_absent_stand_far_away() -> None:
+    model = scene().model
+    assert model.vis.map.znear * model.stat.extent < 0.1
+    assert {model.camera(i).name for i in range(model.ncam)} == {"top", "side"}
+    assert (model.vis.quality.shadowsize, model.vis.quality.offsamples) == (1024, 0)
 
 
 def test_walking_limbs_keep_unit_quaternions_and_feet_on_the_floor() -> None:

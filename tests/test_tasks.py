@@ -72,7 +72,9 @@ def test_place_goes_to_the_drop_point_of_the_balls_colour() -> None:
     for colour, index in (("orange", 0), ("pink", 1)):
         config = configured("task=place", f"task.colour={colour}")
         state = Engine(config, 4, 0).reset()
-        wanted = torch.tensor([config.cell.orange_drop_m, config.cell.pink_drop_m][index], dtype=torch.float64)
+        wanted = torch.tensor(
+            [config.cell.orange_drop_m, config.cell.pink_drop_m][index], dtype=torch.float64
+        )
         goal = subtask("place").stages[0].goal(state)
         torch.testing.assert_close(goal, wanted.expand(4, 3))
         assert (state.colour == index).all()
@@ -153,7 +155,9 @@ def test_home_tolerance_scales_with_the_precision_from_30_to_10_degrees() -> Non
     engine = Engine(configured("task=return"), 4, 0)
     engine.episodes.precision_m = 0.30
     coarse = engine.reset()
-    torch.testing.assert_close(coarse.home_tolerance, torch.full((4,), math.radians(30.0), dtype=torch.float64))
+    torch.testing.assert_close(
+        coarse.home_tolerance, torch.full((4,), math.radians(30.0), dtype=torch.float64)
+    )
     engine.episodes.precision_m = 0.10
     fine = engine.reset()
     torch.testing.assert_close(fine.home_tolerance, torch.full((4,), math.radians(10.0), dtype=torch.float64))
@@ -166,5 +170,5 @@ def test_drop_points_lie_at_least_70_cm_from_the_ball() -> None:
 
 
 def test_unknown_task_names_what_is_allowed() -> None:
-    with pytest.raises(ConfigError, match="'juggle' is not allowed; choose one of .*pick"):
+    with pytest.raises(ConfigError, match=r"'juggle' is not allowed; choose one of .*pick"):
         subtask("juggle")

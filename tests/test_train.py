@@ -74,12 +74,12 @@ def test_reward_terms_sum_to_the_return(run):
 
 
 def test_a_row_without_a_finished_episode_has_empty_outcomes(tmp_path):
-    folder = train(small_config(tmp_path / "run", "agent.log_every=8", "agent.decisions=16"), make_point_env)
-    first = rows(folder)[0]
-    if first["episodes"] == "0":
-        assert first["success"] == first["return"] == first["reward/reach"] == ""
-    assert first["critic_loss"] == ""
-    assert {row["episodes"] for row in rows(folder)}
+    overrides = ("curriculum=off", "task.precision.take_m=0.005", "agent.log_every=8", "agent.decisions=160")
+    table = rows(train(small_config(tmp_path / "run", *overrides), make_point_env))
+    assert table[0]["episodes"] == "0"
+    assert table[0]["success"] == table[0]["return"] == table[0]["reward/reach"] == ""
+    assert int(table[-1]["episodes"]) >= 8  # the time limit has ended some
+    assert table[-1]["success"] == "0"
 
 
 def test_the_folder_holds_what_the_contract_says(run):
@@ -90,7 +90,8 @@ def test_the_folder_holds_what_the_contract_says(run):
     assert provenance["versions"]["torchrl"] == "0.14.1"
     assert provenance["seeds"] == {"train_seed": 0, "episode_seed": 0}
     assert list(run.glob("events.out.tfevents.*"))
-    assert [p.name for p in checkpoint.steps(run / "checkpoints")] == ["step_000001504.pt", "step_000001600.pt"]
+    kept = [path.name for path in checkpoint.steps(run / "checkpoints")]
+    assert kept == ["step_000001504.pt", "step_000001600.pt"]
     assert not (run / "checkpoints" / "latest.pt").exists()
     assert load_policy(run).spec["meta"]["steps_per_decision"] == 5
     assert set(rows(run, "timing.csv")[0]) == {"decisions", "seconds", "decisions_per_s", "updates_per_s"}
@@ -132,8 +133,8 @@ def test_a_killed_process_resumes_bit_for_bit(run, tmp_path):
         "train(small_config(Path(sys.argv[1])), lambda c: PointEnv(c.engine.rows, c.episode_seed, 100, True))"
     )
     folder = tmp_path / "killed"
-    root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", script, str(folder)], cwd=root, capture_output=True, check=False)
+    command, root = [sys.executable, "-c", script, str(folder)], Path(__file__).parents[1]
+    done = subprocess.run(command, cwd=root, capture_output=True, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     train(small_config(folder, resume=str(folder)), make_point_env)
     assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()

@@ -87,8 +87,8 @@ class Sac:
         self.targets.load_state_dict(self.critics.state_dict())
         self.log_alpha = torch.tensor(math.log(config.entropy_coefficient), requires_grad=True)
         self._parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
-        self._critic_parameters = list(self.critics.parameters())
-        self._target_parameters = list(self.targets.parameters())
+        self._critic_parameters: list[Tensor] = list(self.critics.parameters())
+        self._target_parameters: list[Tensor] = list(self.targets.parameters())
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
         self.buffer = TensorDictReplayBuffer(
@@ -177,7 +177,7 @@ class Sac:
         Raises:
             TrainingDiverged: a parameter is not finite.
         """
-        state = {
+        state: dict[str, Any] = {
             "actor": self.actor.state_dict(),
             "critics": self.critics.state_dict(),
             "targets": self.targets.state_dict(),

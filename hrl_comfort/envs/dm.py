@@ -35,7 +35,7 @@ class CellPhysics(Physics):
             self.sensed[index] = data.sensordata
 
     def sense(self, joint_pos: Array, control: Array) -> Array:
-        """Return sensordata (nsensor,) with the robot at rest at joint_pos (6,) under a control (ncontrol,)."""
+        """Return sensordata (nsensor,) of a robot at rest at joint_pos (6,) under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
         mujoco.mj_resetData(model, data)
         data.qpos[:] = joint_pos
@@ -82,7 +82,7 @@ class CellTask(control.Task):
         return float(self.outcome.reward[0])
 
     def get_termination(self, physics: CellPhysics) -> float | None:
-        """Return the discount that ends the episode: 0 on success or collision, 1 at the time limit, else None."""
+        """Return the final discount: 0 on success or collision, 1 at the time limit; None if it goes on."""
         assert self.outcome is not None
         if self.outcome.terminated[0]:
             return 0.0
@@ -96,8 +96,12 @@ def make_environment(config: EnvConfig, seed: int) -> control.Environment:
     """
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
+    task = CellTask(scene, config, seed)
+    # dm_control asks for the observation's spec before the first reset: there has to be a state by then.
+    task.initialize_episode(physics)
+    task.episodes.rewind()
     decision_s = CONTROL_STEP_S * config.task.steps_per_decision
-    return control.Environment(physics, CellTask(scene, config, seed), control_timestep=decision_s)
+    return control.Environment(physics, task, control_timestep=decision_s)
 
 
 __all__ = ["CellPhysics", "CellTask", "make_environment"]

@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.sim.engine import Engine
@@ -21,7 +22,8 @@ class CellEnv(EnvBase):
 
     Action (N, 6) in [-1, 1]; observation (N, D) float32. Beside the reward, a step reports `success`,
     `human_collision`, `other_collision` (N, 1) bool; `steps`, `decision_steps` (N, 1) int64, control steps in
-    the episode and in the decision; `human_distance` (N, 1) m, its mean over the decision; `reward_terms` (N, T).
+    the episode and in the decision; `human_distance` (N, 1) m, its mean over the decision;
+    `reward_terms` (N, T).
     """
 
     batch_locked = True
@@ -58,11 +60,11 @@ class CellEnv(EnvBase):
         self.full_done_spec = Composite(
             done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=n
         )
-        self.engine.episodes.episode[:] = -1
+        self.engine.episodes.rewind()
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         rows = None
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             rows = np.flatnonzero(tensordict["_reset"].reshape(-1).numpy())
         state = self.engine.reset(rows)
         observation = self.engine.episodes.subtask.observe(state).float()
@@ -72,7 +74,7 @@ class CellEnv(EnvBase):
                 **{name: torch.zeros(self.rows, 1, dtype=torch.bool) for name in _FLAGS},
                 "steps": state.steps[:, None].clone(),
                 "decision_steps": torch.zeros(self.rows, 1, dtype=torch.int64),
-                "human_distance": (state.human_pos - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True).float(),
+                "human_distance": human_distance(state.tcp_pos, state.human_pos)[:, None].float(),
                 "reward_terms": torch.zeros(self.rows, len(self.reward_names)),
             },
             batch_size=self.batch_size,
@@ -107,7 +109,7 @@ class CellEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self.engine.episodes.seed = seed
-            self.engine.episodes.episode[:] = -1
+            self.engine.episodes.rewind()
 
     @property
     def rows(self) -> int:
@@ -115,7 +117,7 @@ class CellEnv(EnvBase):
         return self.batch_size[0]
 
     def set_precision(self, precision_m: float) -> None:
-        """From each row's next episode on, `take` is `precision_m`; `leave` and home keep their ratio to it."""
+        """From each row's next episode on, `take` is `precision_m`; leave and home keep their ratio."""
         self.engine.episodes.precision_m = precision_m
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:

@@ -33,7 +33,9 @@ def bench_env(config: TrainConfig) -> None:
     """
     torch.set_num_threads(1)
     env = environment(config)
-    table = Table(title=f"{config.task.name}, {config.engine.threads} thread(s), decisions/s: median (least to most)")
+    table = Table(
+        title=f"{config.task.name}, {config.engine.threads} thread(s), decisions/s: median (least to most)"
+    )
     for name in ("rows", "engine", "bare mujoco.rollout", "engine / bare", "dm_control front"):
         table.add_column(name, justify="right")
     for rows in ROWS:

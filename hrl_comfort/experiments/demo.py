@@ -45,7 +45,7 @@ def demo(overrides: list[str]) -> Path:
 
 
 def train_line(output: Path, overrides: list[str]) -> dict[str, Path]:
-    """Train pick, place and return, each from recorded endings of the one before; return their run folders."""
+    """Train pick, place and return, each from recorded endings of the one before; return their folders."""
     folders: dict[str, Path] = {}
     start = "ik"
     for name in LINE:
@@ -77,7 +77,17 @@ def evaluate_line(output: Path, policies: dict[str, Path], episodes: str) -> Non
         run_evaluation([*choices, "episodes=100", "checkpoints=all"])
     chained = [f"policies.{name}='{folder}'" for name, folder in policies.items()]
     where = f"output='{output}/cycle/eval'"
-    run_evaluation(["task=cycle", "meta=scripted", *chained, f"episodes={episodes}", "record=true", "group_by=[seen]", where])
+    run_evaluation(
+        [
+            "task=cycle",
+            "meta=scripted",
+            *chained,
+            f"episodes={episodes}",
+            "record=true",
+            "group_by=[seen]",
+            where,
+        ]
+    )
 
 
 def run_evaluation(overrides: list[str]) -> None:

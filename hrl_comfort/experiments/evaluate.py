@@ -92,7 +92,7 @@ class Result:
         return float(np.mean([episode.success for episode in self.episodes]))
 
     def write(self, output: Path) -> None:
-        """Write episodes.csv, options.csv and, where paths were recorded, paths.csv; each whole or not at all."""
+        """Write episodes.csv, options.csv and, where recorded, paths.csv; each whole or not at all."""
         header = [field.name.rstrip("_") for field in fields(Episode)]
         write_table(output / "episodes.csv", header, (asdict(row).values() for row in self.episodes))
         if self.options:
@@ -101,12 +101,14 @@ class Result:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
 
     def write_endings(self, path: str) -> None:
-        """Write the joint angles (M, 6) rad that successes ended in, by colour: starts for the next subtask."""
+        """Write the joint angles (M, 6) rad that successes ended in, by colour: the next subtask's starts."""
         for colour, found in self.endings.items():
             if not found:
-                raise ConfigError(f"endings={path!r}: no {colour} episode succeeded, so there is none to write")
+                raise ConfigError(
+                    f"endings={path!r}: no {colour} episode succeeded, so there is none to write"
+                )
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, **{colour: np.array(found) for colour, found in self.endings.items()})
+        np.savez(path, orange=np.array(self.endings["orange"]), pink=np.array(self.endings["pink"]))
 
 
 def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
@@ -122,14 +124,21 @@ def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) ->
 def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
     """Run `config.episodes` episodes, the first of the evaluation set; `policy` stands in for the config's.
 
-    With `endings` asked for, episodes are drawn as in training instead: what is recorded there becomes training
-    data, and the evaluation set stays held out.
+    With `endings` asked for, episodes are drawn as in training instead: what is recorded there becomes
+    training data, and the evaluation set stays held out.
     """
     entries = load_evaluation_set().reseeded(config.episode_seed)
     if config.episodes > len(entries.episode):
-        raise ConfigError(f"episodes={config.episodes} is more than the evaluation set's {len(entries.episode)}")
+        raise ConfigError(
+            f"episodes={config.episodes} is more than the evaluation set's {len(entries.episode)}"
+        )
     result = Result([], [], [], {colour: [] for colour in COLOURS})
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[success]}"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[success]}"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, transient=True) as progress:
         bar = progress.add_task(f"evaluate {config.task.name}", total=config.episodes, success="")
         for start in range(0, config.episodes, CHUNK):
@@ -142,7 +151,9 @@ def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
 class Chunk:
     """Episodes that run side by side, one a row."""
 
-    def __init__(self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result) -> None:
+    def __init__(
+        self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result
+    ) -> None:
         self.config, self.entries, self.result = config, entries, result
         self.label = policy or config.policy or f"meta={config.meta.name}"
         rows = len(entries.episode)
@@ -177,7 +188,9 @@ class Chunk:
             advance(int(ended.sum()))
         self.engine.close()
         self.result.episodes += [found[row] for row in range(rows)]
-        self.result.options += [self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))]
+        self.result.options += [
+            self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))
+        ]
 
     def _add(self, outcome: Outcome, active: torch.Tensor) -> None:
         valid = (outcome.valid & active[:, None]).numpy()
@@ -198,7 +211,12 @@ class Chunk:
             distance = float(np.linalg.norm(tcp[:2] - human))
             numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
             self.result.paths.append(
-                [int(self.entries.episode[row]), int(state.steps[row]), int(state.stage[row]), *map(rounded, numbers)]
+                [
+                    int(self.entries.episode[row]),
+                    int(state.steps[row]),
+                    int(state.stage[row]),
+                    *map(rounded, numbers),
+                ]
             )
 
     def _episode(self, row: int, outcome: Outcome) -> Episode:
@@ -228,7 +246,9 @@ class Chunk:
             steps=int(state.steps[row]),
             decisions=int(self.totals["decisions"][row]),
             return_=rounded(self.totals["return"][row]),
-            human_distance_mean_m=None if absent else rounded(self.totals["distance"][row] / self.totals["steps"][row]),
+            human_distance_mean_m=None
+            if absent
+            else rounded(self.totals["distance"][row] / self.totals["steps"][row]),
             human_distance_min_m=None if absent else rounded(self.nearest[row]),
             human_collision=hit,
             robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
@@ -258,7 +278,9 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
     if config.meta.name == "none":
         source = policy or config.policy
         if source is None:
-            raise ConfigError(f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}")
+            raise ConfigError(
+                f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
+            )
         act = make_policy(source, task, scene, env, config.episode_seed)
         return single(task, Option(task.name, task, act), config.task.limit_steps)
     missing = [name for name in config.meta.options if name not in config.policies]
@@ -282,11 +304,13 @@ def train_seed(source: str | None) -> int | None:
 
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:
-    """Evaluate every light checkpoint of the run in `policy`; write eval/checkpoints.csv and their episodes."""
+    """Evaluate every light checkpoint of the run `policy`; write checkpoints.csv and their episodes."""
     folder = Path(config.policy or "")
     found = checkpoint.steps(folder / "checkpoints")
     if not found:
-        raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
+        raise ConfigError(
+            f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder"
+        )
     output = Path(config.output) / "checkpoints"
     output.mkdir(parents=True, exist_ok=True)
     every, curve = Result([], [], [], {}), []
@@ -296,7 +320,9 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         wins = sum(episode.success for episode in result.episodes)
         low, high = wilson_interval(wins, len(result.episodes))
         counters = checkpoint.load(path)["counters"]
-        curve.append([counters["decisions"], wins / len(result.episodes), low, high, config.task.precision.take_m])
+        curve.append(
+            [counters["decisions"], wins / len(result.episodes), low, high, config.task.precision.take_m]
+        )
     header = ["decisions", "success", "success_low", "success_high", "precision_m"]
     write_table(output.parent / "checkpoints.csv", header, curve)
     every.write(output)

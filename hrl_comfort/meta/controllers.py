@@ -36,7 +36,8 @@ class Scripted:
         expected = [stage.name for stage in task.stages]
         if names != expected:
             raise ConfigError(
-                f"meta.options={[o.name for o in options]} do the stages {names}; task.name={task.name} needs {expected}"
+                f"meta.options={[o.name for o in options]} do the stages {names}; "
+                f"task.name={task.name} needs {expected}"
             )
         self.config, self.options = config, options
         self.runs: list[OptionRun] = []

@@ -35,8 +35,8 @@ class Ending(Enum):
 class Option:
     """A subtask with a frozen policy for it.
 
-    `first` is the stage of the longer task at which the option starts; it is responsible for as many stages as
-    its subtask has, and sees their index counted from its own.
+    `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
+    as its subtask has, and sees their index counted from its own.
     """
 
     name: str
@@ -69,14 +69,17 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
         return lambda state: torch.rand(len(state.steps), 6, generator=generator, dtype=torch.float64) * 2 - 1
     if not Path(source).exists():
         raise ConfigError(
-            f"policy={source!r} is not there; give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
+            f"policy={source!r} is not there; give a run folder, a checkpoint, a policy.pt, "
+            f"{' or '.join(SCRIPTED)}"
         )
     actor = load_policy(source)
     meta = actor.spec["meta"]
     if actor.spec["task"] != task.name:
         raise ConfigError(f"policy={source!r} was trained for {actor.spec['task']!r}, not for {task.name!r}")
     if meta.get("action", config.task.action) != config.task.action:
-        raise ConfigError(f"policy={source!r} was trained with action={meta['action']}; set task.action to it")
+        raise ConfigError(
+            f"policy={source!r} was trained with action={meta['action']}; set task.action to it"
+        )
     seen = subtask(task.name, meta.get("observation", config.task.observation))
 
     def act(state: State) -> Tensor:

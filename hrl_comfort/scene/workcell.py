@@ -96,6 +96,11 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
     root.visual.quality.shadowsize = 1024
     root.visual.quality.offsamples = 0
     root.visual.map.znear = 0.02
+    light = root.visual.headlight
+    light.ambient, light.diffuse, light.specular = (0.3,) * 3, (0.25,) * 3, (0, 0, 0)
+    root.visual.map.shadowclip = 2
+    # Told, not computed: what stands 50 m away would push the camera's near plane into the cell.
+    root.statistic.extent, root.statistic.center = 2.0, (0, 0, 0.2)
     root.asset.add(
         "texture",
         name="sky",
@@ -111,7 +116,9 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
 def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
     """Add floor, pedestal, tables, drop markers, light and cameras."""
     look = {"contype": 0, "conaffinity": 1, "condim": 1}
-    world.add("light", name="lamp", pos=(0.5, -0.8, 3), dir=(-0.15, 0.25, -1), diffuse=(0.7, 0.7, 0.7))
+    world.add(
+        "light", name="lamp", directional=True, pos=(0.3, -0.6, 3), dir=(-0.1, 0.2, -1), diffuse=(0.5,) * 3
+    )
     world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
     world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
     world.add(
@@ -120,20 +127,20 @@ def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> 
         type="plane",
         pos=(0, 0, floor_z),
         size=(3, 3, 0.1),
-        rgba=(0.85, 0.85, 0.83, 1),
+        rgba=(0.75, 0.76, 0.75, 1),
         **look,
     )
-    if cell.base_height_m > 0:
-        post = world.add("body", name="pedestal")
-        post.add(
-            "geom",
-            name="pedestal",
-            type="cylinder",
-            fromto=(0, 0, floor_z, 0, 0, 0),
-            size=[0.08],
-            rgba=_STEEL,
-            **look,
-        )
+    post = world.add("body", name="pedestal")
+    foot = min(floor_z, -0.01)  # a robot that stands on the floor keeps a plate, so the sensors stay
+    post.add(
+        "geom",
+        name="pedestal",
+        type="cylinder",
+        fromto=(0, 0, foot, 0, 0, 0),
+        size=[0.08],
+        rgba=_STEEL,
+        **look,
+    )
     goals = {"ball": cell.ball_m, "orange": cell.orange_drop_m, "pink": cell.pink_drop_m}
     half, thick = cell.table_half_width_m, 0.01
     for name, (x, y, z) in goals.items():

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort import people
+from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import limb_poses
@@ -153,8 +154,12 @@ class Episodes:
             if not len(pending):
                 return self.start[rows].copy()
         raise RuntimeError(
-            f"no free start found for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
+            f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
         )
+
+    def rewind(self) -> None:
+        """Let each row's next episode be its first again."""
+        self.episode[:] = -1
 
     def _generator(self, row: int) -> np.random.Generator:
         if self.evaluation is not None:
@@ -196,7 +201,9 @@ class Episodes:
             spawn = people.spawn_anywhere(human, self._spawns, self._keep_out([row], drawn), rng)
         else:
             self.spawn_id[row] = rng.choice(self._training_spawns)
-            spawn = people.jittered_spawn(human, self._spawns[self.spawn_id[row]][None], rng.random((1, 2)))[0]
+            spawn = people.jittered_spawn(human, self._spawns[self.spawn_id[row]][None], rng.random((1, 2)))[
+                0
+            ]
         spawn = people.outside(spawn[None], self._keep_out([row], drawn))[0]
         if drawn:
             self.points[row] = self._random_points(spawn, rng)
@@ -228,7 +235,9 @@ class Episodes:
             goals = self.points[rows][:, : len(self.subtask.stages), :2]
         else:
             goals = np.broadcast_to(self._goals[None, :, :2], (n, 3, 2))
-        return people.KeepOut(np.concatenate([goals, np.zeros((n, 1, 2))], axis=1), self.config.human.keep_out_m)
+        return people.KeepOut(
+            np.concatenate([goals, np.zeros((n, 1, 2))], axis=1), self.config.human.keep_out_m
+        )
 
     # ---- one decision ----------------------------------------------------------------------------------
 
@@ -285,7 +294,9 @@ class Episodes:
         for k in range(count):
             valid.append(active)
             steps = steps + active
-            after = before.with_(steps=steps, stage=stage, **{name: moving[name][:, k] for name in MOVING_FIELDS})
+            after = before.with_(
+                steps=steps, stage=stage, **{name: moving[name][:, k] for name in MOVING_FIELDS}
+            )
             stage = torch.where(active, self.subtask.next_stage(after), stage)
             after = after.with_(stage=stage)
             gained = torch.stack([term(previous, after) for term in self.subtask.rewards.values()], dim=-1)
@@ -303,7 +314,6 @@ class Episodes:
         final = {name: moving[name][rows, last] for name in MOVING_FIELDS}
         self.state = before.with_(steps=steps, stage=stage, **final)
         self.steps = steps.numpy().copy()
-        offsets = moving["human_pos"] - moving["tcp_pos"][..., :2]
         return Outcome(
             state=self.state,
             reward_terms=terms,
@@ -312,7 +322,7 @@ class Episodes:
             terminated=terminated,
             truncated=truncated,
             decision_steps=mask.sum(dim=1),
-            human_distance=offsets.norm(dim=-1),
+            human_distance=human_distance(moving["tcp_pos"], moving["human_pos"]),
             valid=mask,
             steps=tuple(instants),
         )
@@ -339,7 +349,9 @@ class Episodes:
         props = np.zeros((n, steps, len(PROPS), 7))
         props[..., 0], props[..., 3] = AWAY_M, 1.0
         if self.subtask.stages[0].name == "reach":
-            props[:, :, 2 : 2 + len(self.subtask.stages), :3] = self.points[rows][:, None, : len(self.subtask.stages)]
+            props[:, :, 2 : 2 + len(self.subtask.stages), :3] = self.points[rows][
+                :, None, : len(self.subtask.stages)
+            ]
         else:
             props[np.arange(n), :, self.colour[rows], :3] = self._ball_now(rows)[:, None]
         bodies = np.concatenate([limbs, props], axis=2)
@@ -370,7 +382,11 @@ class Episodes:
             **planned,
         }
         tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in arrays.items()}
-        for name, key in (("human_collision", "human"), ("table_collision", "table"), ("self_collision", "self")):
+        for name, key in (
+            ("human_collision", "human"),
+            ("table_collision", "table"),
+            ("self_collision", "self"),
+        ):
             tensors[name] = torch.from_numpy(sensed[..., at[key]].any(axis=-1))
         return tensors
 
@@ -425,7 +441,8 @@ class Episodes:
     # ---- saving ----------------------------------------------------------------------------------------
 
     _ARRAYS = (
-        "episode", "noise", "colour", "spawn_id", "motion_id", "points", "precision", "joint_target", "start", "steps",
+        "episode", "noise", "colour", "spawn_id", "motion_id", "points", "precision", "joint_target", "start",
+        "steps",
     )  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ COUNT = 96
 """Inverse-kinematics starts a goal."""
 ITERATIONS, STEP_S = 40, 0.1
 SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
-"""Standard deviation of the posture from which each solution is sought: trained policies leave the wrist anywhere."""
+"""Standard deviation of the posture from which each solution is sought: policies leave the wrist anywhere."""
 
 
 def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
@@ -39,7 +39,9 @@ def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
     if start == "taken":
         return [inverse_kinematics(scene.xml, tuple(cell.ball_m), precision.take_m, tuple(scene.home))]
     drops = (cell.orange_drop_m, cell.pink_drop_m)
-    return [inverse_kinematics(scene.xml, tuple(drop), precision.leave_m, tuple(scene.home)) for drop in drops]
+    return [
+        inverse_kinematics(scene.xml, tuple(drop), precision.leave_m, tuple(scene.home)) for drop in drops
+    ]
 
 
 def recorded(path: str) -> list[Array]:
@@ -50,15 +52,21 @@ def recorded(path: str) -> list[Array]:
         with np.load(path) as file:
             banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
     except (KeyError, ValueError, OSError) as error:
-        raise ConfigError(f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 6)") from error
+        raise ConfigError(
+            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 6)"
+        ) from error
     for colour, bank in zip(("orange", "pink"), banks, strict=True):
         if bank.ndim != 2 or bank.shape[1] != 6 or not len(bank) or not np.isfinite(bank).all():
-            raise ConfigError(f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 6), finite")
+            raise ConfigError(
+                f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 6), finite"
+            )
     return banks
 
 
 @lru_cache(maxsize=32)
-def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
+def inverse_kinematics(
+    xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]
+) -> Array:
     """Return (COUNT, 6) rad: postures free of contact whose tool is within `precision_m` of `goal`.
 
     Each begins at home turned towards the goal plus Gaussian noise and is drawn to a point of the precision

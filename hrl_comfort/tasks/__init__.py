@@ -30,7 +30,9 @@ def subtask(name: str, observation: str = "default") -> Subtask:
     if name not in SUBTASKS:
         raise ConfigError(f"task.name={name!r} is not allowed; choose one of {', '.join(SUBTASKS)}")
     if observation not in LAYOUTS:
-        raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
+        raise ConfigError(
+            f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}"
+        )
     chosen = SUBTASKS[name]
     if observation == "default":
         return chosen

@@ -91,9 +91,9 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
 def paper(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
     """Return the 18 numbers of the paper's released code.
 
-    Joint angles (6); human relative to the robot (2); then, while the ball is concerned, tool to ball (3, zero
-    once held), robot to orange and to pink drop (3 each, height zero) and the colour; while returning, joint
-    errors in degrees (6), tool to its home (3) and a zero.
+    Joint angles (6); human relative to the robot (2); then, while the ball is concerned, tool to ball (3,
+    zero once held), robot to orange and to pink drop (3 each, height zero) and the colour; while returning,
+    joint errors in degrees (6), tool to its home (3) and a zero.
     """
 
     def term(state: State) -> Tensor:
@@ -102,7 +102,9 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
         homeward = torch.tensor([name == "return" for name in [*names, names[-1]]])[state.stage]
         flat = torch.tensor([1.0, 1.0, 0.0], dtype=state.tcp_pos.dtype)
         ball = torch.where(held[:, None], 0.0, state.ball_pos - state.tcp_pos)
-        carrying = torch.cat([ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1)
+        carrying = torch.cat(
+            [ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1
+        )
         returning = torch.cat(
             [
                 torch.rad2deg(state.joint_home - state.joint_pos),

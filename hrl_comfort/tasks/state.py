@@ -87,4 +87,6 @@ class State:
             fresh[index] = theirs
             return fresh
 
-        return State(**{f.name: replaced(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+        return State(
+            **{f.name: replaced(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        )

@@ -1,0 +1,1 @@
+"""Comfort of the person beside the robot: measured always."""

@@ -1,0 +1,13 @@
+"""What is measured of the person's comfort."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+
+def human_distance(tcp_pos: Tensor, human_pos: Tensor) -> Tensor:
+    """Return the horizontal distance (...,) m from tool (..., 3) to the human's axis (..., 2).
+
+    The distance of the paper's figures and of its released code.
+    """
+    return (tcp_pos[..., :2] - human_pos).norm(dim=-1)

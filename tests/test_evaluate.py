@@ -1,0 +1,141 @@
+"""Evaluation: what it writes, and that it is the same for every policy compared."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_comfort.compose import compose
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.experiments.evaluate import PATH_COLUMNS, evaluate
+
+
+def run(tmp_path: Path, *overrides: str) -> Path:
+    config = compose(
+        "evaluate", ["task=pick", "policy=random", "episodes=6", f"output='{tmp_path}'", *overrides]
+    )
+    assert isinstance(config, EvaluateConfig)
+    return evaluate(config)
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+CONTRACT = [
+    "task",
+    "policy",
+    "train_seed",
+    "episode_seed",
+    "episode",
+    "colour",
+    "spawn_id",
+    "motion_id",
+    "seen",
+    "comfort_level",
+    "human",
+    "precision_m",
+    "success",
+    "steps",
+    "decisions",
+    "return",
+    "human_distance_mean_m",
+    "human_distance_min_m",
+    "human_collision",
+    "other_collision",
+]
+
+
+def test_episodes_csv_has_the_contracts_columns_and_a_row_an_episode(tmp_path: Path) -> None:
+    rows = table(run(tmp_path) / "episodes.csv")
+    assert set(CONTRACT) <= set(rows[0])
+    assert [int(row["episode"]) for row in rows] == list(range(6))
+    assert [row["seen"] for row in rows] == ["True", "False"] * 3
+    assert all(row["train_seed"] == "" for row in rows)
+
+
+def test_summary_has_one_group_a_seen_and_unseen(tmp_path: Path) -> None:
+    summary = json.loads((run(tmp_path, "group_by=[seen]") / "summary.json").read_text(encoding="utf-8"))
+    assert [(group["seen"], group["episodes"]) for group in summary["groups"]] == [(True, 3), (False, 3)]
+    low, high = summary["groups"][0]["metrics"]["success"]["ci95"]
+    assert 0 <= low <= summary["groups"][0]["metrics"]["success"]["mean"] <= high <= 1
+
+
+def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    first = (run(tmp_path / "a") / "episodes.csv").read_bytes()
+    assert first == (run(tmp_path / "b") / "episodes.csv").read_bytes()
+
+
+def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> None:
+    human = []
+    for index, limit in enumerate((20, 30)):
+        folder = run(
+            tmp_path / str(index), "record=true", f"episode_seed={index}", f"task.limit_steps={limit}"
+        )
+        rows = [row for row in table(folder / "paths.csv") if int(row["step"]) <= 10]
+        human.append({(r["episode"], r["step"]): (r["human_x"], r["human_y"]) for r in rows})
+    common = human[0].keys() & human[1].keys()
+    assert len(common) > 30
+    assert all(human[0][key] == human[1][key] for key in common)
+
+
+def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
+    folder = run(tmp_path, "record=true", "task.limit_steps=23")
+    rows, episodes = table(folder / "paths.csv"), table(folder / "episodes.csv")
+    assert list(rows[0]) == PATH_COLUMNS
+    for episode in episodes:
+        steps = sorted(int(row["step"]) for row in rows if row["episode"] == episode["episode"])
+        assert steps == list(range(int(episode["steps"]) + 1))
+        distances = [
+            float(row["human_distance_m"])
+            for row in rows
+            if row["episode"] == episode["episode"] and int(row["step"]) > 0
+        ]
+        assert np.mean(distances) == pytest.approx(float(episode["human_distance_mean_m"]), abs=2e-6)
+        assert min(distances) == pytest.approx(float(episode["human_distance_min_m"]), abs=2e-6)
+
+
+def test_no_human_leaves_distances_empty_not_zero(tmp_path: Path) -> None:
+    rows = table(run(tmp_path, "human=none") / "episodes.csv")
+    assert {row["human_distance_mean_m"] for row in rows} == {""}
+
+
+def test_chain_of_random_policies_writes_option_runs(tmp_path: Path) -> None:
+    config = compose(
+        "evaluate",
+        ["task=cycle", "meta=scripted", "meta.time_limit_steps=40", "episodes=4", f"output='{tmp_path}'"]
+        + [f"policies.{name}=random" for name in ("pick", "place", "return")],
+    )
+    assert isinstance(config, EvaluateConfig)
+    folder = evaluate(config)
+    runs = table(folder / "options.csv")
+    assert {row["episode"] for row in runs} == {"0", "1", "2", "3"}
+    assert {row["ending"] for row in runs} <= {"success", "failure", "preempted"}
+    episodes = table(folder / "episodes.csv")
+    for episode in episodes:
+        last = max(int(r["end_step"]) for r in runs if r["episode"] == episode["episode"])
+        assert last == int(episode["steps"])
+
+
+def test_chain_names_the_policy_that_is_missing(tmp_path: Path) -> None:
+    config = compose(
+        "evaluate", ["task=cycle", "meta=scripted", f"output='{tmp_path}'", "policies.pick=random"]
+    )
+    assert isinstance(config, EvaluateConfig)
+    with pytest.raises(ConfigError, match=r"policies\.place is not given"):
+        evaluate(config)
+
+
+def test_more_episodes_than_the_set_holds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="episodes=1001 is more than"):
+        run(tmp_path, "episodes=1001")
+
+
+def test_all_checkpoints_of_a_folder_without_any_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"holds no step_\*\.pt"):
+        run(tmp_path, "checkpoints=all")
