@@ -17,7 +17,7 @@ from hrl_comfort.config import AgentConfig
 TERMS = ("critic_loss", "actor_loss", "alpha_loss", "alpha", "entropy", "q_mean")
 
 
-class TrainingDiverged(RuntimeError):
+class TrainingDiverged(FloatingPointError):
     """A training term is not finite any more; the message names the update and the term."""
 
 
