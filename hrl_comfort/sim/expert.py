@@ -8,6 +8,8 @@ that meets neither the cell nor the arm itself is followed for one decision; not
 
 from __future__ import annotations
 
+from itertools import product
+
 import mink
 import mujoco
 import numpy as np
@@ -29,25 +31,35 @@ from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import by_stage
 
 Array = NDArray[np.float64]
+Goal = tuple[float, ...] | None
+"""Where the tool shall go, m; None: home, joint by joint."""
 
-POSTURES = 16
-"""Postures kept for a goal."""
+NEAREST, SPREAD = 12, 36
+"""Postures kept for a goal: those nearest to home, and others all over, weighed only when those will not do."""
+CONSIDERED = 12
+"""Postures, the safest to be in, to which detours are weighed."""
 LIBRARY = 20_000
 """Random postures that seed inverse kinematics."""
 DISTINCT_RAD = np.radians(25.0)
 """Two postures of a goal differ by this in some joint."""
 UPRIGHT_PANS_RAD = np.radians(np.arange(-180.0, 181.0, 45.0))
-SAMPLES = 8
-"""Instants at which a leg of a plan is checked."""
+PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
+"""(16, 6) which joints a partial raising brings home."""
+SAMPLES = 12
+"""Instants at which a leg of a plan is checked for the person."""
+CHECK_RAD = np.radians(4.0)
+"""Turn of the fastest joint between two checks for contact with the cell."""
 SPACING_M = 0.06
 """Between the spheres that stand for a capsule of the arm."""
 CLEARANCE_M = 0.01
 """The arm keeps this from the cell, the person and itself."""
 ARM_SWING_RAD = np.radians(15.0)
 """How far the arms of a person of random_walk swing."""
-RISK_STEPS = 1500.0
-"""Control steps that a certain collision is worth."""
-WAIT_STEPS = 40.0
+FORESIGHT_STEPS = 30.0
+"""The person's walk is forecast this far; what comes later can still be answered."""
+RISK_STEPS, LAST_RISK_STEPS = 1500.0, 150.0
+"""Control steps that a certain collision is worth, at the beginning and when time is up."""
+WAIT_STEPS = 120.0
 """Control steps that waiting is reckoned to cost."""
 NEGLIGIBLE = 2e-3
 """A straight plan with less risk is not compared with detours."""
@@ -63,6 +75,7 @@ class Expert:
         self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.steps_per_decision
+        self._limit = config.task.limit_steps
         human, precision = config.human, config.task.precision
         self._sigma = human.jitter_m / np.sqrt(3.0)
         self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0
@@ -74,7 +87,8 @@ class Expert:
         self._cell = Cell(scene)
         self._body = Body(scene, config.robot.name)
         self._library = self._seeds()
-        self._known: dict[tuple[float, ...], tuple[Array, NDArray[np.bool_]]] = {}
+        self._known: dict[tuple[tuple[float, ...], bool], Array] = {}
+        self._passages: dict[Goal, NDArray[np.bool_]] = {}
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
@@ -82,50 +96,57 @@ class Expert:
         joints = state.joint_target.numpy()
         index = state.stage.clamp(0, len(self._homeward) - 1)
         homeward = self._homeward[index].numpy()
-        goals = self._goal(state.with_(stage=index)).numpy()
-        known = [self._known_goal(None if home else goal) for goal, home in zip(goals, homeward, strict=True)]
+        points = self._goal(state.with_(stage=index)).numpy()
+        goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
         people = np.concatenate([state.human_pos.numpy(), state.human_yaw.numpy()[:, None]], axis=-1)
+        price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
 
-        postures = np.stack([item[0] for item in known])
-        steps, risk = self._weigh(joints[:, None], postures, people[:, None], np.zeros(1))
-        cost = steps + RISK_STEPS * risk
-        target = np.empty_like(joints)
-        for row in range(len(joints)):
-            order = np.argsort(cost[row])
-            ways, costs = postures[row], cost[row]
-            if risk[row, order[0]] > NEGLIGIBLE or not self._cell.free(joints[row], ways[order[0]]):
-                detours, extra = self._detours(joints[row], *known[row], people[row])
-                ways, costs = np.concatenate([ways, detours]), np.concatenate([costs, extra])
-                order = np.argsort(costs)
-            target[row] = next((ways[i] for i in order if self._cell.free(joints[row], ways[i])), joints[row])
+        nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
+        steps, risk = self._weigh(joints[:, None], nearest, people[:, None])
+        best = (steps + price[:, None] * risk).argmin(axis=1)
+        target = nearest[np.arange(len(best)), best]
+        for row, choice in enumerate(best):
+            if risk[row, choice] > NEGLIGIBLE or not self._cell.free(joints[row], target[row]):
+                target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
         return torch.from_numpy(move / np.maximum(largest, self._decision))
 
-    def _detours(self, joints: Array, postures: Array, free: NDArray[np.bool_], person: Array) -> tuple[Array, Array]:
-        """Return where else to go (V + 1, 6) and its cost: an upright posture, or nowhere."""
-        ways = np.concatenate([self._upright, joints[None]])
-        steps, risk = self._weigh(joints, ways, person, np.zeros(1), hold=WAIT_STEPS / 2)
-        waiting = steps + WAIT_STEPS + RISK_STEPS * risk
-        first_steps, first_risk = self._weigh(joints, self._upright, person, np.zeros(1))
-        more, later = self._weigh(self._upright[:, None], postures, person, first_steps[:, None])
-        onward = np.where(free, more + RISK_STEPS * later, np.inf).min(axis=1)
-        passing = first_steps + RISK_STEPS * first_risk + onward
-        waiting[:-1] = np.minimum(waiting[:-1], passing)
-        return ways, waiting
+    def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
+        """Return where to go first (6,): to a posture of the goal, to a place on the way to one, or to wait."""
+        postures = self._postures(goal, more=True)
+        steps, risk = self._weigh(joints, postures, person)
+        end_risk = self._weigh(postures, postures, person)[1]
+        safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
+        # By way of: upright at some pan; any of shoulder to second wrist as at home, the rest as they are.
+        partly = np.where(PARTS, self._home, joints)
+        ways = np.concatenate([self._upright, partly])
+        first_steps, first_risk = self._weigh(joints, ways, person)
+        steps_on, risk_on = self._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
+        clear = np.concatenate([self._clear(goal)[:, safest], np.ones((len(partly), len(safest)), dtype=bool)])
+        onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
+        waiting = WAIT_STEPS + price * self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+        cost = np.concatenate(
+            [steps + price * risk, first_steps + price * first_risk + np.minimum(onward, waiting)]
+        )
+        targets = np.concatenate([postures, ways])
+        for choice in np.argsort(cost):
+            if self._cell.free(joints, targets[choice]):
+                return targets[choice]
+        return self._cell.escape(joints)
 
     def _weigh(
-        self, start: Array, end: Array, person: Array, begun: Array, hold: float = 0.0
+        self, start: Array, end: Array, person: Array, begun: Array | float = 0.0
     ) -> tuple[Array, Array]:
         """Return control steps and chance of a collision (...,) of straight legs that begin `begun` steps from now."""
         steps = np.abs(end - start).max(axis=-1) / self._step
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
-        when = begun[..., None] + share * steps[..., None]
-        when[..., -1] += hold
+        when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
         gap = self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
-        deviation = self._sigma * np.sqrt(np.maximum(when, 1.0))
-        return steps, np.exp(-0.5 * (np.maximum(gap, 0.0) / deviation) ** 2).max(axis=-1)
+        z = np.maximum(gap, 0.0) / (self._sigma * np.sqrt(when))
+        # Within 10 % of the chance that Brownian motion gets as far as z standard deviations by then.
+        return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
 
     def _gap(self, spheres: Array, person: Array) -> Array:
         """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 3) of x, y, yaw.
@@ -150,35 +171,45 @@ class Expert:
         bend = np.radians([0.0, 120.0, 120.0, 120.0, 80.0, 0.0])
         return np.clip(self._home + rng.uniform(-bend, bend, (LIBRARY, 6)), *self._range.T)
 
-    def _known_goal(self, goal: Array | None) -> tuple[Array, NDArray[np.bool_]]:
-        """Return postures (K, 6) that reach `goal` (home if None), and which uprights (V, K) lead straight to each."""
-        key = () if goal is None else tuple(np.round(goal, 6))
-        if key not in self._known:
-            postures = np.tile(self._home, (POSTURES, 1)) if goal is None else self._postures(goal)
-            free = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])
-            self._known[key] = postures, free
-        return self._known[key]
+    def _postures(self, goal: Goal, more: bool = False) -> Array:
+        """Return postures (K, 6), free of contact, that bring the tool to `goal` (home itself if None).
 
-    def _postures(self, goal: Array) -> Array:
-        """Return postures (K, 6), free of contact, that bring the tool to `goal`, the nearest to home first."""
+        The NEAREST to home come first; `more` adds others.
+        """
+        if goal is None:
+            return np.tile(self._home, (NEAREST, 1))
+        if (goal, more) not in self._known:
+            self._known[goal, more] = self._solve(goal, more)
+        return self._known[goal, more]
+
+    def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
         tool = self._body.tool(self._library)
         radius, height = np.hypot(tool[:, 0], tool[:, 1]), tool[:, 2]
         near = np.hypot(radius - np.hypot(goal[0], goal[1]), height - goal[2]) < 0.05
         seeds, tool = self._library[near].copy(), tool[near]
-        turn = np.arctan2(goal[1], goal[0]) - np.arctan2(tool[:, 1], tool[:, 0])
-        seeds[:, 0] += turn
+        seeds[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tool[:, 1], tool[:, 0])
         seeds[:, 0] = (seeds[:, 0] + np.pi) % (2 * np.pi) - np.pi
-        found: list[Array] = []
-        for seed in seeds[np.argsort(np.abs(seeds - self._home).max(axis=-1))]:
+        count = NEAREST + SPREAD if more else NEAREST
+        found: list[Array] = list(self._postures(goal)) if more else []
+        if not more:
+            seeds = seeds[np.argsort(np.abs(seeds - self._home).max(axis=-1))]
+        for seed in seeds:
             if all(np.abs(seed - other).max() > DISTINCT_RAD for other in found):
-                posture = self._cell.reach(seed, goal, self._tolerance)
+                posture = self._cell.reach(seed, np.array(goal), self._tolerance)
                 if posture is not None:
                     found.append(posture)
-            if len(found) == POSTURES:
+            if len(found) == count:
                 break
         if not found:
-            raise RuntimeError(f"no posture found that brings the tool to {goal.round(3).tolist()}: is it within reach?")
-        return np.array(found)[np.arange(POSTURES) % len(found)]
+            raise RuntimeError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
+        return np.array(found)[np.arange(count) % len(found)]
+
+    def _clear(self, goal: Goal) -> NDArray[np.bool_]:
+        """Return (V, K): from which upright postures the straight way to which of `_postures(goal, more=True)` is free."""
+        if goal not in self._passages:
+            postures = self._postures(goal, more=True)
+            self._passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])
+        return self._passages[goal]
 
 
 class Body:
@@ -257,9 +288,14 @@ class Cell:
 
     def free(self, start: Array, end: Array) -> bool:
         """Return whether the straight way keeps its clearance, or no less than it has at the start."""
-        least = min(self._depth(start) - 1e-3, CLEARANCE_M - 1e-3)
-        shares = np.arange(1, SAMPLES + 1) / SAMPLES
-        return all(self._depth(start + share * (end - start)) >= least for share in shares)
+        least = min(self._depth(start), CLEARANCE_M) - 1e-3
+        count = int(np.ceil(np.abs(end - start).max() / CHECK_RAD))
+        return all(self._depth(start + share * (end - start)) >= least for share in np.arange(1, count + 1) / count)
+
+    def escape(self, joints: Array) -> Array:
+        """Return the posture, of many nearby, that is farthest from contact."""
+        around = joints + np.radians(12.0) * np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
+        return around[np.argmax([self._depth(posture) for posture in around])]
 
     def reach(self, seed: Array, goal: Array, tolerance: float) -> Array | None:
         """Return a posture near `seed` whose tool is within `tolerance` of `goal` and touches nothing, if found."""

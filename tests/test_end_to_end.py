@@ -1,0 +1,100 @@
+"""The real cell, end to end and small: train, stop and resume, evaluate, report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.compose import compose, load_config
+from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.experiments.evaluate import evaluate
+from hrl_comfort.experiments.report import report
+from hrl_comfort.experiments.train import Training, train_cell
+
+SMALL = [
+    "task=pick", "agent.decisions=960", "agent.warmup_decisions=160", "agent.hidden=[16,16]",
+    "agent.batch_size=32", "agent.log_every=160", "agent.checkpoint_every=320", "engine.rows=8",
+]  # fmt: skip
+
+
+def small(folder: Path, *overrides: str) -> TrainConfig:
+    config = compose("train", [*SMALL, f"output='{folder}'", *overrides])
+    assert isinstance(config, TrainConfig)
+    return config
+
+
+def evaluation(*overrides: str) -> EvaluateConfig:
+    config = compose("evaluate", overrides)
+    assert isinstance(config, EvaluateConfig)
+    return config
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train_cell(small(tmp_path_factory.mktemp("run") / "pick"))
+
+
+def test_a_run_folder_holds_what_the_contract_says(run: Path) -> None:
+    for name in ("config.yaml", "provenance.json", "metrics.csv", "timing.csv", "policy.pt", "checkpoints"):
+        assert (run / name).exists(), name
+    assert list(run.glob("events.out.tfevents.*"))
+    provenance = json.loads((run / "provenance.json").read_text(encoding="utf-8"))
+    assert provenance["finished"] and provenance["decisions"] == 960
+    assert load_config(run) == small(run)
+
+
+def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped(Exception):
+        pass
+
+    decide = Training.decide
+
+    def until_half(training: Training) -> list[tuple[float, bool]]:
+        if training.decisions >= 480:
+            raise Stopped
+        return decide(training)
+
+    folder = tmp_path / "pick"
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "decide", until_half)
+        with pytest.raises(Stopped):
+            train_cell(small(folder))
+    torch.manual_seed(12345)
+    train_cell(small(tmp_path / "unused", f"resume='{folder}'"))
+    assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+    observation = torch.linspace(-1, 1, 36).repeat(3, 1)
+    assert torch.equal(load_policy(folder)(observation), load_policy(run)(observation))
+
+
+def test_two_seeds_train_differently(run: Path, tmp_path: Path) -> None:
+    other = train_cell(small(tmp_path / "other", "train_seed=1"))
+    assert (other / "metrics.csv").read_bytes() != (run / "metrics.csv").read_bytes()
+
+
+def test_a_run_is_evaluated_with_its_checkpoints_and_reported(run: Path) -> None:
+    evaluate(evaluation(f"policy='{run}'", "episodes=4", "record=true", "task.limit_steps=60"))
+    summary = json.loads((run / "eval" / "summary.json").read_text(encoding="utf-8"))
+    (group,) = summary["groups"]
+    assert (group["task"], group["human"], group["episodes"]) == ("pick", "random_walk", 4)
+    evaluate(evaluation(f"policy='{run}'", "episodes=2", "checkpoints=all", "task.limit_steps=60"))
+    assert len((run / "eval" / "checkpoints.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3
+    page = report(ReportConfig(run=str(run), output=None, video=False))
+    text = page.read_text(encoding="utf-8")
+    assert "<svg" in text or "data:image" in text
+
+
+def test_a_policy_of_another_subtask_is_refused_in_one_line(run: Path) -> None:
+    with pytest.raises(ConfigError, match="was trained for 'pick', not for 'place'") as error:
+        evaluate(evaluation(f"policy='{run}'", "task=place", "episodes=2"))
+    assert "\n" not in str(error.value)
+
+
+def test_training_goes_on_from_a_policy(run: Path, tmp_path: Path) -> None:
+    folder = train_cell(small(tmp_path / "on", f"initial_policy='{run}'", "agent.decisions=160"))
+    assert (folder / "policy.pt").is_file()
