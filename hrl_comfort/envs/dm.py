@@ -16,6 +16,7 @@ from hrl_comfort.scene.workcell import CONTROL_SPEC, CONTROL_STEP_S, Scene, buil
 from hrl_comfort.sim.episodes import Episodes, Outcome
 
 Array = NDArray[np.float64]
+STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 class CellPhysics(Physics):
@@ -25,6 +26,7 @@ class CellPhysics(Physics):
         """Set the controls (substeps, ncontrol) of the coming decision."""
         self._queue = controls
         self.sensed: Array = np.zeros((len(controls), self.model.nsensordata))
+        self._after: Array = np.zeros((len(controls), mujoco.mj_stateSize(self.model.ptr, STATE_SPEC)))
 
     def step(self, nstep: int = 1) -> None:
         """Advance `nstep` substeps along the queue (what dm_control calls once a decision)."""
@@ -33,12 +35,19 @@ class CellPhysics(Physics):
             mujoco.mj_setState(model, data, self._queue[index], CONTROL_SPEC)
             mujoco.mj_step(model, data)
             self.sensed[index] = data.sensordata
+            mujoco.mj_getState(model, data, self._after[index], STATE_SPEC)
 
-    def sense(self, joint_pos: Array, control: Array) -> Array:
-        """Return sensordata (nsensor,) of a robot at rest at joint_pos (6,) under control (ncontrol,)."""
+    def back_to(self, substep: int) -> None:
+        """Take back what came after `substep` of the queue: the decision ended there."""
+        if substep < len(self._queue) - 1:
+            mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
+            mujoco.mj_forward(self.model.ptr, self.data.ptr)
+
+    def sense(self, joints: Array, control: Array) -> Array:
+        """Return sensordata (nsensor,) of joints (12,), angles and velocities, under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
         mujoco.mj_resetData(model, data)
-        data.qpos[:] = joint_pos
+        data.qpos[:], data.qvel[:] = joints[:6], joints[6:]
         mujoco.mj_setState(model, data, control, CONTROL_SPEC)
         mujoco.mj_forward(model, data)
         return np.array(data.sensordata)
@@ -64,6 +73,8 @@ class CellTask(control.Task):
     def after_step(self, physics: CellPhysics) -> None:
         """Judge it."""
         self.outcome = self.episodes.absorb(physics.sensed[None])
+        substeps = self.episodes.config.engine.substeps
+        physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
         """(6,) in [-1, 1]."""

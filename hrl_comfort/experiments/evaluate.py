@@ -101,7 +101,7 @@ class Result:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
 
     def write_endings(self, path: str) -> None:
-        """Write the joint angles (M, 6) rad that successes ended in, by colour: the next subtask's starts."""
+        """Write how the joints were (M, 18) when episodes succeeded, by colour: the next starts."""
         for colour, found in self.endings.items():
             if not found:
                 raise ConfigError(
@@ -226,7 +226,8 @@ class Chunk:
         absent = config.human.motion == "none"
         colour = COLOURS[int(state.colour[row])]
         if success:
-            self.result.endings[colour].append(state.joint_pos[row].numpy().copy())
+            joints = torch.cat([state.joint_pos[row], state.joint_vel[row], state.joint_target[row]])
+            self.result.endings[colour].append(joints.numpy())
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
         episodes = self.engine.episodes
         return Episode(

@@ -38,7 +38,7 @@ class Engine:
         rows = np.arange(self.rows) if rows is None else rows
         if len(rows):
             start = self.episodes.begin(rows, self._probe)
-            self.physics[rows] = self._at_rest(start)
+            self.physics[rows] = self._physics_of(start)
         assert self.episodes.state is not None
         return self.episodes.state
 
@@ -46,12 +46,14 @@ class Engine:
         """Run one decision, action (N, 6) in [-1, 1], and return what it led to."""
         control = self.episodes.plan(action)
         states, sensed = self._run(self.physics, control)
-        self.physics = states[:, -1].copy()
-        return self.episodes.absorb(sensed)
+        outcome = self.episodes.absorb(sensed)
+        taken = outcome.decision_steps.numpy() * self.episodes.config.engine.substeps
+        self.physics = states[np.arange(self.rows), taken - 1]
+        return outcome
 
-    def _probe(self, joint_pos: Array, control: Array) -> Array:
+    def _probe(self, joints: Array, control: Array) -> Array:
         # Readings belong to the instant before a physics step is integrated: one step senses the start.
-        return self._run(self._at_rest(joint_pos), control[:, None])[1][:, 0]
+        return self._run(self._physics_of(joints), control[:, None])[1][:, 0]
 
     def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
         states, sensed = self._rollout.rollout(
@@ -59,10 +61,9 @@ class Engine:
         )
         return states, sensed
 
-    def _at_rest(self, joint_pos: Array) -> Array:
-        still = np.zeros((len(joint_pos), self.scene.nstate))
-        still[:, 1:7] = joint_pos
-        return still
+    def _physics_of(self, joints: Array) -> Array:
+        """Return the physics (r, nstate) at time 0 of joints (r, 12): angles, velocities."""
+        return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)
 
     def close(self) -> None:
         """Stop the threads."""

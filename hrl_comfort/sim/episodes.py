@@ -29,7 +29,7 @@ from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
-"""(joint_pos (r, 6), control (r, ncontrol)) -> sensordata (r, nsensor): the cells as they would begin."""
+"""(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
 MOVING_RAD_S = 0.05
 """A robot none of whose joints is faster stands still: the human walked into it."""
@@ -46,7 +46,7 @@ MOVING_FIELDS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one decision led to; K control steps, those after an episode's end are void."""
+    """What one decision led to; of its K control steps, those after the end of a stage or episode are void."""
 
     state: State
     """The last valid instant of each row."""
@@ -61,7 +61,7 @@ class Outcome:
     human_distance: Tensor
     """(N, K) m, horizontal, tool to the human's axis."""
     valid: Tensor
-    """(N, K) bool, steps up to and including the episode's last."""
+    """(N, K) bool, the control steps this decision took."""
     steps: tuple[State, ...]
     """The K instants, for recording."""
 
@@ -116,7 +116,8 @@ class Episodes:
         self.points = np.zeros((n, 2, 3))
         self.precision = np.full(n, self.precision_m)
         self.joint_target = np.zeros((n, 6))
-        self.start = np.zeros((n, 6))
+        self.start = np.zeros((n, 18))
+        """Angles, velocities and servo targets of the joints at the start (`sim.starts`)."""
         self.steps = np.zeros(n, dtype=np.int64)
         self.walk = people.begin(config.human, np.zeros((n, 2)))
         self.state: State | None = None
@@ -125,7 +126,7 @@ class Episodes:
     # ---- beginning -------------------------------------------------------------------------------------
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
-        """Begin the next episode of `rows`; return their joint angles (r, 6) rad, at rest.
+        """Begin the next episode of `rows`; return their joints' angles and velocities (r, 12), rad and rad/s.
 
         Draws are repeated until the cell begins free of contact and unsolved.
 
@@ -143,7 +144,7 @@ class Episodes:
                 self._draw_start(row, generators[row])
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
-            sensed = probe(self.start[pending], self._control(pending))
+            sensed = probe(self.start[pending, :12], self._control(pending))
             self._set_state(pending, sensed)
             assert self.state is not None
             index = torch.from_numpy(pending)
@@ -152,7 +153,7 @@ class Episodes:
             bad = (solved | self.subtask.failure(state)).numpy()
             pending = pending[bad]
             if not len(pending):
-                return self.start[rows].copy()
+                return self.start[rows, :12]
         raise RuntimeError(
             f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
         )
@@ -188,10 +189,12 @@ class Episodes:
         """Draw the robot's start, the points of `reach` and, in training, the human's spawn."""
         human = self.config.human
         bank = self._starts[self.colour[row] % len(self._starts)]
-        start = bank[rng.integers(len(bank))]
+        start = bank[rng.integers(len(bank))].copy()
         if self.subtask.start != "home":
-            start = start + rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
-        self.start[row] = self.joint_target[row] = np.clip(start, *self.scene.joint_range.T)
+            noise = rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
+            for angles in (start[:6], start[12:]):
+                angles[:] = np.clip(angles + noise, *self.scene.joint_range.T)
+        self.start[row], self.joint_target[row] = start, start[12:]
         drawn = self.config.task.point == "random"
         self.points[row] = np.array([self.config.task.point_m, self.config.task.second_point_m])
         if self.evaluation is not None:
@@ -268,7 +271,7 @@ class Episodes:
         human = np.stack([walk.position for walk in walks], axis=1)
         yaw = np.stack([walk.yaw for walk in walks], axis=1)
         limbs = self._limbs(walks)
-        self.joint_target = targets[:, -1].copy()
+        self._walks = walks
         self._planned = {
             "joint_target": targets[:, substeps - 1 :: substeps],
             "human_pos": human,
@@ -279,7 +282,11 @@ class Episodes:
         return self._pack(targets, bodies)
 
     def absorb(self, sensed: Array) -> Outcome:
-        """Judge a decision from its sensor readings (N, K * substeps, nsensor)."""
+        """Judge a decision from its sensor readings (N, K * substeps, nsensor).
+
+        A decision ends where its stage or its episode does: whatever acts next, perhaps another policy, decides
+        anew. The caller takes each row's physics from the end of its last valid control step.
+        """
         substeps, limit = self.config.engine.substeps, self.config.task.limit_steps
         before = self.state
         assert before is not None
@@ -297,7 +304,8 @@ class Episodes:
             after = before.with_(
                 steps=steps, stage=stage, **{name: moving[name][:, k] for name in MOVING_FIELDS}
             )
-            stage = torch.where(active, self.subtask.next_stage(after), stage)
+            reached = torch.where(active, self.subtask.next_stage(after), stage)
+            stage_over, stage = reached > stage, reached
             after = after.with_(stage=stage)
             gained = torch.stack([term(previous, after) for term in self.subtask.rewards.values()], dim=-1)
             terms += torch.where(active[:, None], gained * self._weights, 0.0)
@@ -305,7 +313,7 @@ class Episodes:
             ended = active & (failed | self.subtask.success(after))
             terminated = terminated | ended
             truncated = truncated | (active & ~ended & (steps >= limit))
-            active = active & ~ended & (steps < limit)
+            active = active & ~ended & ~stage_over & (steps < limit)
             instants.append(after)
             previous = after
         mask = torch.stack(valid, dim=1)
@@ -314,6 +322,11 @@ class Episodes:
         final = {name: moving[name][rows, last] for name in MOVING_FIELDS}
         self.state = before.with_(steps=steps, stage=stage, **final)
         self.steps = steps.numpy().copy()
+        self.joint_target = final["joint_target"].numpy().copy()
+        for k in np.unique(last.numpy()):
+            rows_there = np.flatnonzero(last.numpy() == k)
+            if k < count - 1:
+                self.walk = self.walk.put(rows_there, self._walks[k].rows(rows_there))
         return Outcome(
             state=self.state,
             reward_terms=terms,
@@ -341,7 +354,7 @@ class Episodes:
 
     def _control(self, rows: NDArray[np.int64]) -> Array:
         """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
-        return self._pack(self.start[rows][:, None], self._limbs([self.walk.rows(rows)]), rows)[:, 0]
+        return self._pack(self.start[rows, None, 12:], self._limbs([self.walk.rows(rows)]), rows)[:, 0]
 
     def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""
@@ -395,7 +408,7 @@ class Episodes:
         n, task = len(rows), self.config.task
         walk = self.walk.rows(rows)
         planned = {
-            "joint_target": self.start[rows][:, None],
+            "joint_target": self.start[rows, None, 12:],
             "human_pos": walk.position[:, None],
             "human_yaw": walk.yaw[:, None],
             "human_seen": self._seen(walk.position)[:, None],

@@ -1,4 +1,8 @@
-"""Where place and return begin: joint angles in which the tool has just reached the ball or a drop point."""
+"""Where place and return begin: the tool has just reached the ball or a drop point.
+
+A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. A chained policy takes
+over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest.
+"""
 
 from __future__ import annotations
 
@@ -23,29 +27,34 @@ SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
 
 
 def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
-    """Return the starts (M, 6) rad of a subtask: one array, or one a colour where the goal depends on it.
+    """Return the starts (M, 18) of a subtask: one array, or one a colour where the goal depends on it.
 
     `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
-    `task.start` is an .npz with arrays `orange` and `pink` (M, 6), as `evaluate endings=` records them.
+    `task.start` is an .npz with arrays `orange` and `pink` (M, 18), as `evaluate endings=` records them.
 
     Raises:
       ConfigError: the file is missing or of another form.
     """
     if start == "home":
-        return [scene.home[None]]
+        return [at_rest(scene.home[None])]
     if config.task.start != "ik":
         return recorded(config.task.start)
     precision, cell = config.task.precision, config.cell
     if start == "taken":
-        return [inverse_kinematics(scene.xml, tuple(cell.ball_m), precision.take_m, tuple(scene.home))]
-    drops = (cell.orange_drop_m, cell.pink_drop_m)
-    return [
-        inverse_kinematics(scene.xml, tuple(drop), precision.leave_m, tuple(scene.home)) for drop in drops
-    ]
+        goals = [(cell.ball_m, precision.take_m)]
+    else:
+        goals = [(drop, precision.leave_m) for drop in (cell.orange_drop_m, cell.pink_drop_m)]
+    home = tuple(scene.home)
+    return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal, near in goals]
+
+
+def at_rest(joint_pos: Array) -> Array:
+    """Return the starts (M, 18) of joint angles (M, 6) at rest, the servos' targets where the joints are."""
+    return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
 
 
 def recorded(path: str) -> list[Array]:
-    """Return the recorded endings (M, 6) of each colour, orange first."""
+    """Return the recorded endings (M, 18) of each colour, orange first."""
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
@@ -53,12 +62,12 @@ def recorded(path: str) -> list[Array]:
             banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
     except (KeyError, ValueError, OSError) as error:
         raise ConfigError(
-            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 6)"
+            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 18)"
         ) from error
     for colour, bank in zip(("orange", "pink"), banks, strict=True):
-        if bank.ndim != 2 or bank.shape[1] != 6 or not len(bank) or not np.isfinite(bank).all():
+        if bank.ndim != 2 or bank.shape[1] != 18 or not len(bank) or not np.isfinite(bank).all():
             raise ConfigError(
-                f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 6), finite"
+                f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 18), finite"
             )
     return banks
 
