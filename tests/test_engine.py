@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -192,3 +194,51 @@ def test_torchrl_environment_reports_what_the_engine_does() -> None:
 def test_engine_rejects_a_start_file_that_is_not_there() -> None:
     with pytest.raises(ValueError, match=r"task\.start='nowhere\.npz' is neither 'ik' nor"):
         Engine(configured("task=place", "task.start=nowhere.npz"), 2, 0)
+
+
+def test_a_decision_ends_where_its_stage_does_on_both_fronts() -> None:
+    bend = np.tile([0.0, -1.0, 0.0, 0.0, 0.0, 0.0], (3, 1))
+    scout = Engine(configured("task=point_to_point", "human=none"), 3, 0)
+    scout.reset()
+    scout.step(bend)
+    passed = scout.step(bend).steps[2].tcp_pos[0].tolist()
+    config = configured(
+        "task=point_to_point",
+        "human=none",
+        "task.point=fixed",
+        f"task.point_m={passed}",
+        "task.precision.take_m=0.02",
+    )
+    front, engine = make_environment(config, 0), Engine(config, 3, 0)
+    front.reset()
+    engine.reset()
+    taken, stages = [], []
+    for _ in range(12):
+        action = bend if 1 not in stages else 0 * bend
+        front.step(action[0])
+        outcome = engine.step(action)
+        taken.append(int(outcome.decision_steps[0]))
+        stages.append(int(outcome.state.stage[0]))
+        assert not outcome.done.any()
+        for name in FIELDS:
+            ours, theirs = getattr(outcome.state, name)[0], getattr(front.task.episodes.state, name)[0]
+            torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-9)
+        if stages.count(1) == 3:
+            break
+    picked = stages.index(1)
+    assert taken[picked] < 5
+    assert [steps for index, steps in enumerate(taken) if index != picked] == [5] * (len(taken) - 1)
+    assert int(outcome.state.steps[0]) == sum(taken)
+
+
+def test_recorded_starts_keep_the_joints_moving(tmp_path: Path) -> None:
+    engine = Engine(configured("task=pick"), 1, 0)
+    angles = engine.scene.home + np.array([0.0, -0.5, 0.2, 0.0, 0.0, 0.0])
+    bank = np.concatenate([angles, np.full(6, 0.3), angles + 0.01])[None]
+    np.savez(tmp_path / "starts.npz", orange=bank, pink=bank)
+    engine = Engine(configured("task=place", f"task.start='{tmp_path}/starts.npz'"), 2, 0)
+    state = engine.reset()
+    torch.testing.assert_close(state.joint_vel, torch.full((2, 6), 0.3, dtype=torch.float64))
+    torch.testing.assert_close(
+        state.joint_target - state.joint_pos, torch.full((2, 6), 0.01, dtype=torch.float64)
+    )
