@@ -7,7 +7,7 @@ hrl=(.venv/bin/python -m hrl_comfort)
 ref=runs/reference
 
 train() { "${hrl[@]}" train experiment=reference "task=$1" "output=$ref/$1" "${@:2}"; }
-endings() { "${hrl[@]}" evaluate "policy=$ref/$1" episodes=500 "endings=$ref/$1/endings.npz" "output=$ref/$1/endings"; }
+endings() { "${hrl[@]}" evaluate "policy=$ref/$1" episodes=1000 "endings=$ref/$1/endings.npz" "output=$ref/$1/endings"; }
 measure() { "${hrl[@]}" evaluate "$@" episodes=1000 'group_by=[seen]'; }
 
 [ -f $ref/pick/policy.pt ] || train pick agent.decisions=90000

@@ -1,4 +1,4 @@
-"""Print, as Markdown, the tables of docs/reproduce.md from the committed summaries: `python docs/tables.py`."""
+"""Print the table of docs/reproduce.md, Markdown, from the committed summaries: `python docs/tables.py`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def rows(folder: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    print("| evaluation | human | precision, cm | spawns | episodes | success [95 %] | steps | human distance, m "
-          "| human collisions | other collisions |")  # fmt: skip
+    names = ["evaluation", "human", "precision, cm", "spawns", "episodes", "success [95 %]", "steps"]
+    names += ["human distance, m", "human collisions", "other collisions"]
+    print("| " + " | ".join(names) + " |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for summary in sorted(REFERENCE.rglob("summary.json")):
         if "endings" not in summary.parts and "checkpoints" not in summary.parts:

@@ -8,7 +8,7 @@ episode, and every random draw of it comes from (seed, row, episode).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -36,7 +36,6 @@ MOVING_RAD_S = 0.05
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
-START_NOISE_RAD = 0.05
 ATTEMPTS = 200
 MOVING_FIELDS = (
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen",
@@ -46,7 +45,7 @@ MOVING_FIELDS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one decision led to; of its K control steps, those after the end of a stage or episode are void."""
+    """What one decision led to; of its K control steps, those after a stage or episode ends are void."""
 
     state: State
     """The last valid instant of each row."""
@@ -126,7 +125,7 @@ class Episodes:
     # ---- beginning -------------------------------------------------------------------------------------
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
-        """Begin the next episode of `rows`; return their joints' angles and velocities (r, 12), rad and rad/s.
+        """Begin the next episode of `rows`; return their joints (r, 12): angles rad, velocities rad/s.
 
         Draws are repeated until the cell begins free of contact and unsolved.
 
@@ -139,9 +138,9 @@ class Episodes:
             generators[row] = self._generator(row)
             self._draw_episode(row, generators[row])
         pending = rows
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             for row in pending:
-                self._draw_start(row, generators[row])
+                self._draw_start(row, generators[row], spare=attempt >= ATTEMPTS // 2)
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             sensed = probe(self.start[pending, :12], self._control(pending))
@@ -185,15 +184,15 @@ class Episodes:
             self.motion_id[row] = motion
             self.spawn_id[row] = self.evaluation.spawn_id[entry]
 
-    def _draw_start(self, row: int, rng: np.random.Generator) -> None:
-        """Draw the robot's start, the points of `reach` and, in training, the human's spawn."""
+    def _draw_start(self, row: int, rng: np.random.Generator, spare: bool) -> None:
+        """Draw the robot's start, the points of `reach` and, in training, the human's spawn.
+
+        With `spare`, starts are those of inverse kinematics: none of the recorded ones was free.
+        """
         human = self.config.human
-        bank = self._starts[self.colour[row] % len(self._starts)]
-        start = bank[rng.integers(len(bank))].copy()
-        if self.subtask.start != "home":
-            noise = rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
-            for angles in (start[:6], start[12:]):
-                angles[:] = np.clip(angles + noise, *self.scene.joint_range.T)
+        banks = self._spare_starts() if spare else self._starts
+        bank = banks[self.colour[row] % len(banks)]
+        start = bank[rng.integers(len(bank))]
         self.start[row], self.joint_target[row] = start, start[12:]
         drawn = self.config.task.point == "random"
         self.points[row] = np.array([self.config.task.point_m, self.config.task.second_point_m])
@@ -204,13 +203,17 @@ class Episodes:
             spawn = people.spawn_anywhere(human, self._spawns, self._keep_out([row], drawn), rng)
         else:
             self.spawn_id[row] = rng.choice(self._training_spawns)
-            spawn = people.jittered_spawn(human, self._spawns[self.spawn_id[row]][None], rng.random((1, 2)))[
-                0
-            ]
+            point = self._spawns[self.spawn_id[row]]
+            spawn = people.jittered_spawn(human, point[None], rng.random((1, 2)))[0]
         spawn = people.outside(spawn[None], self._keep_out([row], drawn))[0]
         if drawn:
             self.points[row] = self._random_points(spawn, rng)
         self.walk.spawn[row] = spawn
+
+    def _spare_starts(self) -> list[Array]:
+        return start_states(
+            self.scene, replace(self.config, task=replace(self.config.task, start="ik")), self.subtask.start
+        )
 
     def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
         """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
@@ -284,8 +287,8 @@ class Episodes:
     def absorb(self, sensed: Array) -> Outcome:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
 
-        A decision ends where its stage or its episode does: whatever acts next, perhaps another policy, decides
-        anew. The caller takes each row's physics from the end of its last valid control step.
+        A decision ends where its stage or its episode does: whatever acts next, perhaps another policy,
+        decides anew. The caller takes each row's physics from the end of its last valid control step.
         """
         substeps, limit = self.config.engine.substeps, self.config.task.limit_steps
         before = self.state

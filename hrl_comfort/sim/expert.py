@@ -42,7 +42,7 @@ LIBRARY = 20_000
 """Random postures that seed inverse kinematics."""
 DISTINCT_RAD = np.radians(25.0)
 """Two postures of a goal differ by this in some joint."""
-UPRIGHT_PANS_RAD = np.radians(np.arange(-180.0, 181.0, 45.0))
+UPRIGHT_PANS_RAD = np.radians(np.arange(-225.0, 226.0, 45.0))
 PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
 """(16, 6) which joints a partial raising brings home."""
 SAMPLES = 12
@@ -51,6 +51,8 @@ CHECK_RAD = np.radians(4.0)
 """Turn of the fastest joint between two checks for contact with the cell."""
 SPACING_M = 0.06
 """Between the spheres that stand for a capsule of the arm."""
+RISE_M = 0.08
+"""How far the tool is raised out of a tight place."""
 CLEARANCE_M = 0.01
 """The arm keeps this from the cell, the person and itself."""
 ARM_SWING_RAD = np.radians(15.0)
@@ -116,19 +118,21 @@ class Expert:
         """Return where to go first (6,): to a posture of the goal, to a place on the way to one, or to wait."""
         postures = self._postures(goal, more=True)
         steps, risk = self._weigh(joints, postures, person)
+        direct = steps + price * risk
+        boxed_in = not self._cell.free(joints, postures[direct.argmin()])
         end_risk = self._weigh(postures, postures, person)[1]
         safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
         # By way of: upright at some pan; any of shoulder to second wrist as at home, the rest as they are.
         partly = np.where(PARTS, self._home, joints)
-        ways = np.concatenate([self._upright, partly])
+        risings = self._cell.risings(joints) if boxed_in else joints[None]
+        ways = np.concatenate([self._upright, partly, risings])
         first_steps, first_risk = self._weigh(joints, ways, person)
         steps_on, risk_on = self._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
-        clear = np.concatenate([self._clear(goal)[:, safest], np.ones((len(partly), len(safest)), dtype=bool)])
+        clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
+        clear[: len(self._upright)] &= self._clear(goal)[:, safest]
         onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
         waiting = WAIT_STEPS + price * self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
-        cost = np.concatenate(
-            [steps + price * risk, first_steps + price * first_risk + np.minimum(onward, waiting)]
-        )
+        cost = np.concatenate([direct, first_steps + price * first_risk + np.minimum(onward, waiting)])
         targets = np.concatenate([postures, ways])
         for choice in np.argsort(cost):
             if self._cell.free(joints, targets[choice]):
@@ -202,7 +206,11 @@ class Expert:
                 break
         if not found:
             raise RuntimeError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
-        return np.array(found)[np.arange(count) % len(found)]
+        postures = np.array(found)[np.arange(count) % len(found)]
+        if more:  # the same the other way round, where the pan allows
+            turned = postures - np.sign(postures) * np.array([2 * np.pi, 0, 0, 0, 0, 0])
+            postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
+        return postures
 
     def _clear(self, goal: Goal) -> NDArray[np.bool_]:
         """Return (V, K): from which upright postures the straight way to which of `_postures(goal, more=True)` is free."""
@@ -289,8 +297,23 @@ class Cell:
     def free(self, start: Array, end: Array) -> bool:
         """Return whether the straight way keeps its clearance, or no less than it has at the start."""
         least = min(self._depth(start), CLEARANCE_M) - 1e-3
-        count = int(np.ceil(np.abs(end - start).max() / CHECK_RAD))
-        return all(self._depth(start + share * (end - start)) >= least for share in np.arange(1, count + 1) / count)
+        way = np.abs(end - start).max()
+        turned = np.concatenate([np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, way, CHECK_RAD), [way]])
+        shares = turned[turned <= way] / max(way, 1e-9)
+        return all(self._depth(start + share * (end - start)) >= least for share in shares)
+
+    def risings(self, joints: Array) -> Array:
+        """Return postures (5, 6) near `joints` in which the tool is higher, and aside in four of them."""
+        self._configuration.update(joints)
+        tool = self._data.site("robot/tcp").xpos.copy()
+        found = []
+        for aside in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            self._configuration.update(joints)
+            self._tool.set_target(mink.SE3.from_translation(tool + RISE_M * np.array([*aside, 1.0])))
+            for _ in range(8):
+                self._pull()
+            found.append(self._configuration.q.copy())
+        return np.array(found)
 
     def escape(self, joints: Array) -> Array:
         """Return the posture, of many nearby, that is farthest from contact."""
@@ -305,6 +328,9 @@ class Cell:
             if np.linalg.norm(self._data.site("robot/tcp").xpos - goal) < tolerance:
                 posture = self._configuration.q.copy()
                 return posture if self._depth(posture) >= CLEARANCE_M - 1e-3 else None
-            velocity = mink.solve_ik(self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits)
-            self._configuration.integrate_inplace(velocity, 0.5)
+            self._pull()
         return None
+
+    def _pull(self) -> None:
+        velocity = mink.solve_ik(self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits)
+        self._configuration.integrate_inplace(velocity, 0.5)

@@ -1,7 +1,7 @@
 """Where place and return begin: the tool has just reached the ball or a drop point.
 
-A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. A chained policy takes
-over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest.
+A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. A chained policy
+takes over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 COUNT = 96
 """Inverse-kinematics starts a goal."""
 ITERATIONS, STEP_S = 40, 0.1
+CLEARANCE_M = 0.02
+"""Least room between the arm and the tables in a start made by inverse kinematics."""
 SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
 """Standard deviation of the posture from which each solution is sought: policies leave the wrist anywhere."""
 
@@ -82,6 +84,7 @@ def inverse_kinematics(
     ball's outer shell, which is where a policy stops.
     """
     model = mujoco.MjModel.from_xml_string(xml)
+    model.geom_margin[model.geom_contype == 0] = CLEARANCE_M  # tables, pedestal, floor
     rng = np.random.default_rng(0)
     configuration = mink.Configuration(model)
     tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-3)
