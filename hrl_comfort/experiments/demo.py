@@ -21,7 +21,7 @@ from hrl_comfort.experiments.report import report
 from hrl_comfort.experiments.train import train_cell
 
 LINE = ("pick", "place", "return")
-SHARE = {"pick": 0.3, "place": 1.0, "return": 0.6}
+SHARE = {"pick": 0.25, "place": 1.0, "return": 0.8}
 """How much of `agent.decisions` each subtask is given: pick is learnt soonest, place last."""
 ENDINGS_EPISODES = 1000
 
