@@ -173,6 +173,8 @@ class TaskConfig:
     """`point_to_point`: fixed second point."""
     start: str
     """Where place and return start: `ik`, or the path of recorded endings (.npz)."""
+    start_at_rest: bool
+    """True starts them at rest, near the recorded angles; False replays the recorded motion."""
 
     def __post_init__(self) -> None:
         _one_of("task.colour", self.colour, COLOURS)
