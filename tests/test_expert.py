@@ -67,5 +67,5 @@ def test_the_expert_refuses_cartesian_actions() -> None:
     config = environment(compose("train", ["task=pick"]))
     engine = Engine(config, 1, 0)
     cartesian = replace(config, task=replace(config.task, action="cartesian"))
-    with pytest.raises(ConfigError, match="task.action"):
+    with pytest.raises(ConfigError, match=r"task\.action"):
         Expert(engine.scene, cartesian, engine.episodes.subtask)

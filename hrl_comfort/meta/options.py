@@ -16,6 +16,7 @@ from torch import Tensor
 from hrl_comfort.agents.policy import load_policy
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.expert import Expert
 from hrl_comfort.tasks import State, Subtask, subtask
 
 SCRIPTED = ("expert", "random")
@@ -61,8 +62,6 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
       ConfigError: there is no such policy, or it was trained for another subtask or decision length.
     """
     if source == "expert":
-        from hrl_comfort.sim.expert import Expert
-
         return Expert(scene, config, task).act
     if source == "random":
         generator = torch.Generator().manual_seed(seed)

@@ -2,8 +2,9 @@
 
 At every decision and for every row it weighs plans: straight to one of the goal's postures, to one by way of
 an upright posture, or to wait upright. A plan costs its control steps plus a price on the chance that the
-person, who wanders like a Brownian particle, gets to where the arm will be. The first leg of the cheapest plan
-that meets neither the cell nor the arm itself is followed for one decision; nothing is remembered but postures.
+person, who wanders like a Brownian particle, gets to where the arm will be. The first leg of the cheapest
+plan that meets neither the cell nor the arm itself is followed for one decision; nothing is remembered but
+postures.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ Goal = tuple[float, ...] | None
 """Where the tool shall go, m; None: home, joint by joint."""
 
 NEAREST, SPREAD = 12, 36
-"""Postures kept for a goal: those nearest to home, and others all over, weighed only when those will not do."""
+"""Postures kept for a goal: those nearest to home, and others weighed only when those will not do."""
 CONSIDERED = 12
 """Postures, the safest to be in, to which detours are weighed."""
 LIBRARY = 20_000
@@ -72,7 +73,9 @@ class Expert:
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         if config.task.action != "joint":
-            raise ConfigError(f"task.action={config.task.action!r} is not allowed with policy=expert; choose joint")
+            raise ConfigError(
+                f"task.action={config.task.action!r} is not allowed with policy=expert; choose joint"
+            )
         self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
         self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
         self._step = np.radians(config.task.max_step_deg)
@@ -99,7 +102,9 @@ class Expert:
         index = state.stage.clamp(0, len(self._homeward) - 1)
         homeward = self._homeward[index].numpy()
         points = self._goal(state.with_(stage=index)).numpy()
-        goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
+        goals = [
+            None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)
+        ]
         people = np.concatenate([state.human_pos.numpy(), state.human_yaw.numpy()[:, None]], axis=-1)
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
 
@@ -115,7 +120,7 @@ class Expert:
         return torch.from_numpy(move / np.maximum(largest, self._decision))
 
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
-        """Return where to go first (6,): to a posture of the goal, to a place on the way to one, or to wait."""
+        """Return where to go first (6,): a posture of the goal, a place on the way to one, or to wait."""
         postures = self._postures(goal, more=True)
         steps, risk = self._weigh(joints, postures, person)
         direct = steps + price * risk
@@ -142,12 +147,14 @@ class Expert:
     def _weigh(
         self, start: Array, end: Array, person: Array, begun: Array | float = 0.0
     ) -> tuple[Array, Array]:
-        """Return control steps and chance of a collision (...,) of straight legs that begin `begun` steps from now."""
+        """Return control steps and collision chance (...,) of straight legs begun `begun` steps from now."""
         steps = np.abs(end - start).max(axis=-1) / self._step
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
         when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
-        gap = self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
+        gap = (
+            self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
+        )
         z = np.maximum(gap, 0.0) / (self._sigma * np.sqrt(when))
         # Within 10 % of the chance that Brownian motion gets as far as z standard deviations by then.
         return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
@@ -213,10 +220,12 @@ class Expert:
         return postures
 
     def _clear(self, goal: Goal) -> NDArray[np.bool_]:
-        """Return (V, K): from which upright postures the straight way to which of `_postures(goal, more=True)` is free."""
+        """Return (V, K): whether the way from upright to each of `_postures(goal, more=True)` is free."""
         if goal not in self._passages:
             postures = self._postures(goal, more=True)
-            self._passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])
+            self._passages[goal] = np.array(
+                [[self._cell.free(way, end) for end in postures] for way in self._upright]
+            )
         return self._passages[goal]
 
 
@@ -248,7 +257,10 @@ class Body:
     def _frames(self, joints: Array) -> list[tuple[Array, Array]]:
         """Return rotation (..., 3, 3) and origin (..., 3) of each link's DH frame."""
         robot = self._robot
-        turn, origin = np.broadcast_to(np.eye(3), (*joints.shape[:-1], 3, 3)), np.zeros((*joints.shape[:-1], 3))
+        turn, origin = (
+            np.broadcast_to(np.eye(3), (*joints.shape[:-1], 3, 3)),
+            np.zeros((*joints.shape[:-1], 3)),
+        )
         frames = []
         for i in range(6):
             cos, sin = np.cos(joints[..., i, None]), np.sin(joints[..., i, None])
@@ -282,7 +294,9 @@ class Cell:
         self._model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
         self._model.geom_margin[:] = CLEARANCE_M
         self._configuration = mink.Configuration(self._model)
-        self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
+        self._tool = mink.FrameTask(
+            "robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4
+        )
         self._limits = [mink.ConfigurationLimit(self._model)]
         self._data = self._configuration.data
         self._data.mocap_pos[: len(LIMBS), 0] = AWAY_M
@@ -298,7 +312,9 @@ class Cell:
         """Return whether the straight way keeps its clearance, or no less than it has at the start."""
         least = min(self._depth(start), CLEARANCE_M) - 1e-3
         way = np.abs(end - start).max()
-        turned = np.concatenate([np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, way, CHECK_RAD), [way]])
+        turned = np.concatenate(
+            [np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, way, CHECK_RAD), [way]]
+        )
         shares = turned[turned <= way] / max(way, 1e-9)
         return all(self._depth(start + share * (end - start)) >= least for share in shares)
 
@@ -321,7 +337,7 @@ class Cell:
         return around[np.argmax([self._depth(posture) for posture in around])]
 
     def reach(self, seed: Array, goal: Array, tolerance: float) -> Array | None:
-        """Return a posture near `seed` whose tool is within `tolerance` of `goal` and touches nothing, if found."""
+        """Return a posture near `seed`, tool within `tolerance` of `goal`, touching nothing, if found."""
         self._configuration.update(seed)
         self._tool.set_target(mink.SE3.from_translation(goal))
         for _ in range(20):
@@ -332,5 +348,7 @@ class Cell:
         return None
 
     def _pull(self) -> None:
-        velocity = mink.solve_ik(self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits)
+        velocity = mink.solve_ik(
+            self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits
+        )
         self._configuration.integrate_inplace(velocity, 0.5)
