@@ -136,7 +136,8 @@ class Expert:
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
         clear[: len(self._upright)] &= self._clear(goal)[:, safest]
         onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
-        waiting = WAIT_STEPS + price * self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+        exposed = self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+        waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
         cost = np.concatenate([direct, first_steps + price * first_risk + np.minimum(onward, waiting)])
         targets = np.concatenate([postures, ways])
         for choice in np.argsort(cost):
