@@ -14,7 +14,7 @@ measure() { "${hrl[@]}" evaluate "$@" episodes=1000 'group_by=[seen]'; }
 endings pick
 [ -f $ref/place/policy.pt ] || train place agent.decisions=120000 task.start=$ref/pick/endings.npz
 endings place
-[ -f $ref/return/policy.pt ] || train return agent.decisions=60000 task.start=$ref/place/endings.npz
+[ -f $ref/return/policy.pt ] || train return agent.decisions=80000 task.start=$ref/place/endings.npz
 for task in pick place return; do measure policy=$ref/$task; done
 measure task=cycle meta=scripted policies.pick=$ref/pick policies.place=$ref/place policies.return=$ref/return \
     output=$ref/cycle/eval
