@@ -120,8 +120,10 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
 
 def one_line(error: Exception) -> str:
     """Return what Hydra or OmegaConf says over several lines, and its cause, in one."""
-    cause = error.__cause__ or error
-    if isinstance(cause, OmegaConfBaseException):
+    # Under a debugger or coverage OmegaConf chains its errors, and only the outer one knows the key.
+    chain = [e for e in (error.__cause__, error) if isinstance(e, OmegaConfBaseException)]
+    if chain:
+        cause = next((e for e in chain if e.full_key), chain[0])
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key}: {what}" if cause.full_key and cause.full_key not in what else what
     return " ".join(str(error).replace("\t", " ").split())
