@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import torch
 from torch import Tensor
 
 
@@ -66,14 +65,6 @@ class State:
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
         return State(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
-
-    def where(self, mask: Tensor, other: State) -> State:
-        """Return a state with this one's rows where `mask` (N,) is true, `other`'s elsewhere."""
-
-        def pick(mine: Tensor, theirs: Tensor) -> Tensor:
-            return torch.where(mask.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
-
-        return State(**{f.name: pick(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
 
     def with_(self, **changes: Tensor) -> State:
         """Return a copy with the given fields replaced."""
