@@ -9,6 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+CONTROL_STEP_S = 0.02
+"""Length of a control step: joints move by at most 2 degrees in it (the paper's unit)."""
+FAR_AWAY_M = 50.0
+"""Where everything stands, along x, that is not in the cell."""
+
 CLIPPINGS = ("off", "full", "partial")
 SPAWNS = ("points", "anywhere")
 COLOURS = ("random", "orange", "pink")
@@ -172,9 +177,7 @@ class TaskConfig:
     second_point_m: list[float]
     """`point_to_point`: fixed second point."""
     start: str
-    """Where place and return start: `ik`, or the path of recorded endings (.npz)."""
-    start_at_rest: bool
-    """True starts them at rest, near the recorded angles; False replays the recorded motion."""
+    """Where place and return start: `ik`, or the path of recorded endings (.npz), replayed in motion."""
 
     def __post_init__(self) -> None:
         _one_of("task.colour", self.colour, COLOURS)
@@ -200,6 +203,8 @@ class RewardConfig:
     place: float
     home: float
     reach: float
+    arrival_speed: float
+    """A m/s: the tool's speed in the control step that completes a stage."""
     human_collision: float
     other_collision: float
     step: float

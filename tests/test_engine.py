@@ -236,9 +236,7 @@ def test_recorded_starts_keep_the_joints_moving(tmp_path: Path) -> None:
     angles = engine.scene.home + np.array([0.0, -0.5, 0.2, 0.0, 0.0, 0.0])
     bank = np.concatenate([angles, np.full(6, 0.3), angles + 0.01])[None]
     np.savez(tmp_path / "starts.npz", orange=bank, pink=bank)
-    engine = Engine(
-        configured("task=place", f"task.start='{tmp_path}/starts.npz'", "task.start_at_rest=false"), 2, 0
-    )
+    engine = Engine(configured("task=place", f"task.start='{tmp_path}/starts.npz'"), 2, 0)
     state = engine.reset()
     torch.testing.assert_close(state.joint_vel, torch.full((2, 6), 0.3, dtype=torch.float64))
     torch.testing.assert_close(

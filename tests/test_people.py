@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort import people
-from hrl_comfort.config import CellConfig, ConfigError, HumanConfig
+from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
 from hrl_comfort.people.evaluation import COLUMNS, FIRST_SEED, parse_evaluation_set
 from hrl_comfort.people.make_evaluation_set import default_choices, evaluation_set
 
@@ -111,7 +111,7 @@ def test_advance_leaves_its_arguments_alone() -> None:
 
 def test_no_human_is_far_away_for_ever() -> None:
     for walk in stroll(human("none"), free_spawns(3), 5):
-        np.testing.assert_array_equal(walk.position, [[people.FAR_AWAY_M, 0.0]] * 3)
+        np.testing.assert_array_equal(walk.position, [[FAR_AWAY_M, 0.0]] * 3)
 
 
 def test_a_still_human_faces_the_robot_and_does_not_move_a_limb() -> None:
@@ -307,7 +307,7 @@ def test_a_masked_or_absent_human_is_told_to_be_far_away(clipping: str, changes:
     config = replace(HUMAN, clipping=clipping, **changes)
     position = people.begin(config, np.array([[0.9, 0.3], [0.5, 0.5]])).position
     seen = people.seen_position(config, position, np.array(SPAWNS))
-    np.testing.assert_array_equal(seen, [[people.FAR_AWAY_M, 0.0]] * 2)
+    np.testing.assert_array_equal(seen, [[FAR_AWAY_M, 0.0]] * 2)
 
 
 # ---- the evaluation set ----------------------------------------------------------------------------------

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 import ur_analytic_ik
 
-from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
 from hrl_comfort.scene import (
-    AWAY_M,
     CONTROL_SPEC,
     LIMBS,
     MOCAP,
@@ -146,7 +145,7 @@ def test_human_overlap_is_seen_by_that_limb_alone() -> None:
     tool = data.sensordata[cell.sensors["tcp_pos"]]
     for limb, name in enumerate(LIMBS):
         # Hang this limb alone into the tool, the others stay away.
-        human = standing(cell, AWAY_M, 0.0)
+        human = standing(cell, FAR_AWAY_M, 0.0)
         drop = 0.3 if name != "trunk" else -0.2
         human[limb, :3] = tool
         human[limb, 2] += drop
@@ -228,7 +227,7 @@ def test_mocap_bodies_are_limbs_then_props_in_order_and_start_away() -> None:
         assert cell.model.body(name).mocapid[0] == index
     assert cell.mocap[:5] == LIMBS
     assert cell.model.nmocap == len(cell.mocap)
-    assert (mujoco.MjData(cell.model).mocap_pos[:, 0] >= AWAY_M - 1).all()
+    assert (mujoco.MjData(cell.model).mocap_pos[:, 0] >= FAR_AWAY_M - 1).all()
 
 
 def test_tables_hold_the_ball_at_the_goals() -> None:

@@ -12,7 +12,7 @@ from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask
-from hrl_comfort.tasks.rewards import return_shaping
+from hrl_comfort.tasks.rewards import arrival_speed, return_shaping
 
 TASKS = sorted(SUBTASKS)
 
@@ -142,6 +142,14 @@ def test_progress_telescopes_to_the_distance_covered() -> None:
     covered = distance(first) - distance(outcome.state)
     assert alive.any()
     torch.testing.assert_close(gained[alive] / 10.0, covered[alive])
+
+
+def test_arrival_speed_is_paid_once_at_the_step_that_completes_a_stage() -> None:
+    before = beginning("pick", 2)
+    moved = before.with_(tcp_pos=before.tcp_pos + torch.tensor([0.0, 0.03, 0.04], dtype=torch.float64))
+    torch.testing.assert_close(arrival_speed(before, moved), torch.zeros(2, dtype=torch.float64))
+    arrived = moved.with_(stage=before.stage + 1)
+    torch.testing.assert_close(arrival_speed(before, arrived), torch.full((2,), 2.5, dtype=torch.float64))
 
 
 def test_return_shaping_is_the_released_codes() -> None:

@@ -11,8 +11,8 @@ from dm_control.rl import control
 from dm_env import specs
 from numpy.typing import NDArray
 
-from hrl_comfort.config import EnvConfig
-from hrl_comfort.scene.workcell import CONTROL_SPEC, CONTROL_STEP_S, Scene, build_scene
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
 from hrl_comfort.sim.episodes import Episodes, Outcome
 
 Array = NDArray[np.float64]

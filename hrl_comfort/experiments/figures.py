@@ -19,12 +19,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 
+from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.experiments.statistics import Floats, Row
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 ORANGE, SKY, PURPLE, BLACK = "#E69F00", "#56B4E9", "#CC79A7", "#222222"
 CYCLE = (BLUE, VERMILLION, GREEN, SKY, PURPLE, ORANGE)
-CONTROL_STEP_S = 0.02
 TRUNK_RADIUS_M = 0.13
 GOALS = {
     "ball_m": ("ball", BLACK),

@@ -13,11 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CellConfig, RobotConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
 from hrl_comfort.experiments.statistics import Floats
-from hrl_comfort.scene import AWAY_M, LIMBS, Scene, build_scene, limb_poses
+from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
 from hrl_comfort.scene.robots import JOINTS
-from hrl_comfort.scene.workcell import CONTROL_STEP_S
 from hrl_comfort.tasks import SUBTASKS
 
 WIDTH, HEIGHT = 480, 360
@@ -92,14 +91,14 @@ def _ball_place(task: str, stage: int) -> str:
 
 def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
     """Return the human's columns (steps,) with nobody there put where absent things stand."""
-    far = {"human_x": AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
+    far = {"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
     return {name: np.where(np.isnan(path[name]), value, path[name]) for name, value in far.items()}
 
 
 def _azimuth_deg(path: Mapping[str, Floats]) -> float:
     """Return where the camera looks: past the robot towards the person, a little from the side."""
     x, y = (float(np.median(path[name])) for name in ("human_x", "human_y"))
-    if not math.hypot(x, y) < AWAY_M / 2:  # nobody there
+    if not math.hypot(x, y) < FAR_AWAY_M / 2:  # nobody there
         return 75.0
     return math.degrees(math.atan2(y, x)) + 25.0
 

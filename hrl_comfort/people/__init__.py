@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import ConfigError, HumanConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.people.approach import approach
 from hrl_comfort.people.arc import arc
 from hrl_comfort.people.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set
@@ -14,8 +14,6 @@ from hrl_comfort.people.playback import playback, read_motion
 from hrl_comfort.people.random_walk import random_walk
 from hrl_comfort.people.still import still
 from hrl_comfort.people.walk import (
-    CONTROL_STEP_S,
-    FAR_AWAY_M,
     NOISE,
     SPEED_SMOOTHING,
     Array,
@@ -148,7 +146,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 
 __all__ = [
-    "FAR_AWAY_M",
     "MOTIONS",
     "MOTION_STREAM",
     "NOISE",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hrl_comfort.config import HumanConfig
-from hrl_comfort.people.walk import CONTROL_STEP_S, Array, Walk
+from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
+from hrl_comfort.people.walk import Array, Walk
 
 
 def approach(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:

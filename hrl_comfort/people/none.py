@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hrl_comfort.config import HumanConfig
-from hrl_comfort.people.walk import FAR_AWAY_M, Array, Walk
+from hrl_comfort.config import FAR_AWAY_M, HumanConfig
+from hrl_comfort.people.walk import Array, Walk
 
 
 def none(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_comfort.config import ConfigError, HumanConfig
-from hrl_comfort.people.walk import CONTROL_STEP_S, Array, Walk
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
+from hrl_comfort.people.walk import Array, Walk
 
 HEADER = ["t", "x", "y", "yaw"]
 

@@ -13,11 +13,8 @@ from hrl_comfort.config import HumanConfig
 
 Array = NDArray[np.float64]
 
-FAR_AWAY_M = 50.0
-"""x of a human who is not there."""
 NOISE = 3
 """Uniform [0, 1) numbers a motion may use each control step."""
-CONTROL_STEP_S = 0.02
 STRIDE_M = 1.4
 """Ground covered by one gait cycle (two steps) of an adult."""
 FULL_SWING_RAD, FULL_SWING_SPEED_M_S = np.radians(25.0), 1.0

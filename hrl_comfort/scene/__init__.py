@@ -2,10 +2,9 @@
 
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import ROBOTS, TOOL_LENGTH_M, UrModel, build_robot, forward_kinematics
-from hrl_comfort.scene.workcell import AWAY_M, CONTROL_SPEC, MOCAP, OBSTACLES, PROPS, Scene, build_scene
+from hrl_comfort.scene.workcell import CONTROL_SPEC, MOCAP, OBSTACLES, PROPS, Scene, build_scene
 
 __all__ = [
-    "AWAY_M",
     "CONTROL_SPEC",
     "LIMBS",
     "MOCAP",

@@ -10,16 +10,12 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import JOINTS, ROBOTS, build_robot
 
-CONTROL_STEP_S = 0.02
-"""The paper's step: joints move at most 2 deg in it."""
-AWAY_M = 50.0
-"""x of what is not in the cell: an absent person, an unused ball or marker."""
 PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
-"""Visual mocap bodies after the limbs; those not in use stand at x = AWAY_M."""
+"""Visual mocap bodies after the limbs; those not in use stand at x = FAR_AWAY_M."""
 MOCAP = LIMBS + PROPS
 OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
 CONTROL_SPEC = (
@@ -62,7 +58,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
     floor_z = -cell.base_height_m
     _add_surroundings(root.worldbody, cell, floor_z)
     root.attach(build_robot(ROBOTS[robot.name]))
-    build_human(root.worldbody, limb_poses(AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
+    build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
     _add_props(root.worldbody, cell)
     sizes = _add_sensors(root)
 
@@ -167,7 +163,7 @@ def _add_props(world: mjcf.Element, cell: CellConfig) -> None:
     """Add the balls and point markers: sites, which are seen but never touched."""
     looks = {"orange_ball": (*_ORANGE, 1), "pink_ball": (*_PINK, 1), "first_point": (0.2, 0.8, 0.3, 0.4)}
     for name in PROPS:
-        body = world.add("body", name=name, mocap=True, pos=(AWAY_M, 0, 0))
+        body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
         size = cell.ball_radius_m * (1.0 if name.endswith("ball") else 1.5)
         body.add("site", name=name, size=[size], rgba=looks.get(name, (0.2, 0.4, 0.9, 0.4)))
 

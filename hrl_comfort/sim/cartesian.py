@@ -6,8 +6,8 @@ import mink
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import TaskConfig
-from hrl_comfort.scene.workcell import CONTROL_STEP_S, Scene
+from hrl_comfort.config import CONTROL_STEP_S, TaskConfig
+from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 

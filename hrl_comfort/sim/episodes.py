@@ -19,12 +19,12 @@ from torch import Tensor
 
 from hrl_comfort import people
 from hrl_comfort.comfort.metrics import human_distance
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import limb_poses
-from hrl_comfort.scene.workcell import AWAY_M, PROPS, Scene
+from hrl_comfort.scene.workcell import PROPS, Scene
 from hrl_comfort.sim.cartesian import CartesianHand
-from hrl_comfort.sim.starts import at_rest, start_states
+from hrl_comfort.sim.starts import start_states
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
@@ -36,8 +36,6 @@ MOVING_RAD_S = 0.05
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
-START_NOISE_RAD = 0.05
-"""Largest displacement of each joint from a start at rest."""
 ATTEMPTS = 200
 MOVING_FIELDS = (
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen",
@@ -195,9 +193,6 @@ class Episodes:
         banks = self._spare_starts() if spare else self._starts
         bank = banks[self.colour[row] % len(banks)]
         start = bank[rng.integers(len(bank))]
-        if self.subtask.start != "home" and self.config.task.start_at_rest:
-            noise = rng.uniform(-START_NOISE_RAD, START_NOISE_RAD, 6)
-            start = at_rest(np.clip(start[None, :6] + noise, *self.scene.joint_range.T))[0]
         self.start[row], self.joint_target[row] = start, start[12:]
         drawn = self.config.task.point == "random"
         self.points[row] = np.array([self.config.task.point_m, self.config.task.second_point_m])
@@ -368,7 +363,7 @@ class Episodes:
         """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""
         n, steps = targets.shape[:2]
         props = np.zeros((n, steps, len(PROPS), 7))
-        props[..., 0], props[..., 3] = AWAY_M, 1.0
+        props[..., 0], props[..., 3] = FAR_AWAY_M, 1.0
         if self.subtask.stages[0].name == "reach":
             props[:, :, 2 : 2 + len(self.subtask.stages), :3] = self.points[rows][
                 :, None, : len(self.subtask.stages)

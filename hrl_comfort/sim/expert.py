@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig
 from hrl_comfort.scene.human import (
     ARM_RADIUS_M,
     LIMBS,
@@ -27,7 +27,7 @@ from hrl_comfort.scene.human import (
     TRUNK_RADIUS_M,
 )
 from hrl_comfort.scene.robots import LINKS, ROBOTS
-from hrl_comfort.scene.workcell import AWAY_M, CONTROL_STEP_S, Scene
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import by_stage
 
@@ -300,7 +300,7 @@ class Cell:
         )
         self._limits = [mink.ConfigurationLimit(self._model)]
         self._data = self._configuration.data
-        self._data.mocap_pos[: len(LIMBS), 0] = AWAY_M
+        self._data.mocap_pos[: len(LIMBS), 0] = FAR_AWAY_M
 
     def _depth(self, joints: Array) -> float:
         """Return the distance (m) of the closest contact, CLEARANCE_M if there is none nearer."""

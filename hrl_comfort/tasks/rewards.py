@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Change, Stage
 
@@ -48,6 +49,15 @@ def total(terms: list[Change]) -> Change:
     return lambda before, after: torch.stack([term(before, after) for term in terms]).sum(0)
 
 
+def arrival_speed(before: State, after: State) -> Tensor:
+    """Return the tool's speed, m/s, at the step that completes a stage, else 0.
+
+    Whoever acts next takes over the arm in motion, beside a table: fast arrivals end in it.
+    """
+    speed = (after.tcp_pos - before.tcp_pos).norm(dim=-1) / CONTROL_STEP_S
+    return torch.where(after.stage > before.stage, speed, 0.0)
+
+
 def human_collision(before: State, after: State) -> Tensor:
     """1 where the robot touches the human."""
     return after.human_collision.to(after.tcp_pos.dtype)
@@ -80,6 +90,7 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, Change]:
     for name in dict.fromkeys(names):
         bonuses = [completion(index) for index, other in enumerate(names) if other == name]
         terms[BONUS_NAMES[name]] = bonuses[0] if len(bonuses) == 1 else total(bonuses)
+    terms["arrival_speed"] = arrival_speed
     terms["human_collision"] = human_collision
     terms["other_collision"] = other_collision
     terms["step"] = step

@@ -28,7 +28,7 @@ class State:
     joint_home: Tensor
     """(N, 6) rad."""
     human_pos: Tensor
-    """(N, 2) m, the human's vertical axis. Without a human: far away (`people.FAR_AWAY_M`)."""
+    """(N, 2) m, the human's vertical axis. Without a human: far away (`config.FAR_AWAY_M`)."""
     human_yaw: Tensor
     """(N,) rad."""
     human_seen: Tensor
