@@ -1,20 +1,74 @@
 #!/usr/bin/env bash
-# Remakes runs/reference: train each subtask where the one before it ends, then evaluate all and their chain.
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|expert
+# A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export OMP_NUM_THREADS=1
-hrl=(.venv/bin/python -m hrl_comfort)
-ref=runs/reference
+ref=${REFERENCE:-runs/reference}
+hrl=(.venv/bin/hrl-comfort)
 
-train() { "${hrl[@]}" train experiment=reference "task=$1" "output=$ref/$1" "${@:2}"; }
-endings() { "${hrl[@]}" evaluate "policy=$ref/$1" episodes=1000 "endings=$ref/$1/endings.npz" "output=$ref/$1/endings"; }
-measure() { "${hrl[@]}" evaluate "$@" episodes=1000 'group_by=[seen]'; }
+train() { # folder, overrides
+    [ -f "$ref/$1/policy.pt" ] || "${hrl[@]}" train "output=$ref/$1" "${@:2}"
+}
+measure() { # folder, overrides
+    "${hrl[@]}" evaluate "output=$ref/$1" episodes=1000 'group_by=[seen]' "${@:2}"
+}
+endings() { # where a policy ends, over episodes drawn as in training: the evaluation set stays held out
+    [ -f "$ref/$1/endings.npz" ] ||
+        "${hrl[@]}" evaluate "policy=$ref/$1" episodes=1000 "endings=$ref/$1/endings.npz" "output=$ref/$1/endings"
+}
 
-[ -f $ref/pick/policy.pt ] || train pick agent.decisions=90000
-endings pick
-[ -f $ref/place/policy.pt ] || train place agent.decisions=120000 task.start=$ref/pick/endings.npz
-endings place
-[ -f $ref/return/policy.pt ] || train return agent.decisions=80000 task.start=$ref/place/endings.npz
-for task in pick place return; do measure policy=$ref/$task; done
-measure task=cycle meta=scripted policies.pick=$ref/pick policies.place=$ref/place policies.return=$ref/return \
-    output=$ref/cycle/eval
+line() { # pick, place and return, each begun where the one before it ends, and their chain
+    train pick experiment=reference task=pick agent.decisions=90000
+    endings pick
+    train place experiment=reference task=place agent.decisions=300000 "task.start=$ref/pick/endings.npz"
+    endings place
+    train return experiment=reference task=return agent.decisions=200000 "task.start=$ref/place/endings.npz"
+    for task in pick place return; do measure $task/eval "policy=$ref/$task"; done
+    measure cycle/eval task=cycle meta=scripted \
+        "policies.pick=$ref/pick" "policies.place=$ref/place" "policies.return=$ref/return"
+}
+
+points() { # reaching points to 5 cm
+    train reach experiment=points task=reach agent.decisions=400000
+    train point_to_point experiment=points task=point_to_point agent.decisions=600000
+    for task in reach point_to_point; do measure $task/eval "policy=$ref/$task"; done
+}
+
+fine() { # the line's policies trained on to 2 cm
+    for task in pick place return; do
+        start=$(sed -n 's/^  start: //p' "$ref/$task/config.yaml")
+        train fine/$task experiment=fine task=$task "initial_policy=$ref/$task" "task.start=$start"
+        for cm in 10 5 2; do
+            measure fine/$task/eval_${cm}cm "policy=$ref/fine/$task" \
+                "task.precision.take_m=0.$(printf %02d $cm)" "task.precision.leave_m=0.$(printf %02d $cm)" \
+                "task.precision.home_deg=$cm"
+        done
+    done
+}
+
+approach() { # beside somebody who walks at the gripper; and blind to it
+    train pick_place_approach experiment=approach
+    measure pick_place_approach/eval "policy=$ref/pick_place_approach"
+    measure pick_place_approach/masked "policy=$ref/pick_place_approach" human.masked=true
+}
+
+curriculum() { # adaptive against off, the same number of decisions, three seeds
+    for seed in 0 1 2; do
+        for kind in adaptive off; do
+            folder=curriculum/${kind}_$seed
+            train $folder task=pick_place curriculum=$kind agent.decisions=40000 train_seed=$seed episode_seed=$seed
+            measure $folder/eval "policy=$ref/$folder"
+        done
+    done
+}
+
+expert() { # the scripted expert: every task can be done
+    for task in reach point_to_point pick place return pick_place cycle; do
+        measure expert/$task task=$task policy=expert
+    done
+}
+
+for part in "${@:-line}"; do
+    $part
+done
