@@ -11,7 +11,7 @@ from hrl_comfort.config import ConfigError, MetaConfig
 from hrl_comfort.meta.controllers import Scripted, chain, single
 from hrl_comfort.meta.options import Option, make_policy
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
 
 
@@ -42,17 +42,14 @@ def state() -> State:
 
 def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> Outcome:
     n = len(state.steps)
-    ones = torch.ones(n, 1, dtype=torch.bool)
     return Outcome(
-        state,
-        torch.zeros(n, 1),
-        success,
-        done & ~truncated,
-        truncated,
-        torch.ones(n),
-        torch.ones(n, 1),
-        ones,
-        (),
+        state=state,
+        reward_terms=torch.zeros(n, 1),
+        success=success,
+        terminated=done & ~truncated,
+        truncated=truncated,
+        valid=torch.ones(n, 1, dtype=torch.bool),
+        instants=state,
     )
 
 

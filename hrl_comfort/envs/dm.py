@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
-from hrl_comfort.sim.episodes import Episodes, Outcome
+from hrl_comfort.sim.episodes import Episodes
+from hrl_comfort.sim.outcome import Outcome
 
 Array = NDArray[np.float64]
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -14,7 +14,7 @@ from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.sim.outcome import Outcome
 
 
 class CellEnv(EnvBase):

@@ -20,7 +20,7 @@ from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
 from hrl_comfort.people import EvaluationSet, load_evaluation_set
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
 
 CHUNK = 250

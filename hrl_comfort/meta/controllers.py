@@ -9,7 +9,7 @@ from torch import Tensor
 
 from hrl_comfort.config import ConfigError, MetaConfig
 from hrl_comfort.meta.options import Ending, Option
-from hrl_comfort.sim.episodes import Outcome
+from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, Subtask
 
 

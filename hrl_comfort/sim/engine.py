@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
-from hrl_comfort.sim.episodes import Episodes, Outcome
+from hrl_comfort.sim.episodes import Episodes
+from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ episode, and every random draw of it comes from (seed, row, episode).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort import people
-from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import PROPS, Scene
 from hrl_comfort.sim.cartesian import CartesianHand
+from hrl_comfort.sim.outcome import Outcome, judge
 from hrl_comfort.sim.starts import start_states
 from hrl_comfort.tasks import State, Subtask, subtask
 
@@ -31,53 +31,10 @@ Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
 """(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
-MOVING_RAD_S = 0.05
-"""A robot none of whose joints is faster stands still: the human walked into it."""
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
-MOVING_FIELDS = (
-    "joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen",
-    "human_collision", "table_collision", "self_collision",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one decision led to; of its K control steps, those after a stage or episode ends are void."""
-
-    state: State
-    """The last valid instant of each row."""
-    reward_terms: Tensor
-    """(N, T) weighted, summed over the decision's control steps."""
-    success: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    """(N,) bool."""
-    decision_steps: Tensor
-    """(N,) int64, control steps this decision took."""
-    human_distance: Tensor
-    """(N, K) m, horizontal, tool to the human's axis."""
-    valid: Tensor
-    """(N, K) bool, the control steps this decision took."""
-    steps: tuple[State, ...]
-    """The K instants, for recording."""
-
-    @property
-    def reward(self) -> Tensor:
-        """(N,) the sum of the terms."""
-        return self.reward_terms.sum(dim=-1)
-
-    @property
-    def done(self) -> Tensor:
-        """(N,) bool."""
-        return self.terminated | self.truncated
-
-    @property
-    def robot_moving(self) -> Tensor:
-        """(N,) bool: some joint is in motion."""
-        return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
 
 
 class Episodes:
@@ -290,58 +247,18 @@ class Episodes:
         A decision ends where its stage or its episode does: whatever acts next, perhaps another policy,
         decides anew. The caller takes each row's physics from the end of its last valid control step.
         """
-        substeps, limit = self.config.engine.substeps, self.config.task.limit_steps
-        before = self.state
-        assert before is not None
-        n, count = self.rows, self.config.task.steps_per_decision
+        assert self.state is not None
+        substeps = self.config.engine.substeps
         moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
-        active = torch.ones(n, dtype=torch.bool)
-        terms = torch.zeros(n, len(self.reward_names), dtype=torch.float64)
-        terminated, truncated = torch.zeros_like(active), torch.zeros_like(active)
-        stage, steps = before.stage, before.steps
-        valid, instants = [], []
-        previous = before
-        for k in range(count):
-            valid.append(active)
-            steps = steps + active
-            after = before.with_(
-                steps=steps, stage=stage, **{name: moving[name][:, k] for name in MOVING_FIELDS}
-            )
-            reached = torch.where(active, self.subtask.next_stage(after), stage)
-            stage_over, stage = reached > stage, reached
-            after = after.with_(stage=stage)
-            gained = torch.stack([term(previous, after) for term in self.subtask.rewards.values()], dim=-1)
-            terms += torch.where(active[:, None], gained * self._weights, 0.0)
-            failed = self.subtask.failure(after)
-            ended = active & (failed | self.subtask.success(after))
-            terminated = terminated | ended
-            truncated = truncated | (active & ~ended & (steps >= limit))
-            active = active & ~ended & ~stage_over & (steps < limit)
-            instants.append(after)
-            previous = after
-        mask = torch.stack(valid, dim=1)
-        last = mask.sum(dim=1) - 1
-        rows = torch.arange(n)
-        final = {name: moving[name][rows, last] for name in MOVING_FIELDS}
-        self.state = before.with_(steps=steps, stage=stage, **final)
-        self.steps = steps.numpy().copy()
-        self.joint_target = final["joint_target"].numpy().copy()
-        for k in np.unique(last.numpy()):
-            rows_there = np.flatnonzero(last.numpy() == k)
-            if k < count - 1:
-                self.walk = self.walk.put(rows_there, self._walks[k].rows(rows_there))
-        return Outcome(
-            state=self.state,
-            reward_terms=terms,
-            # A collision in the step that completes the task is a failure.
-            success=terminated & self.subtask.success(self.state) & ~self.subtask.failure(self.state),
-            terminated=terminated,
-            truncated=truncated,
-            decision_steps=mask.sum(dim=1),
-            human_distance=human_distance(moving["tcp_pos"], moving["human_pos"]),
-            valid=mask,
-            steps=tuple(instants),
-        )
+        outcome = judge(self.subtask, self._weights, self.config.task.limit_steps, self.state, moving)
+        self.state = outcome.state
+        self.steps = self.state.steps.numpy().copy()
+        self.joint_target = self.state.joint_target.numpy().copy()
+        taken = outcome.decision_steps.numpy()
+        for count in np.unique(taken[taken < len(self._walks)]):
+            rows = np.flatnonzero(taken == count)
+            self.walk = self.walk.put(rows, self._walks[count - 1].rows(rows))
+        return outcome
 
     # ---- pieces ----------------------------------------------------------------------------------------
 

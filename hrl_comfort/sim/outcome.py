@@ -1,0 +1,105 @@
+"""Judging a decision: what its control steps earned, where it ended and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.tasks import State, Subtask
+
+MOVING_RAD_S = 0.05
+"""A robot none of whose joints is faster stands still: the human walked into it."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one decision led to; of its K control steps, those after a stage or episode ends are void."""
+
+    state: State
+    """The last valid instant of each row."""
+    reward_terms: Tensor
+    """(N, T) weighted, summed over the decision's control steps."""
+    success: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    """(N,) bool."""
+    valid: Tensor
+    """(N, K) bool, the control steps this decision took."""
+    instants: State
+    """The states after each control step, N * K rows, a row's K steps together."""
+
+    @property
+    def reward(self) -> Tensor:
+        """(N,) the sum of the terms."""
+        return self.reward_terms.sum(dim=-1)
+
+    @property
+    def done(self) -> Tensor:
+        """(N,) bool."""
+        return self.terminated | self.truncated
+
+    @property
+    def decision_steps(self) -> Tensor:
+        """(N,) int64, control steps this decision took."""
+        return self.valid.sum(dim=1)
+
+    @property
+    def human_distance(self) -> Tensor:
+        """(N, K) m, horizontal, tool to the human's axis."""
+        return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.valid.shape)
+
+    @property
+    def steps(self) -> list[State]:
+        """The K instants of N rows each, for recording."""
+        n, count = self.valid.shape
+        return [self.instants.rows(torch.arange(n) * count + k) for k in range(count)]
+
+    @property
+    def robot_moving(self) -> Tensor:
+        """(N,) bool: some joint is in motion."""
+        return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
+
+
+def judge(
+    subtask: Subtask, weights: Tensor, limit_steps: int, before: State, moving: dict[str, Tensor]
+) -> Outcome:
+    """Judge K control steps from the state `before` (N rows) and the fields (N, K, ...) that changed.
+
+    `weights` (T,) are those of the subtask's reward terms. A decision ends where its stage or its episode
+    does, so within its valid steps the stage in force is the one it began with.
+    """
+    n, count = moving["tcp_pos"].shape[:2]
+    row = torch.arange(n).repeat_interleave(count)
+    begun = before.rows(row)
+    steps = (before.steps[:, None] + torch.arange(1, count + 1)).flatten()
+    after = begun.with_(steps=steps, **{name: value.flatten(0, 1) for name, value in moving.items()})
+    after = after.with_(stage=subtask.next_stage(after))
+    earlier = {
+        name: torch.cat([getattr(before, name)[:, None], value[:, :-1]], dim=1).flatten(0, 1)
+        for name, value in moving.items()
+    }
+    previous = begun.with_(steps=steps - 1, **earlier)
+
+    failed, finished = subtask.failure(after), subtask.success(after)
+    out_of_time = steps >= limit_steps
+    over = ((after.stage > begun.stage) | failed | out_of_time).view(n, count)
+    last = torch.where(over.any(dim=1), over.int().argmax(dim=1), count - 1)
+    valid = torch.arange(count) <= last[:, None]
+
+    gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
+    terms = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0).sum(dim=1)
+    at = torch.arange(n) * count + last
+    terminated = (failed | finished)[at]
+    return Outcome(
+        state=after.rows(at),
+        reward_terms=terms,
+        # A collision in the step that completes the task is a failure.
+        success=(finished & ~failed)[at],
+        terminated=terminated,
+        truncated=out_of_time[at] & ~terminated,
+        valid=valid,
+        instants=after,
+    )
