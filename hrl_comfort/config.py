@@ -204,7 +204,7 @@ class RewardConfig:
     home: float
     reach: float
     arrival_speed: float
-    """A m/s: the tool's speed in the control step that completes a stage."""
+    """A rad/s of the joints' velocity (Euclidean norm) at the control step that completes a stage."""
     human_collision: float
     other_collision: float
     step: float

@@ -144,12 +144,12 @@ def test_progress_telescopes_to_the_distance_covered() -> None:
     torch.testing.assert_close(gained[alive] / 10.0, covered[alive])
 
 
-def test_arrival_speed_is_paid_once_at_the_step_that_completes_a_stage() -> None:
+def test_arrival_speed_is_charged_once_at_the_step_that_completes_a_stage() -> None:
     before = beginning("pick", 2)
-    moved = before.with_(tcp_pos=before.tcp_pos + torch.tensor([0.0, 0.03, 0.04], dtype=torch.float64))
-    torch.testing.assert_close(arrival_speed(before, moved), torch.zeros(2, dtype=torch.float64))
-    arrived = moved.with_(stage=before.stage + 1)
-    torch.testing.assert_close(arrival_speed(before, arrived), torch.full((2,), 2.5, dtype=torch.float64))
+    moving = before.with_(joint_vel=torch.tensor([3.0, 0, 0, 4.0, 0, 0], dtype=torch.float64).expand(2, 6))
+    torch.testing.assert_close(arrival_speed(before, moving), torch.zeros(2, dtype=torch.float64))
+    arrived = moving.with_(stage=before.stage + 1)
+    torch.testing.assert_close(arrival_speed(before, arrived), torch.full((2,), 5.0, dtype=torch.float64))
 
 
 def test_return_shaping_is_the_released_codes() -> None:

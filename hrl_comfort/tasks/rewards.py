@@ -9,7 +9,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Change, Stage
 
@@ -50,12 +49,11 @@ def total(terms: list[Change]) -> Change:
 
 
 def arrival_speed(before: State, after: State) -> Tensor:
-    """Return the tool's speed, m/s, at the step that completes a stage, else 0.
+    """Return the Euclidean norm of the joint velocities, rad/s, at the step that completes a stage, else 0.
 
     Whoever acts next takes over the arm in motion, beside a table: fast arrivals end in it.
     """
-    speed = (after.tcp_pos - before.tcp_pos).norm(dim=-1) / CONTROL_STEP_S
-    return torch.where(after.stage > before.stage, speed, 0.0)
+    return torch.where(after.stage > before.stage, after.joint_vel.norm(dim=-1), 0.0)
 
 
 def human_collision(before: State, after: State) -> Tensor:
