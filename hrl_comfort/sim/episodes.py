@@ -8,7 +8,6 @@ episode, and every random draw of it comes from (seed, row, episode).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -23,18 +22,13 @@ from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import PROPS, Scene
 from hrl_comfort.sim.cartesian import CartesianHand
+from hrl_comfort.sim.draws import ATTEMPTS, Draw, Draws
 from hrl_comfort.sim.outcome import Outcome, judge
-from hrl_comfort.sim.starts import start_states
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
 """(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
-
-POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
-"""Random points of `reach` lie in this annulus round the base."""
-TABLE_CLEARANCE_M = 0.25
-ATTEMPTS = 200
 
 
 class Episodes:
@@ -46,7 +40,7 @@ class Episodes:
     def __init__(
         self, scene: Scene, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
     ) -> None:
-        self.scene, self.config, self.rows, self.seed, self.evaluation = scene, config, rows, seed, evaluation
+        self.scene, self.config, self.rows = scene, config, rows
         self.subtask: Subtask = subtask(config.task.name, config.task.observation)
         weights = vars(config.reward)
         self.reward_names = tuple(self.subtask.rewards)
@@ -54,18 +48,13 @@ class Episodes:
         self.precision_m = config.task.precision.take_m
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
 
-        cell = config.cell
-        self._ball = np.array(cell.ball_m)
-        self._drops = np.array([cell.orange_drop_m, cell.pink_drop_m])
-        self._goals = np.vstack([self._ball, self._drops])
-        self._spawns = people.moved_spawns(config.human, self._goals[:, :2])
-        self._training_spawns = people.training_spawns(config.human)
-        self._starts = start_states(scene, config, self.subtask.start)
+        self.draws = Draws(scene, config, self.subtask, seed, evaluation)
+        self._ball, self._drops = self.draws.goals[0], self.draws.goals[1:]
         self._tcp_home: Array | None = None
 
-        n, horizon = rows, config.task.limit_steps + config.task.steps_per_decision
+        n = rows
         self.episode = np.full(n, -1, dtype=np.int64)
-        self.noise = np.zeros((n, horizon, people.NOISE))
+        self.noise = np.zeros((n, self.draws.horizon, people.NOISE))
         self.colour = np.zeros(n, dtype=np.int64)
         self.spawn_id = np.zeros(n, dtype=np.int64)
         self.motion_id = np.full(n, -1, dtype=np.int64)
@@ -89,15 +78,13 @@ class Episodes:
         Raises:
           RuntimeError: no such beginning was found.
         """
-        generators = {}
-        for row in rows:
-            self.episode[row] += 1
-            generators[row] = self._generator(row)
-            self._draw_episode(row, generators[row])
+        self.episode[rows] += 1
+        self.steps[rows], self.precision[rows] = 0, self.precision_m
+        attempts = {row: self.draws.attempts(int(row), int(self.episode[row])) for row in rows}
         pending = rows
-        for attempt in range(ATTEMPTS):
+        for _ in range(ATTEMPTS):
             for row in pending:
-                self._draw_start(row, generators[row], spare=attempt >= ATTEMPTS // 2)
+                self._take(row, next(attempts[row]))
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             sensed = probe(self.start[pending, :12], self._control(pending))
@@ -118,89 +105,11 @@ class Episodes:
         """Let each row's next episode be its first again."""
         self.episode[:] = -1
 
-    def _generator(self, row: int) -> np.random.Generator:
-        if self.evaluation is not None:
-            entry = row % len(self.evaluation.episode)
-            key = [int(self.evaluation.episode_seed[entry]) << 32, int(self.episode[row])]
-        else:
-            key = [(self.seed << 32) + row, int(self.episode[row])]
-        return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
-
-    def _draw_episode(self, row: int, rng: np.random.Generator) -> None:
-        """Draw what stays through the attempts: colour, motion and, in evaluation, the spawn."""
-        colours = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}
-        self.colour[row] = colours[self.config.task.colour]
-        self.noise[row] = rng.random(self.noise.shape[1:])
-        self.precision[row] = self.precision_m
-        self.steps[row] = 0
-        if self.evaluation is not None:
-            entry = row % len(self.evaluation.episode)
-            motion = int(self.evaluation.motion_id[entry])
-            stream = np.random.Philox(key=np.array([motion, people.MOTION_STREAM], dtype=np.uint64))
-            self.noise[row] = np.random.Generator(stream).random(self.noise.shape[1:])
-            self.motion_id[row] = motion
-            self.spawn_id[row] = self.evaluation.spawn_id[entry]
-
-    def _draw_start(self, row: int, rng: np.random.Generator, spare: bool) -> None:
-        """Draw the robot's start, the points of `reach` and, in training, the human's spawn.
-
-        With `spare`, starts are those of inverse kinematics: none of the recorded ones was free.
-        """
-        human = self.config.human
-        banks = self._spare_starts() if spare else self._starts
-        bank = banks[self.colour[row] % len(banks)]
-        start = bank[rng.integers(len(bank))]
-        self.start[row], self.joint_target[row] = start, start[12:]
-        drawn = self.config.task.point == "random"
-        self.points[row] = np.array([self.config.task.point_m, self.config.task.second_point_m])
-        if self.evaluation is not None:
-            spawn = self.evaluation.position[row % len(self.evaluation.episode)]
-        elif human.spawn == "anywhere":
-            self.spawn_id[row] = -1
-            spawn = people.spawn_anywhere(human, self._spawns, self._keep_out([row], drawn), rng)
-        else:
-            self.spawn_id[row] = rng.choice(self._training_spawns)
-            point = self._spawns[self.spawn_id[row]]
-            spawn = people.jittered_spawn(human, point[None], rng.random((1, 2)))[0]
-        spawn = people.outside(spawn[None], self._keep_out([row], drawn))[0]
-        if drawn:
-            self.points[row] = self._random_points(spawn, rng)
-        self.walk.spawn[row] = spawn
-
-    def _spare_starts(self) -> list[Array]:
-        return start_states(
-            self.scene, replace(self.config, task=replace(self.config.task, start="ik")), self.subtask.start
-        )
-
-    def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
-        """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
-        human = self.config.human
-        for _ in range(ATTEMPTS):
-            radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
-            bearing = rng.uniform(-np.pi, np.pi, 2)
-            points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
-            from_tables = np.linalg.norm(points[:, None] - self._goals[None], axis=-1).min()
-            apart = np.linalg.norm(points[0] - points[1])
-            from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
-            if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= human.keep_out_m:
-                return points
-        raise RuntimeError(f"no free points found after {ATTEMPTS} attempts")
-
-    def _keep_out(self, rows: Any = slice(None), points_drawn: bool = False) -> people.KeepOut:
-        """Return the discs the human stays out of: the goals of the task and the robot's base.
-
-        Points that are yet to be drawn (`points_drawn`) keep clear of the human themselves.
-        """
-        n = len(self.start[rows])
-        if self.subtask.stages[0].name == "reach" and points_drawn:
-            goals = np.empty((n, 0, 2))
-        elif self.subtask.stages[0].name == "reach":
-            goals = self.points[rows][:, : len(self.subtask.stages), :2]
-        else:
-            goals = np.broadcast_to(self._goals[None, :, :2], (n, 3, 2))
-        return people.KeepOut(
-            np.concatenate([goals, np.zeros((n, 1, 2))], axis=1), self.config.human.keep_out_m
-        )
+    def _take(self, row: int, draw: Draw) -> None:
+        self.colour[row], self.noise[row] = draw.colour, draw.noise
+        self.motion_id[row], self.spawn_id[row] = draw.motion_id, draw.spawn_id
+        self.start[row], self.joint_target[row] = draw.start, draw.start[12:]
+        self.points[row], self.walk.spawn[row] = draw.points, draw.spawn
 
     # ---- one decision ----------------------------------------------------------------------------------
 
@@ -221,7 +130,7 @@ class Episodes:
         targets = self.joint_target[:, None] + ramp[None, :, None] * increment[:, None]
         targets = np.clip(targets, *self.scene.joint_range.T)
 
-        keep_out, tcp = self._keep_out(), self.state.tcp_pos[:, :2].numpy()
+        keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos[:, :2].numpy()
         walks = []
         for k in range(steps):
             index = np.minimum(self.steps + k, self.noise.shape[1] - 1)
@@ -270,7 +179,7 @@ class Episodes:
         return limb_poses(x, y, yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
-        return people.seen_position(self.config.human, position, self._spawns)
+        return people.seen_position(self.config.human, position, self.draws.spawns)
 
     def _control(self, rows: NDArray[np.int64]) -> Array:
         """Return the control (r, ncontrol) that holds the robot and the human where they begin."""

@@ -1,0 +1,132 @@
+"""What chance decides about an episode: colour, walk, spawn, start and points, from (seed, row, episode)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort import people
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.people import EvaluationSet
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.starts import start_states
+from hrl_comfort.tasks import Subtask
+
+Array = NDArray[np.float64]
+
+POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
+"""Random points of `reach` lie in this annulus round the base."""
+TABLE_CLEARANCE_M = 0.25
+ATTEMPTS = 200
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One beginning of an episode; of a later attempt, only spawn, start and points are new."""
+
+    colour: int
+    """0 orange, 1 pink."""
+    noise: Array
+    """(horizon, NOISE) in [0, 1): what the walk uses at each control step."""
+    motion_id: int
+    """Of the evaluation set; -1 in training."""
+    spawn_id: int
+    """Index of the spawn point; -1 where the human begins anywhere."""
+    spawn: Array
+    """(2,) m."""
+    start: Array
+    """(18,) angles, velocities and servo targets of the joints (`sim.starts`)."""
+    points: Array
+    """(2, 3) m, of `reach` and `point_to_point`."""
+
+
+class Draws:
+    """The source of beginnings. With an `evaluation` set, row r gets entry r (modulo its length)."""
+
+    def __init__(
+        self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
+    ) -> None:
+        self.seed = seed
+        self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
+        self._on_points = len(task.stages) if task.stages[0].name == "reach" else 0
+        cell = config.cell
+        self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
+        self.spawns = people.moved_spawns(config.human, self.goals[:, :2])
+        self.horizon = config.task.limit_steps + config.task.steps_per_decision
+        self._training_spawns = people.training_spawns(config.human)
+        self._starts = start_states(scene, config, task.start)
+
+    def attempts(self, row: int, episode: int) -> Iterator[Draw]:
+        """Yield one draw after the other for an episode, until one is taken.
+
+        In the second half, starts are those of inverse kinematics: none of the recorded ones was free.
+        """
+        rng = self._generator(row, episode)
+        colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
+        noise, motion_id = rng.random((self.horizon, people.NOISE)), -1
+        if self._evaluation is not None:
+            motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
+            stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
+            noise = np.random.Generator(stream).random(noise.shape)
+        for attempt in range(ATTEMPTS):
+            banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
+            bank = banks[colour % len(banks)]
+            start = bank[rng.integers(len(bank))]
+            spawn_id, spawn, points = self._spawn_and_points(row, rng)
+            yield Draw(colour, noise, motion_id, spawn_id, spawn, start, points)
+
+    def keep_out(self, points: Array) -> people.KeepOut:
+        """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""
+        n = len(points)
+        if self._on_points:
+            goals = points[:, : self._on_points, :2]
+        else:
+            goals = np.broadcast_to(self.goals[None, :, :2], (n, 3, 2))
+        centres = np.concatenate([goals, np.zeros((n, 1, 2))], axis=1)
+        return people.KeepOut(centres, self._config.human.keep_out_m)
+
+    def _generator(self, row: int, episode: int) -> np.random.Generator:
+        key = [(self.seed << 32) + row, episode]
+        if self._evaluation is not None:
+            entry = row % len(self._evaluation.episode)
+            key = [int(self._evaluation.episode_seed[entry]) << 32, episode]
+        return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
+
+    def _spawn_and_points(self, row: int, rng: np.random.Generator) -> tuple[int, Array, Array]:
+        human, task = self._config.human, self._config.task
+        points = np.array([task.point_m, task.second_point_m])
+        drawn = task.point == "random"
+        if drawn and self._on_points:  # they keep clear of the human themselves
+            discs = people.around(np.empty((0, 2)), human.keep_out_m, 1)
+        else:
+            discs = self.keep_out(points[None])
+        if self._evaluation is not None:
+            entry = row % len(self._evaluation.episode)
+            spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
+        elif human.spawn == "anywhere":
+            spawn_id, spawn = -1, people.spawn_anywhere(human, self.spawns, discs, rng)
+        else:
+            spawn_id = int(rng.choice(self._training_spawns))
+            spawn = people.jittered_spawn(human, self.spawns[spawn_id][None], rng.random((1, 2)))[0]
+        spawn = people.outside(spawn[None], discs)[0]
+        return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
+
+    def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
+        """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
+        for _ in range(ATTEMPTS):
+            radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
+            bearing = rng.uniform(-np.pi, np.pi, 2)
+            points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
+            from_tables = np.linalg.norm(points[:, None] - self.goals[None], axis=-1).min()
+            apart = np.linalg.norm(points[0] - points[1])
+            from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
+            if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
+                return points
+        raise RuntimeError(f"no free points found after {ATTEMPTS} attempts")
+
+    def _spare_starts(self) -> list[Array]:
+        made = replace(self._config, task=replace(self._config.task, start="ik"))
+        return start_states(self._scene, made, self._task.start)
