@@ -1,39 +1,65 @@
-"""Print the table of docs/reproduce.md, Markdown, from the committed summaries: `python docs/tables.py`."""
+"""Fill the tables of docs/reproduce.md from the committed evaluations: `python docs/tables.py`.
+
+A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Folders are those of
+evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training seeds). With
+`--check` nothing is written, and the exit code says whether the page is up to date.
+"""
 
 from __future__ import annotations
 
-import json
+import re
+import sys
 from pathlib import Path
 
-REFERENCE = Path(__file__).resolve().parent.parent / "runs" / "reference"
-COLUMNS = ("success", "steps", "human_distance_mean_m", "human_collision", "other_collision")
+from hrl_comfort.experiments.statistics import LABELS, Row, group_metrics, read_rows
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
+MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+LIMIT_STEPS = 500  # only `steps_all`, not shown, depends on it
+COLUMNS = (
+    "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
+    "human distance, m", "human hit, %", "cell or self hit, %",
+)  # fmt: skip
 
 
-def rows(folder: Path) -> list[str]:
-    """Return one line a group of the summary in `folder`."""
-    lines = []
-    for group in json.loads((folder / "summary.json").read_text(encoding="utf-8"))["groups"]:
-        metrics = group["metrics"]
-        spawns = {True: "seen", False: "unseen"}.get(group.get("seen"), "all")
-        low, high = metrics["success"]["ci95"]
-        cells = [
-            str(folder.relative_to(REFERENCE)),
-            group["human"],
-            f"{100 * group['precision_m']:g}",
-            spawns,
-            str(group["episodes"]),
-            f"{metrics['success']['mean']:.1%} [{low:.1%}, {high:.1%}]",
-            *(f"{metrics[name]['mean']:.3g}" if name in metrics else "–" for name in COLUMNS[1:]),
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return lines
+def table(folders: list[str]) -> str:
+    """Return the Markdown table of evaluations, one line each."""
+    head = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
+    return head + "".join(line(name) for name in folders)
+
+
+def line(name: str) -> str:
+    """Return the line of one evaluation, or of the pooled episodes of those that match."""
+    found = sorted(REFERENCE.glob(f"{name}/episodes.csv"))
+    if not found:
+        raise FileNotFoundError(f"no runs/reference/{name}/episodes.csv")
+    rows = [row for path in found for row in read_rows(path)]
+    metrics = group_metrics(rows, LABELS, LIMIT_STEPS)
+    cells = [name.removesuffix("/eval"), str(len(rows)), share(rows, interval=True)]
+    cells += [share([row for row in rows if row["seen"] == flag]) for flag in ("True", "False")]
+    for metric, form in (("steps", "{:.0f}"), ("human_distance_mean_m", "{:.3f}")):
+        cells.append(form.format(metrics[metric]["mean"]) if metric in metrics else "–")
+    cells += [f"{100 * metrics[metric]['mean']:.1f}" for metric in ("human_collision", "other_collision")]
+    return "| " + " | ".join(cells) + " |\n"
+
+
+def share(rows: list[Row], interval: bool = False) -> str:
+    """Return the share of successful episodes in percent."""
+    success = group_metrics(rows, LABELS, LIMIT_STEPS)["success"]
+    low, high = success["ci95"]
+    text = f"{100 * success['mean']:.1f}"
+    return f"{text} [{100 * low:.1f}, {100 * high:.1f}]" if interval else text
+
+
+def filled(page: str) -> str:
+    """Return the page with every marked table made anew."""
+    return MARKED.sub(lambda found: found[1] + table(found[2].split()) + found[3], page)
 
 
 if __name__ == "__main__":
-    names = ["evaluation", "human", "precision, cm", "spawns", "episodes", "success [95 %]", "steps"]
-    names += ["human distance, m", "human collisions", "other collisions"]
-    print("| " + " | ".join(names) + " |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
-    for summary in sorted(REFERENCE.rglob("summary.json")):
-        if "endings" not in summary.parts and "checkpoints" not in summary.parts:
-            print("\n".join(rows(summary.parent)))
+    before = PAGE.read_text(encoding="utf-8")
+    after = filled(before)
+    if "--check" in sys.argv:
+        sys.exit(f"{PAGE}: run `python docs/tables.py`" if after != before else 0)
+    PAGE.write_text(after, encoding="utf-8")
