@@ -1,8 +1,8 @@
 """Fill the tables of docs/reproduce.md from the committed evaluations: `python docs/tables.py`.
 
 A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Folders are those of
-evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training seeds). With
-`--check` nothing is written, and the exit code says whether the page is up to date.
+evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training
+seeds). With `--check` nothing is written, and the exit code says whether the page is up to date.
 """
 
 from __future__ import annotations
