@@ -7,15 +7,19 @@ export OMP_NUM_THREADS=1
 ref=${REFERENCE:-runs/reference}
 hrl=(.venv/bin/hrl-comfort)
 
-train() { # folder, overrides
-    [ -f "$ref/$1/policy.pt" ] || "${hrl[@]}" train "output=$ref/$1" "${@:2}"
+train() { # folder, overrides; a training that was stopped goes on
+    if grep -qs '"finished": true' "$ref/$1/provenance.json"; then return; fi
+    if [ -d "$ref/$1/checkpoints" ]; then
+        "${hrl[@]}" train "resume=$ref/$1"
+    else
+        "${hrl[@]}" train "output=$ref/$1" "${@:2}"
+    fi
 }
 measure() { # folder, overrides
     "${hrl[@]}" evaluate "output=$ref/$1" episodes=1000 'group_by=[seen]' "${@:2}"
 }
-endings() { # where a policy ends, over episodes drawn as in training: the evaluation set stays held out
-    [ -f "$ref/$1/endings.npz" ] ||
-        "${hrl[@]}" evaluate "policy=$ref/$1" episodes=1000 "endings=$ref/$1/endings.npz" "output=$ref/$1/endings"
+endings() { # how a policy leaves the arm, over episodes drawn as in training: the evaluation set stays held out
+    [ -f "$ref/$1/endings.npz" ] || "${hrl[@]}" evaluate "policy=$ref/$1" episodes=2000 "endings=$ref/$1/endings.npz"
 }
 
 line() { # pick, place and return, each begun where the one before it ends, and their chain
@@ -30,7 +34,7 @@ line() { # pick, place and return, each begun where the one before it ends, and 
 }
 
 points() { # reaching points to 5 cm
-    train reach experiment=points task=reach agent.decisions=400000
+    train reach experiment=points task=reach
     train point_to_point experiment=points task=point_to_point agent.decisions=600000
     for task in reach point_to_point; do measure $task/eval "policy=$ref/$task"; done
 }

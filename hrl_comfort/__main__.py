@@ -41,7 +41,10 @@ def evaluate(overrides: list[str]) -> None:
 
     config = compose("evaluate", overrides)
     assert isinstance(config, EvaluateConfig)
-    from hrl_comfort.experiments.evaluate import evaluate as run
+    if config.endings is not None:
+        from hrl_comfort.experiments.endings import record_endings as run
+    else:
+        from hrl_comfort.experiments.evaluate import evaluate as run
 
     run(config)
 

@@ -165,19 +165,21 @@ def _near(word: str, words: Iterable[str]) -> str:
 
 
 def _as_trained(overrides: list[str]) -> list[str]:
-    """Return overrides that set what the policy's run was trained with.
+    """Return overrides that set what the policy's run was trained with; of a chain's, the first that has one.
 
-    What the file of a group chosen in `overrides` states itself is left to it.
+    Where a group is chosen in `overrides`, what any of its files states is left to that choice.
     """
     parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(overrides)}
-    folder = run_folder(str(parsed.get("policy")))
+    sources = [value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")]
+    folder = next((found for source in sources if (found := run_folder(str(source)))), None)
     if folder is None:
         return []
     run, trained = load_config(folder), []
     for section in (field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"):
         stated = set()
         if section in parsed:
-            stated = set(OmegaConf.load(config_dir() / section / f"{parsed[section]}.yaml"))
+            files = (config_dir() / section).glob("[!_]*.yaml")
+            stated = {str(key) for file in files for key in OmegaConf.load(file)}
         for key, value in _leaves(section, dataclasses.asdict(getattr(run, section))):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))

@@ -14,6 +14,11 @@ CONTROL_STEP_S = 0.02
 FAR_AWAY_M = 50.0
 """Where everything stands, along x, that is not in the cell."""
 
+FIRST_SEED = 1_000_000
+"""Episode seeds from here on are those of the evaluation set; training has those below `ENDINGS_SEED`."""
+ENDINGS_SEED = 900_000
+"""Episode seeds from here on, below `FIRST_SEED`, are those of recorded endings."""
+
 CLIPPINGS = ("off", "full", "partial")
 SPAWNS = ("points", "anywhere")
 COLOURS = ("random", "orange", "pink")
@@ -364,6 +369,10 @@ class TrainConfig:
     initial_policy: str | None
     """policy.pt or run folder whose actor, critics and normaliser training starts from."""
 
+    def __post_init__(self) -> None:
+        _between("train_seed", self.train_seed, 0, 2**63 - 1)
+        _between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
+
 
 @dataclass(frozen=True)
 class EvaluateConfig:
@@ -390,12 +399,14 @@ class EvaluateConfig:
     record: bool
     """Write paths.csv."""
     endings: str | None
-    """Write the joint angles that successful episodes ended in to this .npz: starts for the next subtask."""
+    """Instead, write how the joints were when episodes drawn as in training succeeded to this .npz: angles,
+    velocities and servo targets, the starts of the next subtask."""
     output: str
 
     def __post_init__(self) -> None:
         _one_of("checkpoints", self.checkpoints, ("none", "all"))
         _between("episodes", self.episodes, 1, 1_000_000)
+        _between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,10 @@ def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> No
     human = []
     for index, limit in enumerate((20, 30)):
         folder = run(
-            tmp_path / str(index), "record=true", f"episode_seed={index}", f"task.limit_steps={limit}"
+            tmp_path / str(index),
+            "record=true",
+            f"episode_seed={1000000 + index}",
+            f"task.limit_steps={limit}",
         )
         rows = [row for row in table(folder / "paths.csv") if int(row["step"]) <= 10]
         human.append({(r["episode"], r["step"]): (r["human_x"], r["human_y"]) for r in rows})

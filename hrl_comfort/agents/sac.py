@@ -167,7 +167,8 @@ class Sac:
         self.optimiser.zero_grad(set_to_none=True)
         (critic_loss + actor_loss + alpha_loss).backward()
         self.optimiser.step()
-        torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
+        with torch.no_grad():
+            torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
         self.updates += 1
         return terms
 

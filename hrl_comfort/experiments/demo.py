@@ -16,6 +16,7 @@ from rich.table import Table
 
 from hrl_comfort.compose import compose
 from hrl_comfort.config import EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
 from hrl_comfort.experiments.train import train_cell
@@ -55,24 +56,22 @@ def train_line(output: Path, overrides: list[str]) -> dict[str, Path]:
         agent = replace(config.agent, decisions=round(config.agent.decisions * SHARE[name]))
         train_cell(replace(config, agent=agent))
         if name != LINE[-1]:
-            start = record_endings(folder, name)
+            start = str(endings_of(folder))
     return folders
 
 
-def record_endings(folder: Path, name: str) -> str:
-    """Record in which joint angles the trained policy ends, over episodes drawn as in training."""
+def endings_of(folder: Path) -> Path:
+    """Record how the trained policy of `folder` leaves the arm; return the file."""
     path = folder / "endings.npz"
-    choices = [f"task={name}", f"policy='{folder}'", f"episodes={ENDINGS_EPISODES}", f"endings='{path}'"]
-    config = compose("evaluate", [*choices, f"output='{folder}/endings'"])
+    config = compose("evaluate", [f"policy='{folder}'", f"episodes={ENDINGS_EPISODES}", f"endings='{path}'"])
     assert isinstance(config, EvaluateConfig)
-    evaluate(config)
-    return str(path)
+    return record_endings(config)
 
 
 def evaluate_line(output: Path, policies: dict[str, Path], episodes: str) -> None:
     """Evaluate every policy, its checkpoints, and their chain."""
-    for name, folder in policies.items():
-        choices = [f"task={name}", f"policy='{folder}'"]
+    for folder in policies.values():
+        choices = [f"policy='{folder}'"]
         run_evaluation([*choices, f"episodes={episodes}", "record=true", "group_by=[seen]"])
         run_evaluation([*choices, "episodes=100", "checkpoints=all"])
     chained = [f"policies.{name}='{folder}'" for name, folder in policies.items()]

@@ -72,8 +72,6 @@ def evaluate(config: EvaluateConfig) -> Path:
     result.write(output)
     save_config(config, output / "config.yaml")
     write_summary(output, config.group_by, config.task.limit_steps)
-    if config.endings is not None:
-        result.write_endings(config.endings)
     return output
 
 
@@ -84,7 +82,6 @@ class Result:
     episodes: list[Episode]
     options: list[dict[str, Any]]
     paths: list[list[Any]]
-    endings: dict[str, list[np.ndarray]]
 
     @property
     def success(self) -> float:
@@ -100,16 +97,6 @@ class Result:
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
 
-    def write_endings(self, path: str) -> None:
-        """Write how the joints were (M, 18) when episodes succeeded, by colour: the next starts."""
-        for colour, found in self.endings.items():
-            if not found:
-                raise ConfigError(
-                    f"endings={path!r}: no {colour} episode succeeded, so there is none to write"
-                )
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, orange=np.array(self.endings["orange"]), pink=np.array(self.endings["pink"]))
-
 
 def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
     """Write a CSV through a temporary file; None becomes an empty cell."""
@@ -122,17 +109,13 @@ def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) ->
 
 
 def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
-    """Run `config.episodes` episodes, the first of the evaluation set; `policy` stands in for the config's.
-
-    With `endings` asked for, episodes are drawn as in training instead: what is recorded there becomes
-    training data, and the evaluation set stays held out.
-    """
+    """Run the first `config.episodes` entries of the evaluation set; `policy` stands in for the config's."""
     entries = load_evaluation_set().reseeded(config.episode_seed)
     if config.episodes > len(entries.episode):
         raise ConfigError(
             f"episodes={config.episodes} is more than the evaluation set's {len(entries.episode)}"
         )
-    result = Result([], [], [], {colour: [] for colour in COLOURS})
+    result = Result([], [], [])
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -158,9 +141,7 @@ class Chunk:
         self.label = policy or config.policy or f"meta={config.meta.name}"
         rows = len(entries.episode)
         env = environment(config)
-        training_draws = config.endings is not None
-        seed = int(entries.episode_seed[0])
-        self.engine = Engine(env, rows, seed, None if training_draws else entries)
+        self.engine = Engine(env, rows, 0, entries)
         self.controller = make_controller(config, policy, self.engine)
         self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
 
@@ -225,9 +206,6 @@ class Chunk:
         hit = bool(state.human_collision[row])
         absent = config.human.motion == "none"
         colour = COLOURS[int(state.colour[row])]
-        if success:
-            joints = torch.cat([state.joint_pos[row], state.joint_vel[row], state.joint_target[row]])
-            self.result.endings[colour].append(joints.numpy())
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
         episodes = self.engine.episodes
         return Episode(
@@ -314,7 +292,7 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         )
     output = Path(config.output) / "checkpoints"
     output.mkdir(parents=True, exist_ok=True)
-    every, curve = Result([], [], [], {}), []
+    every, curve = Result([], [], []), []
     for path in found:
         result = measure(config, str(path))
         every.episodes += result.episodes

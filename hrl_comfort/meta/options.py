@@ -72,14 +72,18 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
             f"{' or '.join(SCRIPTED)}"
         )
     actor = load_policy(source)
-    meta = actor.spec["meta"]
+    meta, now = actor.spec["meta"], config.task
     if actor.spec["task"] != task.name:
         raise ConfigError(f"policy={source!r} was trained for {actor.spec['task']!r}, not for {task.name!r}")
-    if meta.get("action", config.task.action) != config.task.action:
-        raise ConfigError(
-            f"policy={source!r} was trained with action={meta['action']}; set task.action to it"
-        )
-    seen = subtask(task.name, meta.get("observation", config.task.observation))
+    for key, ours in (
+        ("robot", config.robot.name),
+        ("task.action", now.action),
+        ("task.steps_per_decision", now.steps_per_decision),
+    ):
+        theirs = meta[key.removeprefix("task.")]
+        if theirs != ours:
+            raise ConfigError(f"{key}={ours}, but policy={source!r} was trained with {key}={theirs}")
+    seen = subtask(task.name, meta["observation"])
 
     def act(state: State) -> Tensor:
         return actor(seen.observe(state).float()).double()

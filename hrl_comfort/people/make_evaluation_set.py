@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from hrl_comfort.config import CellConfig, HumanConfig
+from hrl_comfort.config import FIRST_SEED, CellConfig, HumanConfig
 from hrl_comfort.people import around, jittered_spawn, moved_spawns, outside, training_spawns
-from hrl_comfort.people.evaluation import COLUMNS, FIRST_SEED
+from hrl_comfort.people.evaluation import COLUMNS
 
 EPISODES = 1000
 UNSEEN_JITTER_M = 0.05

@@ -66,11 +66,12 @@ class Draws:
         """
         rng = self._generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
-        noise, motion_id = rng.random((self.horizon, people.NOISE)), -1
-        if self._evaluation is not None:
+        if self._evaluation is None:
+            motion_id, noise = -1, rng.random((self.horizon, people.NOISE))
+        else:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
-            noise = np.random.Generator(stream).random(noise.shape)
+            noise = np.random.Generator(stream).random((self.horizon, people.NOISE))
         for attempt in range(ATTEMPTS):
             banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
             bank = banks[colour % len(banks)]

@@ -1,0 +1,66 @@
+"""Recording how a policy leaves the arm: the starts of the subtask after it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from hrl_comfort.compose import environment
+from hrl_comfort.config import ENDINGS_SEED, ConfigError, EvaluateConfig
+from hrl_comfort.experiments.evaluate import CHUNK, COLOURS, make_controller
+from hrl_comfort.sim.engine import Engine
+
+
+def record_endings(config: EvaluateConfig) -> Path:
+    """Write the joints (M, 18) in which successful episodes end, by colour, to `config.endings`.
+
+    Episodes are drawn as in training, from seeds of their own: what is recorded becomes training data, and
+    the evaluation set stays held out.
+
+    Raises:
+      ConfigError: the file's name is not one of an .npz, or no episode of a colour succeeded.
+    """
+    path = Path(config.endings or "")
+    if path.suffix != ".npz":
+        raise ConfigError(f"endings={config.endings!r} must be the path of an .npz file")
+    if config.task.colour != "random":
+        raise ConfigError(f"endings= needs both colours; task.colour={config.task.colour!r} makes one")
+    torch.set_num_threads(1)
+    found: dict[str, list[np.ndarray]] = {colour: [] for colour in COLOURS}
+    for begin in range(0, config.episodes, CHUNK):
+        rows = min(CHUNK, config.episodes - begin)
+        for colour, joints in successes(config, rows, ENDINGS_SEED + begin // CHUNK):
+            found[colour].append(joints)
+    for colour, endings in found.items():
+        if not endings:
+            raise ConfigError(f"endings={str(path)!r}: no {colour} episode succeeded, so none is written")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as file:
+        np.savez(file, orange=np.array(found["orange"]), pink=np.array(found["pink"]))
+    temporary.replace(path)
+    count = sum(map(len, found.values()))
+    Console().print(f"{path}: {count} endings, of {config.episodes} episodes", soft_wrap=True)
+    return path
+
+
+def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
+    """Run one training-drawn episode in each of `rows` cells; return colour and joints (18,) of successes."""
+    engine = Engine(environment(config), rows, seed)
+    controller = make_controller(config, None, engine)
+    state = engine.reset()
+    controller.begin(rows)
+    active, found = torch.ones(rows, dtype=torch.bool), []
+    while bool(active.any()):
+        outcome = engine.step(controller.act(state).numpy())
+        given_up = controller.observe(outcome)
+        state = outcome.state
+        joints = torch.cat([state.joint_pos, state.joint_vel, state.joint_target], dim=-1).numpy()
+        for row in torch.nonzero(active & outcome.success).squeeze(-1).tolist():
+            found.append((COLOURS[int(state.colour[row])], joints[row].copy()))
+        active = active & ~(outcome.done | given_up)
+    engine.close()
+    return found
