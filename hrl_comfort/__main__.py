@@ -88,6 +88,8 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "demo": demo,
 }
 
+SWEPT = ("train", "evaluate")
+
 
 def multirun(verb: str, overrides: list[str]) -> None:
     """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder."""
@@ -98,10 +100,10 @@ def multirun(verb: str, overrides: list[str]) -> None:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from hrl_comfort.compose import ROOTS, check_overrides, config_dir, one_line
+    from hrl_comfort.compose import check_overrides, config_dir, one_line
 
-    if verb not in ROOTS:
-        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(ROOTS)}")
+    if verb not in SWEPT:
+        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
     rest = [*check_overrides(verb, rest, sweep=True), *(f"hydra.sweep.dir={folder}" for folder in outputs)]

@@ -25,6 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.files import write_text
 
 Config = TrainConfig | EvaluateConfig | ReportConfig
 ROOTS: dict[str, type[Config]] = {"train": TrainConfig, "evaluate": EvaluateConfig, "report": ReportConfig}
@@ -76,7 +77,7 @@ def environment(config: TrainConfig | EvaluateConfig) -> EnvConfig:
 
 def save_config(config: Config, path: str | Path) -> None:
     """Write `config` as YAML that `load_config` reads back to an equal one."""
-    OmegaConf.save(OmegaConf.create(dataclasses.asdict(config)), path)
+    write_text(Path(path), OmegaConf.to_yaml(OmegaConf.create(dataclasses.asdict(config))))
 
 
 def load_config(path: str | Path) -> Config:

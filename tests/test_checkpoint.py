@@ -11,6 +11,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser
 from hrl_comfort.agents.policy import load_policy, policy_file, save_policy
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files import write_atomically
 
 SPEC = {
     "task": "pick",
@@ -82,7 +83,7 @@ def test_a_failing_write_leaves_the_old_file_as_it_was(tmp_path):
         raise OSError("disk full")
 
     with pytest.raises(OSError, match="disk full"):
-        checkpoint.write_atomically(path, fail)
+        write_atomically(path, fail)
     assert checkpoint.load(path)["value"] == 1
 
 

@@ -21,7 +21,7 @@ from hrl_comfort.compose import (
     override,
     save_config,
 )
-from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 
 NEEDED = {"playback": ["human.file=walk.csv"]}
 """What a choice cannot do without."""
@@ -240,27 +240,29 @@ def test_a_missing_conf_is_named(monkeypatch, tmp_path):
 
 def test_a_sweep_gives_each_job_its_folder_and_reports_the_failing_one(tmp_path, monkeypatch, capsys):
     def run(overrides: list[str]) -> None:
-        config = compose("report", overrides)
-        assert isinstance(config, ReportConfig)
-        if config.run == "bad":
+        config = compose("evaluate", overrides)
+        assert isinstance(config, EvaluateConfig)
+        if config.policy == "bad":
             raise FileNotFoundError("bad holds\nno run")
-        (Path(str(config.output)) / "done.txt").write_text(config.run)
+        (Path(config.output) / "done.txt").write_text(str(config.policy))
 
-    monkeypatch.setitem(commands.RUN, "report", run)
-    words = ["report", "-m", "run=a,bad,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
+    monkeypatch.setitem(commands.RUN, "evaluate", run)
+    words = ["evaluate", "-m", "policy=a,bad,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 1
     out, error = capsys.readouterr()
-    assert "failed: run=bad: bad holds no run" in out
-    assert f"done: run=a: {tmp_path}/0\n" in out
+    assert "failed: policy=bad: bad holds no run" in out
+    assert f"done: policy=a: {tmp_path}/0\n" in out
     assert error == "hrl-comfort: 1 of 3 jobs failed\n"
     assert [(tmp_path / job / "done.txt").read_text() for job in ("0", "2")] == ["a", "b"]
 
 
 def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):
     assert (
-        commands.main(["report", "-m", "run=/no/a,/no/b", f"output={tmp_path}", "hydra.launcher.n_jobs=2"])
+        commands.main(
+            ["evaluate", "-m", "policy=/no/a,/no/b", f"output={tmp_path}", "hydra.launcher.n_jobs=2"]
+        )
         == 1
     )
     out = capsys.readouterr().out
-    assert [line.split(":")[1].strip() for line in out.splitlines()] == ["run=/no/a", "run=/no/b"]
+    assert [line.split(":")[1].strip() for line in out.splitlines()] == ["policy=/no/a", "policy=/no/b"]
     assert "/no/a" in out.splitlines()[0].split(": ", 2)[2]

@@ -156,6 +156,7 @@ def test_update_moves_every_parameter_and_targets_follow_by_tau():
     assert all(not torch.equal(p, q) for p, q in zip(learner._parameters, before, strict=True))
     for old, new, critic in zip(targets, learner._target_parameters, learner._critic_parameters, strict=True):
         torch.testing.assert_close(new, old + 0.25 * (critic - old))
+        assert not new.requires_grad, "a graph of every update so far would pile up"
 
 
 def test_a_broken_term_stops_before_the_parameters_change():

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: atomic writes, careful reads, keeping the newest few."""
+"""Checkpoint files: careful reads, keeping the newest few."""
 
 from __future__ import annotations
 
@@ -6,28 +6,17 @@ import os
 import pickle
 import re
 import warnings
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from zipfile import BadZipFile
 
 import torch
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files import write_atomically
 
 FORMAT = "hrl-comfort checkpoint"
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
-
-
-def write_atomically(path: Path, write: Callable[[BinaryIO], None]) -> None:
-    """Let `write` fill a temporary file beside `path`, then put it in place in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 def save(path: Path, state: dict[str, Any]) -> None:

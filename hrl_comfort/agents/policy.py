@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,14 +13,6 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser
 from hrl_comfort.agents.sac import Sac
 from hrl_comfort.config import ConfigError
-
-
-class Policy(Protocol):
-    """Anything that turns raw observations (N, D) into actions (N, A) in [-1, 1]."""
-
-    def __call__(self, observation: Tensor) -> Tensor:
-        """Return the actions; deterministic."""
-        ...
 
 
 class ActorPolicy:
@@ -57,7 +49,12 @@ def save_policy(
 
 def load_policy(path: Path | str) -> ActorPolicy:
     """Read the policy of a policy file, a checkpoint or a run folder."""
-    state = checkpoint.load(policy_file(Path(path)))
+    file = policy_file(Path(path))
+    state = checkpoint.load(file)
+    if "spec" not in state:
+        raise ConfigError(
+            f"policy={str(file)!r} is not a policy file; checkpoints/step_*.pt and policy.pt are"
+        )
     spec = state["spec"]
     actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
     actor.load_state_dict(state["networks"]["actor"])

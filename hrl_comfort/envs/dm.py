@@ -60,7 +60,6 @@ class CellTask(control.Task):
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
         self.episodes = Episodes(scene, config, rows=1, seed=seed)
         self.outcome: Outcome | None = None
-        self._width: int | None = None
 
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Begin the row's next episode."""

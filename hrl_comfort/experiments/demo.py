@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_comfort.compose import compose
-from hrl_comfort.config import EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
 from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
@@ -34,6 +34,9 @@ def demo(overrides: list[str]) -> Path:
     where (runs/demo), `episodes=N` how many each evaluation runs (200).
     """
     begin = time.perf_counter()
+    for word in overrides:
+        if "=" not in word:
+            raise ConfigError(f"{word} is not an override; say key=value")
     chosen = dict(line.split("=", 1) for line in overrides if "=" in line)
     output, episodes = Path(chosen.pop("output", "runs/demo")), chosen.pop("episodes", "200")
     chosen.setdefault("experiment", "demo")

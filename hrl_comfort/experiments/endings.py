@@ -11,6 +11,7 @@ from rich.console import Console
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ENDINGS_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.experiments.evaluate import CHUNK, COLOURS, make_controller
+from hrl_comfort.files import write_atomically
 from hrl_comfort.sim.engine import Engine
 
 
@@ -37,11 +38,8 @@ def record_endings(config: EvaluateConfig) -> Path:
     for colour, endings in found.items():
         if not endings:
             raise ConfigError(f"endings={str(path)!r}: no {colour} episode succeeded, so none is written")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("wb") as file:
-        np.savez(file, orange=np.array(found["orange"]), pink=np.array(found["pink"]))
-    temporary.replace(path)
+    orange, pink = (np.array(found[colour]) for colour in COLOURS)
+    write_atomically(path, lambda file: np.savez(file, orange=orange, pink=pink))
     count = sum(map(len, found.values()))
     Console().print(f"{path}: {count} endings, of {config.episodes} episodes", soft_wrap=True)
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -16,6 +17,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.statistics import wilson_interval, write_summary
+from hrl_comfort.files import write_text
 from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
 from hrl_comfort.people import EvaluationSet, load_evaluation_set
@@ -64,6 +66,10 @@ def evaluate(config: EvaluateConfig) -> Path:
       ConfigError: no such policy, or one of another subtask.
     """
     torch.set_num_threads(1)
+    columns = [field.name.rstrip("_") for field in fields(Episode)]
+    for name in config.group_by:
+        if name not in columns:
+            raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(columns)}")
     if config.checkpoints == "all":
         return evaluate_checkpoints(config)
     output = Path(config.output)
@@ -89,8 +95,10 @@ class Result:
         return float(np.mean([episode.success for episode in self.episodes]))
 
     def write(self, output: Path) -> None:
-        """Write episodes.csv, options.csv and, where recorded, paths.csv; each whole or not at all."""
+        """Write episodes.csv, options.csv and, where recorded, paths.csv; what earlier episodes left goes."""
         header = [field.name.rstrip("_") for field in fields(Episode)]
+        for stale in ("options.csv", "paths.csv", "video.mp4"):
+            (output / stale).unlink(missing_ok=True)
         write_table(output / "episodes.csv", header, (asdict(row).values() for row in self.episodes))
         if self.options:
             write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
@@ -99,13 +107,12 @@ class Result:
 
 
 def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV through a temporary file; None becomes an empty cell."""
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
-    temporary.replace(path)
+    """Write a CSV, whole or not at all; None becomes an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
@@ -284,6 +291,8 @@ def train_seed(source: str | None) -> int | None:
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     """Evaluate every light checkpoint of the run `policy`; write checkpoints.csv and their episodes."""
+    if config.record or config.meta.name != "none":
+        raise ConfigError("checkpoints=all goes with record=false and meta=none")
     folder = Path(config.policy or "")
     found = checkpoint.steps(folder / "checkpoints")
     if not found:

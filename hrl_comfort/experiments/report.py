@@ -20,6 +20,7 @@ from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfi
 from hrl_comfort.experiments import figures
 from hrl_comfort.experiments.run_folder import ENDINGS, Run, ending, find_runs, recorded_paths
 from hrl_comfort.experiments.statistics import KEYS, Floats, Row
+from hrl_comfort.files import write_text
 
 SHOWN_PATHS = 4
 SHOWN_TIMELINES = 12
@@ -237,6 +238,5 @@ def report(config: ReportConfig) -> Path:
         no_video=no_video,
     )
     output = Path(config.output) if config.output else folder / "report.html"
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(page, encoding="utf-8")
+    write_text(output, page)
     return output

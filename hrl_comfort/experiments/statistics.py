@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files import write_text
 
 Row = dict[str, str]
 Floats = NDArray[np.float64]
@@ -231,7 +232,5 @@ def write_summary(folder: Path | str, group_by: Sequence[str], limit_steps: int)
     if not episodes.is_file():
         raise ConfigError(f"output={str(folder)!r} holds no episodes.csv; evaluate writes one")
     summary = summarise(read_rows(episodes), group_by, limit_steps)
-    (folder / "summary.json").write_text(
-        json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    write_text(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary

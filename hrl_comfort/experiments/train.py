@@ -49,7 +49,7 @@ def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Pa
             Training(config, make_env(config), folder).run()
         else:
             config = _config_of(folder)
-            training = Training(config, make_env(config), folder)
+            training = Training(config, make_env(config), folder, resumes=True)
             training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
             training.run()
     return folder
@@ -67,7 +67,7 @@ def _config_of(folder: Path) -> TrainConfig:
 class Training:
     """One training in progress: everything that a resumable checkpoint holds."""
 
-    def __init__(self, config: TrainConfig, env: EnvBase, folder: Path) -> None:
+    def __init__(self, config: TrainConfig, env: EnvBase, folder: Path, resumes: bool = False) -> None:
         self.config, self.env, self.folder = config, env, folder
         self.rows = env.batch_size[0]
         self.reward_names: tuple[str, ...] = env.reward_names
@@ -75,7 +75,7 @@ class Training:
         agent = config.agent
         observation_dim = env.observation_spec["observation"].shape[-1]
         self.learner = Sac(agent, observation_dim, env.action_spec.shape[-1])
-        if config.initial_policy is not None:
+        if config.initial_policy is not None and not resumes:
             load_initial_policy(self.learner, Path(config.initial_policy))
         self.curriculum = Curriculum(config.curriculum, config.task.precision, agent.decisions)
         self.log = MetricsLog(folder, self.reward_names)

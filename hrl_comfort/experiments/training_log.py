@@ -19,6 +19,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files import write_text
 
 PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
 OUTCOMES = ("success", "return", "steps", "human_collision", "other_collision")
@@ -67,7 +68,7 @@ class MetricsLog:
         for name, columns in (("metrics.csv", self.columns), ("timing.csv", TIMING)):
             path = self._folder / name
             lines = path.read_text().splitlines(keepends=True)[1 : self._rows + 1] if self._rows else []
-            path.write_text("".join([",".join(columns) + "\n", *lines]))
+            write_text(path, "".join([",".join(columns) + "\n", *lines]))
         self._board = SummaryWriter(str(self._folder), purge_step=decisions)
 
     def episode(self, outcome: dict[str, float]) -> None:
@@ -149,9 +150,7 @@ def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> No
         "versions": {name: version(name) for name in PACKAGES},
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
     }
-    temporary = folder / "provenance.json.tmp"
-    temporary.write_text(json.dumps(provenance, indent=2) + "\n")
-    os.replace(temporary, folder / "provenance.json")
+    write_text(folder / "provenance.json", json.dumps(provenance, indent=2) + "\n")
 
 
 def _commit() -> str | None:

@@ -101,5 +101,5 @@ def chain(options: list[Option]) -> list[Option]:
 
 def single(task: Subtask, option: Option, limit_steps: int) -> Scripted:
     """Return the controller of a lone policy: its one option runs until the episode ends."""
-    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit_steps + 1, retries=0)
+    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit_steps, retries=0)
     return Scripted(config, task, [option])

@@ -53,8 +53,9 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
         position, yaw = np.tile([FAR_AWAY_M, 0.0], (n, 1)), np.zeros(n)
     elif config.motion == "playback":
         assert config.file is not None
-        pose = read_motion(config.file)[1][0]
-        position, yaw = np.tile(pose[:2], (n, 1)), np.full(n, pose[2])
+        time, poses = read_motion(config.file)
+        x, y, facing = (np.interp(0.0, time, column) for column in poses.T)
+        position, yaw = np.tile([x, y], (n, 1)), np.full(n, facing)
     return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
 
 
@@ -114,7 +115,7 @@ def spawn_anywhere(config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: n
     """Return a place (2,) m round the robot, out of the discs and clear of every held-out spawn (s, 2).
 
     Raises:
-      RuntimeError: none was found.
+      ConfigError: none was found.
     """
     held_out = spawns[list(config.held_out)]
     nearest, farthest = config.spawn_radius_m
@@ -124,7 +125,7 @@ def spawn_anywhere(config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: n
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
         if clear and not keep_out.entered(place[None])[0]:
             return place
-    raise RuntimeError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
+    raise ConfigError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
 
 
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:

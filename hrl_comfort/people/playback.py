@@ -32,8 +32,10 @@ def read_motion(path: str) -> tuple[Array, Array]:
     """
     if not Path(path).is_file():
         raise ConfigError(f"human.file={path!r} does not exist; it must be a CSV of t,x,y,yaw")
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = list(csv.reader(file))
+    try:
+        lines = list(csv.reader(Path(path).read_text(encoding="utf-8").splitlines()))
+    except UnicodeDecodeError:
+        raise ConfigError(f"human.file={path!r} is not text; it must be a CSV of t,x,y,yaw") from None
     if not lines or [name.strip() for name in lines[0]] != HEADER:
         raise ConfigError(f"human.file={path!r}: line 1 must be {','.join(HEADER)}")
     rows: list[list[float]] = []

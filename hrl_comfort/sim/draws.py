@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import people
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.starts import start_states
@@ -126,7 +126,7 @@ class Draws:
             from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
                 return points
-        raise RuntimeError(f"no free points found after {ATTEMPTS} attempts")
+        raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
 
     def _spare_starts(self) -> list[Array]:
         made = replace(self._config, task=replace(self._config.task, start="ik"))

@@ -76,7 +76,7 @@ class Episodes:
         Draws are repeated until the cell begins free of contact and unsolved.
 
         Raises:
-          RuntimeError: no such beginning was found.
+          ConfigError: no such beginning was found.
         """
         self.episode[rows] += 1
         self.steps[rows], self.precision[rows] = 0, self.precision_m
@@ -97,7 +97,7 @@ class Episodes:
             pending = pending[bad]
             if not len(pending):
                 return self.start[rows, :12]
-        raise RuntimeError(
+        raise ConfigError(
             f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
         )
 

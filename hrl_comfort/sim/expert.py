@@ -145,7 +145,7 @@ class Expert:
         gap = (
             self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
         )
-        z = np.maximum(gap, 0.0) / (self._sigma * np.sqrt(when))
+        z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
         # Within 10 % of the chance that Brownian motion gets as far as z standard deviations by then.
         return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
 
@@ -202,7 +202,7 @@ class Expert:
             if len(found) == count:
                 break
         if not found:
-            raise RuntimeError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
+            raise ConfigError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
         postures = np.array(found)[np.arange(count) % len(found)]
         if more:  # the same the other way round, where the pan allows
             turned = postures - np.sign(postures) * np.array([2 * np.pi, 0, 0, 0, 0, 0])

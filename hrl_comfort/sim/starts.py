@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from zipfile import BadZipFile
 
 import mink
 import mujoco
@@ -60,9 +61,9 @@ def recorded(path: str) -> list[Array]:
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
-        with np.load(path) as file:
-            banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
-    except (KeyError, ValueError, OSError) as error:
+        file = np.load(path)
+        banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
+    except (LookupError, ValueError, OSError, EOFError, BadZipFile) as error:
         raise ConfigError(
             f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 18)"
         ) from error
@@ -111,4 +112,4 @@ def inverse_kinematics(
             found.append(configuration.q.copy())
             if len(found) == COUNT:
                 return np.array(found)
-    raise RuntimeError(f"only {len(found)} of {COUNT} starts found at {goal}: is the goal within reach?")
+    raise ConfigError(f"only {len(found)} of {COUNT} starts found at cell point {goal}: is it within reach?")
