@@ -16,6 +16,8 @@ FAR_AWAY_M = 50.0
 
 FIRST_SEED = 1_000_000
 """Episode seeds from here on are those of the evaluation set; training has those below `ENDINGS_SEED`."""
+EVALUATION_EPISODES = 1000
+"""Entries of the evaluation set."""
 ENDINGS_SEED = 900_000
 """Episode seeds from here on, below `FIRST_SEED`, are those of recorded endings."""
 
@@ -405,7 +407,7 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         _one_of("checkpoints", self.checkpoints, ("none", "all"))
-        _between("episodes", self.episodes, 1, 1_000_000)
+        _between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
         _between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
 
 

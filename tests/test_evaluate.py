@@ -135,7 +135,7 @@ def test_chain_names_the_policy_that_is_missing(tmp_path: Path) -> None:
 
 
 def test_more_episodes_than_the_set_holds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="episodes=1001 is more than"):
+    with pytest.raises(ConfigError, match=r"episodes=1001 is outside its range \[1, 1000\]"):
         run(tmp_path, "episodes=1001")
 
 

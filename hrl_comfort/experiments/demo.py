@@ -37,10 +37,14 @@ def demo(overrides: list[str]) -> Path:
     for word in overrides:
         if "=" not in word:
             raise ConfigError(f"{word} is not an override; say key=value")
-    chosen = dict(line.split("=", 1) for line in overrides if "=" in line)
+    chosen = dict(word.split("=", 1) for word in overrides)
     output, episodes = Path(chosen.pop("output", "runs/demo")), chosen.pop("episodes", "200")
-    chosen.setdefault("experiment", "demo")
-    policies = train_line(output, [f"{key}={value}" for key, value in chosen.items()])
+    for key in ("task", "task.start", "resume"):
+        if key in chosen:
+            raise ConfigError(f"{key}={chosen[key]} is not the demo's to choose: it trains {', '.join(LINE)}")
+    compose("evaluate", [f"episodes={episodes}"])  # a bad value is named before the training, not after
+    trainings = compose_line(output, {"experiment": "demo", **chosen})
+    policies = train_line(trainings)
     evaluate_line(output, policies, episodes)
     page = report(ReportConfig(run=str(output), output=None, video=True))
     print_table(output, time.perf_counter() - begin)
@@ -48,16 +52,24 @@ def demo(overrides: list[str]) -> Path:
     return page
 
 
-def train_line(output: Path, overrides: list[str]) -> dict[str, Path]:
-    """Train pick, place and return, each from recorded endings of the one before; return their folders."""
-    folders: dict[str, Path] = {}
-    start = "ik"
+def compose_line(output: Path, chosen: dict[str, str]) -> dict[str, TrainConfig]:
+    """Return what each subtask's training will be, starts aside."""
+    trainings: dict[str, TrainConfig] = {}
     for name in LINE:
-        folder = folders[name] = output / name
-        config = compose("train", [f"task={name}", f"task.start='{start}'", f"output='{folder}'", *overrides])
+        words = [f"task={name}", f"output='{output}/{name}'", *(f"{k}={v}" for k, v in chosen.items())]
+        config = compose("train", words)
         assert isinstance(config, TrainConfig)
         agent = replace(config.agent, decisions=round(config.agent.decisions * SHARE[name]))
-        train_cell(replace(config, agent=agent))
+        trainings[name] = replace(config, agent=agent)
+    return trainings
+
+
+def train_line(trainings: dict[str, TrainConfig]) -> dict[str, Path]:
+    """Train the subtasks in order, each from recorded endings of the one before; return their folders."""
+    folders: dict[str, Path] = {}
+    start = "ik"
+    for name, config in trainings.items():
+        folder = folders[name] = train_cell(replace(config, task=replace(config.task, start=start)))
         if name != LINE[-1]:
             start = str(endings_of(folder))
     return folders

@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from hrl_comfort.config import FIRST_SEED, CellConfig, HumanConfig
+from hrl_comfort.config import EVALUATION_EPISODES, FIRST_SEED, CellConfig, HumanConfig
 from hrl_comfort.people import around, jittered_spawn, moved_spawns, outside, training_spawns
 from hrl_comfort.people.evaluation import COLUMNS
 
-EPISODES = 1000
 UNSEEN_JITTER_M = 0.05
 
 
@@ -31,7 +30,7 @@ def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for episode in range(EPISODES):
+    for episode in range(EVALUATION_EPISODES):
         seen = episode % 2 == 0
         indices = training_spawns(human) if seen else np.array(sorted(human.held_out))
         spawn = int(indices[episode // 2 % len(indices)])
