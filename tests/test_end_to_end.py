@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from hrl_comfort.agents.policy import load_policy
-from hrl_comfort.compose import compose, load_config
+from hrl_comfort.compose import compose, load_config, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.experiments.demo import demo
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
 from hrl_comfort.experiments.train import Training, train_cell
@@ -98,3 +99,31 @@ def test_a_policy_of_another_subtask_is_refused_in_one_line(run: Path) -> None:
 def test_training_goes_on_from_a_policy(run: Path, tmp_path: Path) -> None:
     folder = train_cell(small(tmp_path / "on", f"initial_policy='{run}'", "agent.decisions=160"))
     assert (folder / "policy.pt").is_file()
+
+
+@pytest.mark.parametrize("choice", ["robot=ur5e", "task.steps_per_decision=1", "task.action=cartesian"])
+def test_a_policy_is_not_run_in_a_cell_it_was_not_trained_for(run: Path, choice: str) -> None:
+    with pytest.raises(ConfigError, match=f"{choice}, but policy="):
+        evaluate(evaluation(f"policy='{run}'", choice, "episodes=2"))
+
+
+def test_a_chain_runs_in_the_cell_of_its_policies(tmp_path: Path) -> None:
+    config = small(tmp_path, "robot=ur5e", "human=approach", "task.max_step_deg=1", "task.limit_steps=77")
+    save_config(config, tmp_path / "config.yaml")
+    chained = ["task=cycle", "meta=scripted", f"policies.pick='{tmp_path}'", "policies.place=expert"]
+    found = evaluation(*chained, "policies.return=expert")
+    assert (found.robot, found.human) == (config.robot, config.human)
+    assert (found.task.max_step_deg, found.task.limit_steps) == (1, 1500), "the cycle keeps its own limit"
+
+
+def test_a_human_chosen_for_evaluation_is_that_choice_whatever_was_trained_with(tmp_path: Path) -> None:
+    save_config(small(tmp_path, "human=approach"), tmp_path / "config.yaml")
+    chosen = evaluation(f"policy='{tmp_path}'", "human=random_walk").human
+    assert chosen == evaluation("human=random_walk").human
+
+
+@pytest.mark.parametrize("word", ["fast", "task=pick", "episodes=5000", "agent.decision=5"])
+def test_the_demo_names_a_bad_choice_before_it_trains(tmp_path: Path, word: str) -> None:
+    with pytest.raises(ConfigError, match=word.split("=")[0]):
+        demo([f"output={tmp_path}/demo", word])
+    assert not (tmp_path / "demo").exists()

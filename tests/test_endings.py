@@ -1,0 +1,90 @@
+"""Endings: what one policy leaves is what the next begins with, and the evaluation set stays held out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_comfort.compose import compose, environment
+from hrl_comfort.config import ENDINGS_SEED, FIRST_SEED, ConfigError, EvaluateConfig
+from hrl_comfort.experiments.endings import record_endings
+from hrl_comfort.sim.engine import Engine
+
+COARSE = ["task=pick", "policy=expert", "human=none", "task.precision.take_m=0.3"]
+
+
+def chosen(*overrides: str) -> EvaluateConfig:
+    config = compose("evaluate", [*COARSE, "episodes=8", *overrides])
+    assert isinstance(config, EvaluateConfig)
+    return config
+
+
+def test_place_begins_where_pick_ended(tmp_path: Path) -> None:
+    path = record_endings(chosen(f"endings='{tmp_path}/endings.npz'"))
+    with np.load(path) as file:
+        orange, pink = file["orange"], file["pink"]
+    assert len(orange) + len(pink) == 8 and orange.shape[1:] == (18,)
+    place = compose("train", ["task=place", f"task.start='{path}'", "human=none"])
+    engine = Engine(environment(place), 8, 0)  # type: ignore[arg-type]
+    state = engine.reset()
+    for row, colour in enumerate(state.colour.tolist()):
+        bank = (orange, pink)[colour]
+        assert np.isin(state.joint_target[row].numpy(), bank[:, 12:]).all()
+    distance = (state.tcp_pos - state.ball_pos).norm(dim=-1)
+    assert (distance < 0.3 + 0.05).all(), "the tool is at the ball"
+
+
+def test_recording_again_gives_the_same_endings(tmp_path: Path) -> None:
+    paths = [record_endings(chosen(f"endings='{tmp_path}/{name}.npz'")) for name in ("a", "b")]
+    first, second = (np.load(path) for path in paths)
+    assert all(np.array_equal(first[colour], second[colour]) for colour in ("orange", "pink"))
+
+
+def test_no_training_draws_from_the_seeds_of_endings_or_evaluation() -> None:
+    assert ENDINGS_SEED < FIRST_SEED
+    for seed in (ENDINGS_SEED, FIRST_SEED, -1):
+        with pytest.raises(ConfigError, match=f"episode_seed={seed}"):
+            compose("train", [f"episode_seed={seed}"])
+    with pytest.raises(ConfigError, match="episode_seed=0"):
+        compose("evaluate", ["episode_seed=0"])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["endings=endings"], "endings='endings' must be the path of an .npz"),
+        (["endings=e.npz", "task.colour=pink"], "task.colour='pink'"),
+    ],
+)
+def test_endings_that_cannot_be_starts_are_refused_before_anything_runs(
+    overrides: list[str], says: str
+) -> None:
+    with pytest.raises(ConfigError, match=says):
+        record_endings(chosen(*overrides))
+
+
+def test_nothing_is_written_when_no_episode_succeeds(tmp_path: Path) -> None:
+    config = chosen(f"endings='{tmp_path}/e.npz'", "policy=random", "task.limit_steps=5")
+    with pytest.raises(ConfigError, match="no orange episode succeeded"):
+        record_endings(config)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["cut short", "one array", "text", "wrong shape"])
+def test_a_damaged_start_file_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "starts.npz"
+    if kind == "text":
+        path.write_text("orange,pink")
+    elif kind == "one array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros((3, 18)))
+    else:
+        width = 17 if kind == "wrong shape" else 18
+        np.savez(path, orange=np.zeros((4, width)), pink=np.zeros((4, width)))
+        if kind == "cut short":
+            path.write_bytes(path.read_bytes()[:100])
+    config = compose("train", ["task=place", f"task.start='{path}'"])
+    with pytest.raises(ConfigError, match=r"task\.start="):
+        Engine(environment(config), 2, 0)  # type: ignore[arg-type]
