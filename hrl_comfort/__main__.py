@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -104,6 +106,8 @@ def multirun(verb: str, overrides: list[str]) -> None:
 
     if verb not in SWEPT:
         raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
+    if any(line.split("=")[0] == "resume" for line in overrides):
+        raise ConfigError("resume does not go with -m: give one run at a time")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
     rest = [*check_overrides(verb, rest, sweep=True), *(f"hydra.sweep.dir={folder}" for folder in outputs)]
@@ -137,8 +141,8 @@ def _job(verb: str, _: object) -> str | None:
     GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
     try:
         RUN[verb]([*overrides, override("output", job.runtime.output_dir)])
-    except ERRORS as error:
-        return " ".join(str(error).split())
+    except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
+        return " ".join(f"{'' if isinstance(error, ERRORS) else type(error).__name__ + ': '}{error}".split())
     return None
 
 
@@ -185,7 +189,14 @@ def main(words: list[str] | None = None) -> int:
 
 def console() -> None:
     """Run as the installed command."""
-    sys.exit(main())
+    warnings.showwarning = lambda message, *_: print(f"hrl-comfort: {message}", file=sys.stderr)  # type: ignore[assignment]
+    try:
+        code = main()
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read along has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig, ReportConfig, TrainConfig
 from hrl_comfort.files import write_text
@@ -92,6 +93,8 @@ def load_config(path: str | Path) -> Config:
                 return _freeze(cls, OmegaConf.merge(OmegaConf.structured(_schema(cls)), loaded))
     except OmegaConfBaseException as error:
         raise ConfigError(f"{file}: {one_line(error)}") from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file} is not YAML: {one_line(error)}") from error
     raise ConfigError(f"{file} has not the keys of a {', '.join(ROOTS)} configuration")
 
 
@@ -112,7 +115,10 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
         try:
             parsed = OverridesParser.create().parse_override(line)
         except HydraException as error:
-            raise ConfigError(f"{line!r} is not an override; write key=value, such as human=arc") from error
+            raise ConfigError(
+                f"{line!r} is not an override; write key=value, such as human=arc, and a value of other "
+                "than letters, digits and ./-_ in quotes: \"output='my run'\""
+            ) from error
         if parsed.is_sweep_override() and not sweep:
             raise ConfigError(f"{line} holds several values; add -m to run each, or write [a,b] for a list")
         known.append(_checked(root, parsed, line))

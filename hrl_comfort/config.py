@@ -295,8 +295,8 @@ class AgentConfig:
         _between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
         _between("agent.tau", self.tau, 0.0, 1.0)
         _between("agent.gamma", self.gamma, 0.0, 1.0)
-        if not self.hidden or any(h < 1 for h in self.hidden):
-            raise ConfigError(f"agent.hidden={list(self.hidden)!r} must be positive layer widths")
+        if not self.hidden or any(not 1 <= h <= 8192 for h in self.hidden):
+            raise ConfigError(f"agent.hidden={list(self.hidden)!r} must be layer widths from 1 to 8192")
         _between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         _between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
         _between("agent.log_every", self.log_every, 1, 1e9)
@@ -372,6 +372,9 @@ class TrainConfig:
     """policy.pt or run folder whose actor, critics and normaliser training starts from."""
 
     def __post_init__(self) -> None:
+        if not self.output:
+            raise ConfigError("output='' must be a folder")
+        _between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
         _between("train_seed", self.train_seed, 0, 2**63 - 1)
         _between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
 
@@ -407,6 +410,17 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         _one_of("checkpoints", self.checkpoints, ("none", "all"))
+        if not self.output:
+            raise ConfigError("output='' must be a folder")
+        chained = self.meta.name != "none"
+        if chained and self.policy is not None:
+            raise ConfigError(
+                f"policy={self.policy!r} does not go with meta={self.meta.name}; give policies.*"
+            )
+        if self.policies and not chained:
+            raise ConfigError("policies.* go with a meta-controller: meta=scripted")
+        if self.checkpoints == "all" and (chained or self.record or self.endings is not None):
+            raise ConfigError("checkpoints=all goes with meta=none, record=false and without endings=")
         _between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
         _between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
 

@@ -207,9 +207,9 @@ def test_policies_of_a_chain_are_named_by_subtask():
 def test_text_from_python_reaches_the_configuration_unchanged(value):
     if value == "${x}":
         with pytest.raises(ConfigError, match="'x' not found"):
-            trained(override("output", value))
+            trained(override("initial_policy", value))
     else:
-        assert trained(override("output", value)).output == value
+        assert trained(override("initial_policy", value)).initial_policy == value
 
 
 def test_numbers_lists_and_flags_from_python_keep_their_type():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 import torch
 
+from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_policy
 from hrl_comfort.compose import compose, load_config, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
@@ -127,3 +129,35 @@ def test_the_demo_names_a_bad_choice_before_it_trains(tmp_path: Path, word: str)
     with pytest.raises(ConfigError, match=word.split("=")[0]):
         demo([f"output={tmp_path}/demo", word])
     assert not (tmp_path / "demo").exists()
+
+
+@pytest.mark.parametrize("damage", ["nan", "no spec", "no normaliser", "other width"])
+def test_a_damaged_policy_is_refused_in_one_line(run: Path, tmp_path: Path, damage: str) -> None:
+    state = checkpoint.load(run / "policy.pt")
+    if damage == "nan":
+        next(iter(state["networks"]["actor"].values()))[0] = math.nan
+    elif damage == "no spec":
+        del state["spec"]
+    elif damage == "no normaliser":
+        del state["networks"]["normaliser"]
+    else:
+        state["spec"]["hidden"] = [8]
+    checkpoint.save(tmp_path / "policy.pt", state)
+    file = f"'{tmp_path}/policy.pt'"
+    with pytest.raises(ConfigError, match=r"policy\.pt") as in_evaluation:
+        evaluate(evaluation(f"policy={file}", "episodes=2", f"output='{tmp_path}/eval'"))
+    with pytest.raises(ConfigError, match=r"policy\.pt") as in_training:
+        train_cell(small(tmp_path / "on", f"initial_policy={file}"))
+    assert "\n" not in f"{in_evaluation.value}{in_training.value}"
+
+
+def test_a_training_that_ended_before_its_first_checkpoint_leaves_its_folder_free(tmp_path: Path) -> None:
+    save_config(small(tmp_path), tmp_path / "config.yaml")
+    assert (train_cell(small(tmp_path, "agent.decisions=160")) / "policy.pt").is_file()
+
+
+def test_a_chain_takes_no_policy_and_a_policy_no_chain() -> None:
+    with pytest.raises(ConfigError, match="does not go with meta=scripted"):
+        evaluation("policy=expert", "task=cycle", "meta=scripted")
+    with pytest.raises(ConfigError, match="meta=scripted"):
+        evaluation("task=cycle", "policies.pick=expert")

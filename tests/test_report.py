@@ -322,3 +322,23 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     data = file.read_bytes()
     assert data[4:8] == b"ftyp"
     assert len(data) > 2000
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("metrics.csv", "decisions,updates\n1,2\n"),
+        ("provenance.json", '{"commit": '),
+        ("eval/summary.json", "{}"),
+        ("eval/episodes.csv", "episode\n1\n"),
+        ("eval/paths.csv", "episode,step\n0,1\n"),
+        ("config.yaml", "a: [1"),
+    ],
+)
+def test_a_damaged_file_is_named_in_one_line(tmp_path, name, text):
+    folder = make_demo(tmp_path / "demo") / "pick"
+    (folder / name).write_text(text)
+    with pytest.raises(ConfigError, match=name) as error:
+        report.report(ReportConfig(run=str(folder), output=None, video=False))
+    assert "\n" not in str(error.value)
+    assert not (folder / "report.html").exists()

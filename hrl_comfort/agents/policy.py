@@ -56,10 +56,14 @@ def load_policy(path: Path | str) -> ActorPolicy:
             f"policy={str(file)!r} is not a policy file; checkpoints/step_*.pt and policy.pt are"
         )
     spec = state["spec"]
-    actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
-    actor.load_state_dict(state["networks"]["actor"])
-    normaliser = Normaliser(spec["observation_dim"], spec["normalise"])
-    normaliser.load_state_dict(state["networks"]["normaliser"])
+    try:
+        actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
+        actor.load_state_dict(state["networks"]["actor"])
+        normaliser = Normaliser(spec["observation_dim"], spec["normalise"])
+        normaliser.load_state_dict(state["networks"]["normaliser"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise ConfigError(f"policy={str(file)!r} is damaged: {str(error).splitlines()[0]}") from error
+    _check_finite(file, state["networks"])
     return ActorPolicy(actor.requires_grad_(False), normaliser, spec)
 
 
@@ -103,4 +107,15 @@ def load_initial_policy(learner: Sac, path: Path) -> None:
     for key, value in mine.items():
         if state["spec"][key] != value:
             raise ConfigError(f"initial_policy={file} has {key}={state['spec'][key]}, this training {value}")
-    learner.load_networks(state["networks"])
+    _check_finite(file, state["networks"])
+    try:
+        learner.load_networks(state["networks"])
+    except (KeyError, RuntimeError) as error:
+        raise ConfigError(f"initial_policy={file} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def _check_finite(file: Path, networks: dict[str, Any]) -> None:
+    for part in ("actor", "critics", "normaliser"):
+        for name, tensor in networks.get(part, {}).items():
+            if not tensor.isfinite().all():
+                raise ConfigError(f"{file} is damaged: {part} {name} is not finite")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_comfort.agents import checkpoint
@@ -125,7 +126,7 @@ def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
         TextColumn("{task.fields[success]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, transient=True) as progress:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task(f"evaluate {config.task.name}", total=config.episodes, success="")
         for start in range(0, config.episodes, CHUNK):
             part = entries.part(start, min(start + CHUNK, config.episodes))
@@ -287,8 +288,6 @@ def train_seed(source: str | None) -> int | None:
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     """Evaluate every light checkpoint of the run `policy`; write checkpoints.csv and their episodes."""
-    if config.record or config.meta.name != "none":
-        raise ConfigError("checkpoints=all goes with record=false and meta=none")
     folder = Path(config.policy or "")
     found = checkpoint.steps(folder / "checkpoints")
     if not found:

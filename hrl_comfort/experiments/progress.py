@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 
@@ -20,7 +21,8 @@ def training_line(task: str, total: int, done: int) -> Iterator[Callable[[int, S
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, refresh_per_second=2, speed_estimate_period=60) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, refresh_per_second=2, speed_estimate_period=60) as progress:
         line = progress.add_task(f"train {task}", total=total, completed=done, success="-", precision="-")
 
         def show(decisions: int, outcomes: Sequence[bool], precision_m: float) -> None:

@@ -1,7 +1,8 @@
 """One self-contained HTML page about a run, or about all runs in a folder.
 
 What a run folder lacks is named on the page with the command that would write it; nothing missing
-makes the report fail. Figures are inlined as SVG, the video as mp4: the page needs no other file.
+makes the report fail, and a damaged file is named. Figures are inlined as SVG, the video as mp4: the page
+needs no other file.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
+from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.statistics import Floats, Row, column, number, read_rows
@@ -46,38 +47,76 @@ class Run:
     paths: Path | None
 
 
-def _table(path: Path) -> dict[str, Floats] | None:
-    if not path.is_file():
-        return None
-    rows = read_rows(path)
-    return {name: column(rows, name) for name in rows[0]} if rows else None
+NEEDED = {
+    "metrics.csv": ("decisions", "success", "precision_m"),
+    "timing.csv": ("seconds",),
+    "episodes.csv": ("episode", "success"),
+    "checkpoints.csv": ("decisions", "success"),
+    "options.csv": ("episode", "option", "ending", "start_step", "end_step"),
+    "paths.csv": ("episode", "step", "tcp_x", "tcp_y", "tcp_z", "human_x", "human_y", "human_distance_m"),
+}
+"""Columns that the report cannot do without."""
 
 
 def _rows(path: Path) -> list[Row] | None:
-    return read_rows(path) if path.is_file() else None
+    """Return the rows of a table, None where there is none; raise ConfigError where it is damaged."""
+    if not path.is_file():
+        return None
+    try:
+        rows = read_rows(path)
+    except (ValueError, csv.Error) as error:
+        raise ConfigError(f"{path} is damaged: {error}") from error
+    for name in NEEDED[path.name]:
+        if any(row.get(name) is None for row in rows):
+            raise ConfigError(f"{path} is damaged: it lacks the column {name}, or a line is cut short")
+    return rows
 
 
-def _json(path: Path) -> dict[str, Any] | None:
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+def _table(path: Path) -> dict[str, Floats] | None:
+    rows = _rows(path)
+    return {name: column(rows, name) for name in rows[0]} if rows else None
+
+
+def _json(path: Path, needed: str) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{path} is damaged: {error}") from error
+    if needed not in found:
+        raise ConfigError(f"{path} is damaged: it lacks {needed!r}")
+    return found
+
+
+def _config(path: Path) -> tuple[str, dict[str, Any]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text, OmegaConf.to_container(OmegaConf.create(text))  # type: ignore[return-value]
+    except (UnicodeDecodeError, YAMLError) as error:
+        raise ConfigError(f"{path} is damaged: {' '.join(str(error).split())}") from error
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run folder with its `eval/`, or a folder that an evaluation alone has written."""
+    """Read a run folder with its `eval/`, or a folder that an evaluation alone has written.
+
+    Raises:
+      ConfigError: a file in it is damaged.
+    """
     evaluation = folder / "eval" if (folder / "eval").is_dir() else folder
     files = {"training": folder / "config.yaml", "evaluation": evaluation / "config.yaml"}
     if evaluation == folder:
         del files["training" if (folder / "episodes.csv").is_file() else "evaluation"]
-    configs = {name: file.read_text(encoding="utf-8") for name, file in files.items() if file.is_file()}
-    config: Any = OmegaConf.to_container(OmegaConf.create(list(configs.values())[-1])) if configs else {}
+    read = {name: _config(file) for name, file in files.items() if file.is_file()}
     timing = _table(folder / "timing.csv")
-    summary = _json(evaluation / "summary.json")
+    summary = _json(evaluation / "summary.json", "groups")
     paths = evaluation / "paths.csv"
     return Run(
         name=folder.resolve().name,
         folder=folder,
-        configs=configs,
-        config=config,
-        provenance=_json(folder / "provenance.json") or _json(evaluation / "provenance.json"),
+        configs={name: text for name, (text, _) in read.items()},
+        config=list(read.values())[-1][1] if read else {},
+        provenance=_json(folder / "provenance.json", "commit"),
         metrics=_table(folder / "metrics.csv"),
         minutes=None if timing is None else float(timing["seconds"][-1]) / 60,
         groups=None if summary is None else summary["groups"],
@@ -133,6 +172,8 @@ def recorded_paths(run: Run, count: int) -> dict[str, dict[str, Floats]]:
     kept: dict[str, list[Row]] = {}
     with run.paths.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
+            if any(row.get(name) in (None, "") for name in NEEDED["paths.csv"]):
+                raise ConfigError(f"{run.paths} is damaged: it lacks a column, or a line is cut short")
             if row["episode"] in kept or len(kept) < count:
                 kept.setdefault(row["episode"], []).append(row)
     tables = {name: {key: column(rows, key) for key in rows[0]} for name, rows in kept.items()}

@@ -50,7 +50,14 @@ def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Pa
         else:
             config = _config_of(folder)
             training = Training(config, make_env(config), folder, resumes=True)
-            training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
+            saved = checkpoint.load_resumable(folder / "checkpoints")
+            try:
+                training.load_state_dict(saved)
+            except (KeyError, TypeError, RuntimeError) as error:
+                what = str(error).splitlines()[0]
+                raise ConfigError(
+                    f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
+                ) from error
             training.run()
     return folder
 

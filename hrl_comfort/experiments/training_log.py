@@ -31,7 +31,8 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
     """Hold `folder` for one training, as long as the context lasts (the process's end frees it too).
 
     Raises:
-        ConfigError: another process trains in it, or it holds a run and `resume` is false.
+        ConfigError: another process trains in it, or it holds a run and `resume` is false. A training that
+            ended before its first checkpoint has left nothing to resume, and its folder is free.
     """
     if resume and not folder.is_dir():
         raise ConfigError(f"resume={folder} is not a run folder")
@@ -42,7 +43,8 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        if not resume and (folder / "config.yaml").exists():
+        begun = (folder / "checkpoints").exists() or (folder / "policy.pt").exists()
+        if not resume and begun and (folder / "config.yaml").exists():
             raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")
         yield
     finally:
@@ -136,8 +138,16 @@ class MetricsLog:
 
 
 def read_provenance(folder: Path) -> dict[str, Any]:
-    """Return a run's provenance."""
-    return json.loads((folder / "provenance.json").read_text())
+    """Return a run's provenance.
+
+    Raises:
+        ConfigError: the file is damaged.
+    """
+    try:
+        found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+        return {"finished": bool(found["finished"]), **found}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{folder}/provenance.json is damaged: {error}") from error
 
 
 def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> None:

@@ -20,6 +20,8 @@ from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 
+MOST = 100.0
+"""No angle in rad and no velocity in rad/s of an arm is larger."""
 COUNT = 96
 """Inverse-kinematics starts a goal."""
 ITERATIONS, STEP_S = 40, 0.1
@@ -68,9 +70,10 @@ def recorded(path: str) -> list[Array]:
             f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 18)"
         ) from error
     for colour, bank in zip(("orange", "pink"), banks, strict=True):
-        if bank.ndim != 2 or bank.shape[1] != 18 or not len(bank) or not np.isfinite(bank).all():
+        if bank.ndim != 2 or bank.shape[1] != 18 or not len(bank) or not (np.abs(bank) < MOST).all():
             raise ConfigError(
-                f"task.start={path!r}: {colour!r} has shape {bank.shape}; it must be (M, 18), finite"
+                f"task.start={path!r}: {colour!r} has shape {bank.shape}; "
+                f"it must be (M, 18), finite, every value within ±{MOST:g}"
             )
     return banks
 
