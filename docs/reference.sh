@@ -23,7 +23,7 @@ endings() { # how a policy leaves the arm, over episodes drawn as in training: t
 }
 
 line() { # pick, place and return, each begun where the one before it ends, and their chain
-    train pick experiment=reference task=pick agent.decisions=90000
+    train pick experiment=reference task=pick agent.decisions=120000
     endings pick
     train place experiment=reference task=place agent.decisions=300000 "task.start=$ref/pick/endings.npz"
     endings place

@@ -22,7 +22,7 @@ ENDINGS_SEED = 900_000
 """Episode seeds from here on, below `FIRST_SEED`, are those of recorded endings."""
 
 CLIPPINGS = ("off", "full", "partial")
-SPAWNS = ("points", "anywhere")
+SPAWNS = ("points", "anywhere", "mixed")
 COLOURS = ("random", "orange", "pink")
 ACTIONS = ("joint", "cartesian")
 CURRICULA = ("off", "linear", "adaptive")
@@ -93,13 +93,14 @@ class HumanConfig:
     held_out: list[int]
     """Indices into `spawns_m` that training never uses; the evaluation set uses them as unseen."""
     spawn: str
-    """In training: `points` draws a spawn point that is not held out, `anywhere` a place round the robot."""
+    """In training: `points` draws a spawn point that is not held out, `anywhere` a place round the robot,
+    `mixed` either, half the time each."""
     spawn_jitter_m: float
-    """`points`: a spawn is drawn uniformly from a disc of this radius round its point."""
+    """At points, a spawn is drawn uniformly from a disc of this radius round its point."""
     spawn_radius_m: list[float]
-    """`anywhere`: nearest and farthest distance from the robot's base."""
+    """Anywhere: nearest and farthest distance from the robot's base."""
     spawn_margin_m: float
-    """`anywhere`: least distance from every held-out point, so that these stay unseen."""
+    """In training, least distance from every held-out point, so that these stay unseen."""
     keep_out_m: float
     """Least distance between the human's axis and any goal or the robot's base."""
     bound_m: float

@@ -266,7 +266,8 @@ def test_jitter_fills_its_disc_evenly() -> None:
 
 def test_a_spawn_anywhere_is_round_the_robot_free_and_clear_of_the_held_out_points() -> None:
     rng, spawns = np.random.default_rng(7), people.moved_spawns(HUMAN, GOALS)
-    places = np.stack([people.spawn_anywhere(HUMAN, spawns, discs(1), rng) for _ in range(2000)])
+    chosen = replace(HUMAN, spawn="anywhere")
+    places = np.stack([people.training_spawn(chosen, spawns, discs(1), rng)[1] for _ in range(2000)])
     radius = np.linalg.norm(places, axis=1)
     assert radius.min() >= 0.38
     assert radius.max() <= 1.1
@@ -277,10 +278,26 @@ def test_a_spawn_anywhere_is_round_the_robot_free_and_clear_of_the_held_out_poin
     assert quadrants.min() > 200, "every side of the robot is visited"
 
 
+@pytest.mark.parametrize(("spawn", "share"), [("points", 1.0), ("mixed", 0.5), ("anywhere", 0.0)])
+def test_training_draws_people_at_the_points_it_may_use_and_anywhere(spawn: str, share: float) -> None:
+    rng, spawns, config = (
+        np.random.default_rng(9),
+        people.moved_spawns(HUMAN, GOALS),
+        replace(HUMAN, spawn=spawn),
+    )
+    drawn = [people.training_spawn(config, spawns, discs(1), rng) for _ in range(1000)]
+    indices = np.array([index for index, _ in drawn])
+    assert np.mean(indices >= 0) == pytest.approx(share, abs=0.05)
+    assert not set(indices) & set(HUMAN.held_out)
+    places = np.stack([place for _, place in drawn])
+    to_held_out = np.linalg.norm(places[:, None] - spawns[HUMAN.held_out], axis=-1)
+    assert to_held_out.min() >= HUMAN.spawn_margin_m
+
+
 def test_a_ring_without_room_is_refused_and_named() -> None:
-    config = replace(HUMAN, spawn_radius_m=[0.1, 0.2])
+    config = replace(HUMAN, spawn="anywhere", spawn_radius_m=[0.1, 0.2])
     with pytest.raises(ConfigError, match=r"human\.spawn_radius_m=\[0\.1, 0\.2\]"):
-        people.spawn_anywhere(config, np.array(SPAWNS), discs(1), np.random.default_rng(8))
+        people.training_spawn(config, np.array(SPAWNS), discs(1), np.random.default_rng(8))
 
 
 # ---- what the policy is told -----------------------------------------------------------------------------
@@ -345,7 +362,7 @@ def test_no_unseen_entry_lies_where_training_spawns_people() -> None:
     entries = people.load_evaluation_set()
     held_out = people.moved_spawns(config, GOALS)[entries.spawn_id[~entries.seen]]
     strayed = np.linalg.norm(entries.position[~entries.seen] - held_out, axis=1)
-    assert config.spawn == "anywhere"
+    assert config.spawn == "mixed"
     assert strayed.max() < config.spawn_margin_m, "training keeps that far from the held-out points"
 
 

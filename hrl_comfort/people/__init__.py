@@ -111,20 +111,30 @@ def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
     return spawn + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def spawn_anywhere(config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator) -> Array:
-    """Return a place (2,) m round the robot, out of the discs and clear of every held-out spawn (s, 2).
+def training_spawn(
+    config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator
+) -> tuple[int, Array]:
+    """Return the index of a spawn point (-1: anywhere) and a place (2,) m, drawn as `config.spawn` says.
+
+    It is out of the discs and, so that these stay unseen, clear of every held-out one of `spawns` (s, 2).
 
     Raises:
       ConfigError: none was found.
     """
-    held_out = spawns[list(config.held_out)]
+    held_out, indices = spawns[list(config.held_out)], training_spawns(config)
     nearest, farthest = config.spawn_radius_m
+    at_point = config.spawn == "points" or (config.spawn == "mixed" and rng.random() < 0.5)
     for _ in range(ATTEMPTS):
-        radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
-        place = radius * np.array([np.cos(bearing), np.sin(bearing)])
+        index = -1
+        if at_point:
+            index = int(rng.choice(indices))
+            place = outside(jittered_spawn(config, spawns[index][None], rng.random((1, 2))), keep_out)[0]
+        else:
+            radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
+            place = radius * np.array([np.cos(bearing), np.sin(bearing)])
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
         if clear and not keep_out.entered(place[None])[0]:
-            return place
+            return index, place
     raise ConfigError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
 
 
@@ -163,6 +173,6 @@ __all__ = [
     "moved_spawns",
     "outside",
     "seen_position",
-    "spawn_anywhere",
+    "training_spawn",
     "training_spawns",
 ]

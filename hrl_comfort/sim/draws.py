@@ -56,7 +56,6 @@ class Draws:
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = people.moved_spawns(config.human, self.goals[:, :2])
         self.horizon = config.task.limit_steps + config.task.steps_per_decision
-        self._training_spawns = people.training_spawns(config.human)
         self._starts = start_states(scene, config, task.start)
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
@@ -107,11 +106,8 @@ class Draws:
         if self._evaluation is not None:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
-        elif human.spawn == "anywhere":
-            spawn_id, spawn = -1, people.spawn_anywhere(human, self.spawns, discs, rng)
         else:
-            spawn_id = int(rng.choice(self._training_spawns))
-            spawn = people.jittered_spawn(human, self.spawns[spawn_id][None], rng.random((1, 2)))[0]
+            spawn_id, spawn = people.training_spawn(human, self.spawns, discs, rng)
         spawn = people.outside(spawn[None], discs)[0]
         return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
 
