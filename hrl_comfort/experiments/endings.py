@@ -12,6 +12,7 @@ from hrl_comfort.compose import environment
 from hrl_comfort.config import ENDINGS_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.experiments.evaluate import CHUNK, COLOURS, make_controller
 from hrl_comfort.files import write_atomically
+from hrl_comfort.meta.play import play
 from hrl_comfort.sim.engine import Engine
 
 
@@ -49,16 +50,12 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
     """Run one training-drawn episode in each of `rows` cells; return colour and joints (18,) of successes."""
     engine = Engine(environment(config), rows, seed)
     controller = make_controller(config, None, engine)
-    state = engine.reset()
-    controller.begin(rows)
-    active, found = torch.ones(rows, dtype=torch.bool), []
-    while bool(active.any()):
-        outcome = engine.step(controller.act(state).numpy())
-        given_up = controller.observe(outcome)
-        state = outcome.state
+    engine.reset()
+    found = []
+    for moment in play(engine, controller):
+        state = moment.outcome.state
         joints = torch.cat([state.joint_pos, state.joint_vel, state.joint_target], dim=-1).numpy()
-        for row in torch.nonzero(active & outcome.success).squeeze(-1).tolist():
+        for row in torch.nonzero(moment.ended & moment.outcome.success).squeeze(-1).tolist():
             found.append((COLOURS[int(state.colour[row])], joints[row].copy()))
-        active = active & ~(outcome.done | given_up)
     engine.close()
     return found

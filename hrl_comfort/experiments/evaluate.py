@@ -21,6 +21,7 @@ from hrl_comfort.experiments.statistics import wilson_interval, write_summary
 from hrl_comfort.files import write_text
 from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
+from hrl_comfort.meta.play import play
 from hrl_comfort.people import EvaluationSet, load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
@@ -153,24 +154,16 @@ class Chunk:
         """Run every row to the end of its episode."""
         rows = len(self.entries.episode)
         state = self.engine.reset()
-        self.controller.begin(rows)
-        active = torch.ones(rows, dtype=torch.bool)
         self.totals = {name: np.zeros(rows) for name in ("decisions", "return", "distance", "steps")}
         self.nearest = np.full(rows, np.inf)
         found: dict[int, Episode] = {}
         if self.config.record:
-            self._record(state, active)
-        while bool(active.any()):
-            action = self.controller.act(state)
-            outcome = self.engine.step(action.numpy())
-            self._add(outcome, active)
-            given_up = self.controller.observe(outcome)
-            ended = active & (outcome.done | given_up)
-            for row in torch.nonzero(ended).squeeze(-1).tolist():
-                found[row] = self._episode(row, outcome)
-            active = active & ~ended
-            state = outcome.state
-            advance(int(ended.sum()))
+            self._record(state, torch.ones(rows, dtype=torch.bool))
+        for moment in play(self.engine, self.controller):
+            self._add(moment.outcome, moment.active)
+            for row in torch.nonzero(moment.ended).squeeze(-1).tolist():
+                found[row] = self._episode(row, moment.outcome)
+            advance(int(moment.ended.sum()))
         self.engine.close()
         self.result.episodes += [found[row] for row in range(rows)]
         self.result.options += [

@@ -1,0 +1,38 @@
+"""One episode in every cell, under a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.meta.controllers import Scripted
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.outcome import Outcome
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One decision of N cells, some of which may have finished before."""
+
+    outcome: Outcome
+    active: Tensor
+    """(N,) bool: rows whose episode was going on when the decision began."""
+    ended: Tensor
+    """(N,) bool: rows whose episode ended with it, by itself or given up by the controller."""
+
+
+def play(engine: Engine, controller: Scripted) -> Iterator[Moment]:
+    """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended."""
+    state = engine.episodes.state
+    assert state is not None
+    controller.begin(engine.rows)
+    active = torch.ones(engine.rows, dtype=torch.bool)
+    while bool(active.any()):
+        outcome = engine.step(controller.act(state).numpy())
+        given_up = controller.observe(outcome)
+        moment = Moment(outcome, active, active & (outcome.done | given_up))
+        state, active = outcome.state, active & ~moment.ended
+        yield moment
