@@ -93,8 +93,9 @@ def judge(
     terms = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0).sum(dim=1)
     at = torch.arange(n) * count + last
     terminated = (failed | finished)[at]
+    final = {name: getattr(after, name)[at] for name in (*moving, "steps", "stage")}
     return Outcome(
-        state=after.rows(at),
+        state=before.with_(**final),
         reward_terms=terms,
         # A collision in the step that completes the task is a failure.
         success=(finished & ~failed)[at],
