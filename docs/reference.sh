@@ -36,8 +36,10 @@ line() { # pick, place and return, each begun where the one before it ends, and 
 points() { # reaching points to 5 cm; the longer way is trained on, past 5 cm, lest it stop short
     train reach experiment=points task=reach
     train point_to_point_first experiment=points task=point_to_point agent.decisions=600000
-    train point_to_point experiment=points task=point_to_point agent.decisions=300000 \
+    train point_to_point_second experiment=points task=point_to_point agent.decisions=300000 \
         "initial_policy=$ref/point_to_point_first" curriculum.start_m=0.05 curriculum.end_m=0.03 reward.arrival_speed=0
+    train point_to_point experiment=points task=point_to_point agent.decisions=200000 agent.learning_rate=1e-4 \
+        "initial_policy=$ref/point_to_point_second" curriculum.start_m=0.03 curriculum.end_m=0.03 reward.arrival_speed=0
     for task in reach point_to_point; do measure $task/eval "policy=$ref/$task"; done
 }
 
