@@ -57,8 +57,10 @@ fine() { # the line's policies trained on to 2 cm
 
 approach() { # beside somebody who walks at the gripper, at last with a touch four times as dear; and blind to it
     train pick_place_approach_first experiment=approach
-    train pick_place_approach experiment=approach agent.decisions=200000 curriculum=off reward.human_collision=-40 \
-        "initial_policy=$ref/pick_place_approach_first"
+    train pick_place_approach_second experiment=approach agent.decisions=200000 curriculum=off \
+        reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_first"
+    train pick_place_approach experiment=approach agent.decisions=200000 curriculum=off agent.learning_rate=1e-4 \
+        reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_second"
     measure pick_place_approach/eval "policy=$ref/pick_place_approach"
     measure pick_place_approach/masked "policy=$ref/pick_place_approach" human.masked=true
 }
