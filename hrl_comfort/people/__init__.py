@@ -22,6 +22,7 @@ from hrl_comfort.people.walk import (
     Walk,
     facing_base,
     gait,
+    length,
     outside,
 )
 
@@ -68,8 +69,8 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
     position, yaw = motion(config.motion)(config, walk, noise, tcp)
     if config.motion not in UNBOUND:
         offset = position - walk.spawn
-        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
-        position = walk.spawn + offset * np.minimum(1.0, config.bound_m / np.maximum(distance, 1e-9))
+        shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
+        position = walk.spawn + offset * shrink[:, None]
         blocked = keep_out.entered(position)
         if blocked.any():
             slid = position.copy()
@@ -77,12 +78,12 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
             nearest = np.linalg.norm(slid[blocked][:, None] - discs.centres, axis=-1).argmin(axis=1)
             centre = discs.centres[np.arange(len(nearest)), nearest]
             out = slid[blocked] - centre
-            length = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
-            slid[blocked] = centre + out / length * (keep_out.radius_m + 1e-9)
+            span = np.maximum(length(out), 1e-9)[:, None]
+            slid[blocked] = centre + out / span * (keep_out.radius_m + 1e-9)
             still_in = keep_out.entered(slid)
             too_far = np.linalg.norm(slid - walk.spawn, axis=-1) > config.bound_m + 1e-9
             position = np.where((blocked & (still_in | too_far))[:, None], walk.position, slid)
-    walked = np.linalg.norm(position - walk.position, axis=-1)
+    walked = length(position - walk.position)
     speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
     return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)
 

@@ -66,7 +66,13 @@ class KeepOut:
         """Return (n,) whether position (n, 2) lies in any disc."""
         if not self.centres.shape[1]:
             return np.zeros(len(position), dtype=bool)
-        return (np.linalg.norm(position[:, None] - self.centres, axis=-1) < self.radius_m).any(axis=1)
+        return np.asarray((length(position[:, None] - self.centres) < self.radius_m).any(axis=1))
+
+
+def length(vectors: Array) -> Array:
+    """Return the lengths (...,) of vectors (..., 2); quicker than `np.linalg.norm` on short arrays."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y))
 
 
 def facing_base(position: Array) -> Array:
