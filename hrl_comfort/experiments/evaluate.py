@@ -80,6 +80,8 @@ def evaluate(config: EvaluateConfig) -> Path:
     result.write(output)
     save_config(config, output / "config.yaml")
     write_summary(output, config.group_by, config.task.limit_steps)
+    what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
+    Console().print(f"{output}: {what}", soft_wrap=True)
     return output
 
 
