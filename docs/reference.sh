@@ -40,7 +40,7 @@ points() { # reaching points to 5 cm; the longer way is trained on, past 5 cm, l
         "initial_policy=$ref/point_to_point_first" curriculum.start_m=0.05 curriculum.end_m=0.03 reward.arrival_speed=0
     train point_to_point experiment=points task=point_to_point agent.decisions=200000 agent.learning_rate=1e-4 \
         "initial_policy=$ref/point_to_point_second" curriculum.start_m=0.03 curriculum.end_m=0.03 reward.arrival_speed=0
-    for task in reach point_to_point; do measure $task/eval "policy=$ref/$task"; done
+    for task in reach point_to_point_first point_to_point_second point_to_point; do measure $task/eval "policy=$ref/$task"; done
 }
 
 fine() { # the line's policies trained on to 2 cm
@@ -61,8 +61,11 @@ approach() { # beside somebody who walks at the gripper, at last with a touch fo
         reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_first"
     train pick_place_approach experiment=approach agent.decisions=200000 curriculum=off agent.learning_rate=1e-4 \
         reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_second"
-    measure pick_place_approach/eval "policy=$ref/pick_place_approach"
-    measure pick_place_approach/masked "policy=$ref/pick_place_approach" human.masked=true
+    for part in pick_place_approach_first pick_place_approach_second pick_place_approach; do
+        measure $part/eval "policy=$ref/$part"
+        measure $part/masked "policy=$ref/$part" human.masked=true
+    done
+    measure expert/pick_place_approach task=pick_place policy=expert human=approach
 }
 
 curriculum() { # adaptive against off, the same number of decisions, three seeds

@@ -2,21 +2,19 @@
 
 A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Folders are those of
 evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training
-seeds). With `--check` nothing is written, and the exit code says whether the page is up to date.
+seeds).
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
-from hrl_comfort.experiments.statistics import LABELS, Row, group_metrics, read_rows
+from hrl_comfort.experiments.statistics import column, describe, read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
 MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
-LIMIT_STEPS = 500  # only `steps_all`, not shown, depends on it
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
     "human distance, m", "human hit, %", "cell or self hit, %",
@@ -35,21 +33,20 @@ def line(name: str) -> str:
     if not found:
         raise FileNotFoundError(f"no runs/reference/{name}/episodes.csv")
     rows = [row for path in found for row in read_rows(path)]
-    metrics = group_metrics(rows, LABELS, LIMIT_STEPS)
-    cells = [name.removesuffix("/eval"), str(len(rows)), share(rows, interval=True)]
-    cells += [share([row for row in rows if row["seen"] == flag]) for flag in ("True", "False")]
-    for metric, form in (("steps", "{:.0f}"), ("human_distance_mean_m", "{:.3f}")):
-        cells.append(form.format(metrics[metric]["mean"]) if metric in metrics else "–")
-    cells += [f"{100 * metrics[metric]['mean']:.1f}" for metric in ("human_collision", "other_collision")]
+    success = column(rows, "success")
+    described = describe(success, [row["train_seed"] for row in rows], share=True)
+    assert described is not None, f"{name} has no episode"
+    low, high = described["ci95"]
+    cells = [name.removesuffix("/eval"), str(len(rows)), f"{100 * success.mean():.1f}"]
+    cells[-1] += f" [{100 * low:.1f}, {100 * high:.1f}]"
+    seen = column(rows, "seen") > 0
+    cells += [f"{100 * success[which].mean():.1f}" for which in (seen, ~seen)]
+    for metric, digits in (("steps", 0), ("human_distance_mean_m", 3)):
+        values = column(rows, metric)[success > 0]
+        cells.append(f"{values.mean():.{digits}f}" if len(values) else "–")
+    cells.append(f"{100 * column(rows, 'human_collision').mean():.1f}")
+    cells.append(f"{100 * sum(row['other_collision'] != 'none' for row in rows) / len(rows):.1f}")
     return "| " + " | ".join(cells) + " |\n"
-
-
-def share(rows: list[Row], interval: bool = False) -> str:
-    """Return the share of successful episodes in percent."""
-    success = group_metrics(rows, LABELS, LIMIT_STEPS)["success"]
-    low, high = success["ci95"]
-    text = f"{100 * success['mean']:.1f}"
-    return f"{text} [{100 * low:.1f}, {100 * high:.1f}]" if interval else text
 
 
 def filled(page: str) -> str:
@@ -58,8 +55,4 @@ def filled(page: str) -> str:
 
 
 if __name__ == "__main__":
-    before = PAGE.read_text(encoding="utf-8")
-    after = filled(before)
-    if "--check" in sys.argv:
-        sys.exit(f"{PAGE}: run `python docs/tables.py`" if after != before else 0)
-    PAGE.write_text(after, encoding="utf-8")
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -189,7 +189,7 @@ def main(words: list[str] | None = None) -> int:
 
 def console() -> None:
     """Run as the installed command."""
-    warnings.showwarning = lambda message, *_: print(f"hrl-comfort: {message}", file=sys.stderr)  # type: ignore[assignment]
+    warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
     try:
         code = main()
         sys.stdout.flush()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort.compose import compose, environment
-from hrl_comfort.config import ENDINGS_SEED, FIRST_SEED, ConfigError, EvaluateConfig
+from hrl_comfort.config import ENDINGS_SEED, FIRST_SEED, ConfigError, EnvConfig, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.sim.engine import Engine
 
@@ -21,13 +21,18 @@ def chosen(*overrides: str) -> EvaluateConfig:
     return config
 
 
+def placing(start: Path, *overrides: str) -> EnvConfig:
+    config = compose("train", ["task=place", f"task.start='{start}'", *overrides])
+    assert isinstance(config, TrainConfig)
+    return environment(config)
+
+
 def test_place_begins_where_pick_ended(tmp_path: Path) -> None:
     path = record_endings(chosen(f"endings='{tmp_path}/endings.npz'"))
     with np.load(path) as file:
         orange, pink = file["orange"], file["pink"]
     assert len(orange) + len(pink) == 8 and orange.shape[1:] == (18,)
-    place = compose("train", ["task=place", f"task.start='{path}'", "human=none"])
-    engine = Engine(environment(place), 8, 0)  # type: ignore[arg-type]
+    engine = Engine(placing(path, "human=none"), 8, 0)
     state = engine.reset()
     for row, colour in enumerate(state.colour.tolist()):
         bank = (orange, pink)[colour]
@@ -85,6 +90,6 @@ def test_a_damaged_start_file_is_refused_in_one_line(tmp_path: Path, kind: str) 
         np.savez(path, orange=np.zeros((4, width)), pink=np.zeros((4, width)))
         if kind == "cut short":
             path.write_bytes(path.read_bytes()[:100])
-    config = compose("train", ["task=place", f"task.start='{path}'"])
+    config = placing(path)
     with pytest.raises(ConfigError, match=r"task\.start="):
-        Engine(environment(config), 2, 0)  # type: ignore[arg-type]
+        Engine(config, 2, 0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -15,14 +18,9 @@ from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
 
 
-def meta(**changes: object) -> MetaConfig:
-    values = {
-        "name": "scripted",
-        "options": ["pick", "place", "return"],
-        "time_limit_steps": 10,
-        "retries": 1,
-    }
-    return MetaConfig(**{**values, **changes})  # type: ignore[arg-type]
+def meta(**changes: Any) -> MetaConfig:
+    config = MetaConfig(name="scripted", options=["pick", "place", "return"], time_limit_steps=10, retries=1)
+    return replace(config, **changes)
 
 
 def constant(value: float):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -124,9 +123,9 @@ def test_ur3e_constants_are_the_published_ones() -> None:
 
 
 def test_unknown_robot_is_refused_with_the_list_of_known_ones() -> None:
-    stranger = SimpleNamespace(name="ur7", home_deg=[0, -90, 0, 0, 90, 0])
+    stranger = RobotConfig(name="ur7", home_deg=[0, -90, 0, 0, 90, 0])
     with pytest.raises(ConfigError, match=r"robot\.name='ur7'.*ur3e, ur5e, ur10e"):
-        build_scene(stranger, CELL, 2)  # type: ignore[arg-type]
+        build_scene(stranger, CELL, 2)
 
 
 @every_robot

@@ -77,9 +77,7 @@ def evaluate(config: EvaluateConfig) -> Path:
     output = Path(config.output)
     output.mkdir(parents=True, exist_ok=True)
     result = measure(config)
-    result.write(output)
-    save_config(config, output / "config.yaml")
-    write_summary(output, config.group_by, config.task.limit_steps)
+    result.write(output, config)
     what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
     Console().print(f"{output}: {what}", soft_wrap=True)
     return output
@@ -98,8 +96,8 @@ class Result:
         """Share of episodes that succeeded."""
         return float(np.mean([episode.success for episode in self.episodes]))
 
-    def write(self, output: Path) -> None:
-        """Write episodes.csv, options.csv and, where recorded, paths.csv; what earlier episodes left goes."""
+    def write(self, output: Path, config: EvaluateConfig) -> None:
+        """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
         header = [field.name.rstrip("_") for field in fields(Episode)]
         for stale in ("options.csv", "paths.csv", "video.mp4"):
             (output / stale).unlink(missing_ok=True)
@@ -108,6 +106,8 @@ class Result:
             write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+        save_config(config, output / "config.yaml")
+        write_summary(output, config.group_by, config.task.limit_steps)
 
 
 def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
@@ -303,7 +303,5 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         )
     header = ["decisions", "success", "success_low", "success_high", "precision_m"]
     write_table(output.parent / "checkpoints.csv", header, curve)
-    every.write(output)
-    save_config(config, output / "config.yaml")
-    write_summary(output, config.group_by, config.task.limit_steps)
+    every.write(output, config)
     return output

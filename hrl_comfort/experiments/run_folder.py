@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
-from yaml import YAMLError
+import yaml
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.statistics import Floats, Row, column, number, read_rows
@@ -92,8 +91,8 @@ def _json(path: Path, needed: str) -> dict[str, Any] | None:
 def _config(path: Path) -> tuple[str, dict[str, Any]]:
     try:
         text = path.read_text(encoding="utf-8")
-        return text, OmegaConf.to_container(OmegaConf.create(text))  # type: ignore[return-value]
-    except (UnicodeDecodeError, YAMLError) as error:
+        return text, dict(yaml.safe_load(text))
+    except (ValueError, TypeError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} is damaged: {' '.join(str(error).split())}") from error
 
 

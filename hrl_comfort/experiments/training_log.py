@@ -144,10 +144,12 @@ def read_provenance(folder: Path) -> dict[str, Any]:
         ConfigError: the file is damaged.
     """
     try:
-        found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-        return {"finished": bool(found["finished"]), **found}
-    except (ValueError, KeyError, TypeError) as error:
+        found: dict[str, Any] = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    except ValueError as error:
         raise ConfigError(f"{folder}/provenance.json is damaged: {error}") from error
+    if "finished" not in found:
+        raise ConfigError(f"{folder}/provenance.json is damaged: it does not say whether the run is finished")
+    return found
 
 
 def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> None:
