@@ -11,7 +11,8 @@ import pytest
 
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.experiments.evaluate import PATH_COLUMNS, evaluate
+from hrl_comfort.experiments.evaluate import evaluate
+from hrl_comfort.experiments.measure import PATH_COLUMNS
 
 
 def run(tmp_path: Path, *overrides: str) -> Path:

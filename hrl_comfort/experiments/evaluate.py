@@ -2,63 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.experiments.statistics import wilson_interval, write_summary
-from hrl_comfort.files import write_text
-from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
-from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
-from hrl_comfort.meta.play import play
-from hrl_comfort.people import EvaluationSet, load_evaluation_set
-from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.outcome import Outcome
-from hrl_comfort.tasks import State, subtask
-
-CHUNK = 250
-"""Episodes simulated side by side."""
-COLOURS = ("orange", "pink")
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
-
-    task: str
-    policy: str
-    train_seed: int | None
-    episode_seed: int
-    episode: int
-    colour: str
-    spawn_id: int
-    motion_id: int
-    seen: bool
-    comfort_level: int | None
-    human: str
-    precision_m: float
-    success: bool
-    steps: int
-    decisions: int
-    # `return` is a Python keyword; the column is named without the underscore.
-    return_: float
-    human_distance_mean_m: float | None
-    human_distance_min_m: float | None
-    human_collision: bool
-    robot_moving_at_collision: bool | None
-    other_collision: str
-    truncated: bool
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.experiments.measure import COLUMNS, Result, measure, write_table
+from hrl_comfort.experiments.statistics import wilson_interval
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -68,10 +20,9 @@ def evaluate(config: EvaluateConfig) -> Path:
       ConfigError: no such policy, or one of another subtask.
     """
     torch.set_num_threads(1)
-    columns = [field.name.rstrip("_") for field in fields(Episode)]
     for name in config.group_by:
-        if name not in columns:
-            raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(columns)}")
+        if name not in COLUMNS:
+            raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
     if config.checkpoints == "all":
         return evaluate_checkpoints(config)
     output = Path(config.output)
@@ -81,204 +32,6 @@ def evaluate(config: EvaluateConfig) -> Path:
     what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
     Console().print(f"{output}: {what}", soft_wrap=True)
     return output
-
-
-@dataclass
-class Result:
-    """What an evaluation saw."""
-
-    episodes: list[Episode]
-    options: list[dict[str, Any]]
-    paths: list[list[Any]]
-
-    @property
-    def success(self) -> float:
-        """Share of episodes that succeeded."""
-        return float(np.mean([episode.success for episode in self.episodes]))
-
-    def write(self, output: Path, config: EvaluateConfig) -> None:
-        """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
-        header = [field.name.rstrip("_") for field in fields(Episode)]
-        for stale in ("options.csv", "paths.csv", "video.mp4"):
-            (output / stale).unlink(missing_ok=True)
-        write_table(output / "episodes.csv", header, (asdict(row).values() for row in self.episodes))
-        if self.options:
-            write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
-        if self.paths:
-            write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
-        save_config(config, output / "config.yaml")
-        write_summary(output, config.group_by, config.task.limit_steps)
-
-
-def write_table(path: Path, header: list[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV, whole or not at all; None becomes an empty cell."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
-
-
-def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
-    """Run the first `config.episodes` entries of the evaluation set; `policy` stands in for the config's."""
-    entries = load_evaluation_set().reseeded(config.episode_seed)
-    result = Result([], [], [])
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[success]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task(f"evaluate {config.task.name}", total=config.episodes, success="")
-        for start in range(0, config.episodes, CHUNK):
-            part = entries.part(start, min(start + CHUNK, config.episodes))
-            Chunk(config, policy, part, result).run(lambda done: progress.advance(bar, done))
-            progress.update(bar, success=f"success {result.success:.1%}")
-    return result
-
-
-class Chunk:
-    """Episodes that run side by side, one a row."""
-
-    def __init__(
-        self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result
-    ) -> None:
-        self.config, self.entries, self.result = config, entries, result
-        self.label = policy or config.policy or f"meta={config.meta.name}"
-        rows = len(entries.episode)
-        env = environment(config)
-        self.engine = Engine(env, rows, 0, entries)
-        self.controller = make_controller(config, policy, self.engine)
-        self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
-
-    def run(self, advance: Callable[[int], None]) -> None:
-        """Run every row to the end of its episode."""
-        rows = len(self.entries.episode)
-        state = self.engine.reset()
-        self.totals = {name: np.zeros(rows) for name in ("decisions", "return", "distance", "steps")}
-        self.nearest = np.full(rows, np.inf)
-        found: dict[int, Episode] = {}
-        if self.config.record:
-            self._record(state, torch.ones(rows, dtype=torch.bool))
-        for moment in play(self.engine, self.controller):
-            self._add(moment.outcome, moment.active)
-            for row in torch.nonzero(moment.ended).squeeze(-1).tolist():
-                found[row] = self._episode(row, moment.outcome)
-            advance(int(moment.ended.sum()))
-        self.engine.close()
-        self.result.episodes += [found[row] for row in range(rows)]
-        self.result.options += [
-            self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))
-        ]
-
-    def _add(self, outcome: Outcome, active: torch.Tensor) -> None:
-        valid = (outcome.valid & active[:, None]).numpy()
-        distance = outcome.human_distance.numpy()
-        self.totals["decisions"] += active.numpy()
-        self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
-        self.totals["distance"] += (distance * valid).sum(axis=1)
-        self.totals["steps"] += valid.sum(axis=1)
-        self.nearest = np.minimum(self.nearest, np.where(valid, distance, np.inf).min(axis=1))
-        if self.config.record:
-            for k, instant in enumerate(outcome.steps):
-                self._record(instant, outcome.valid[:, k] & active)
-
-    def _record(self, state: State, rows: torch.Tensor) -> None:
-        """Append a line of paths.csv for each of the rows (N,) bool."""
-        for row in torch.nonzero(rows).squeeze(-1).tolist():
-            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
-            distance = float(np.linalg.norm(tcp[:2] - human))
-            numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
-            self.result.paths.append(
-                [
-                    int(self.entries.episode[row]),
-                    int(state.steps[row]),
-                    int(state.stage[row]),
-                    *map(rounded, numbers),
-                ]
-            )
-
-    def _episode(self, row: int, outcome: Outcome) -> Episode:
-        config, state, entries = self.config, outcome.state, self.entries
-        success = bool(outcome.success[row])
-        hit = bool(state.human_collision[row])
-        absent = config.human.motion == "none"
-        colour = COLOURS[int(state.colour[row])]
-        table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
-        episodes = self.engine.episodes
-        return Episode(
-            task=config.task.name,
-            policy=self.label,
-            train_seed=self.train_seed,
-            episode_seed=int(entries.episode_seed[row]),
-            episode=int(entries.episode[row]),
-            colour=colour,
-            spawn_id=int(episodes.spawn_id[row]),
-            motion_id=int(episodes.motion_id[row]),
-            seen=bool(entries.seen[row]),
-            comfort_level=config.comfort.level,
-            human=config.human.motion,
-            precision_m=config.task.precision.take_m,
-            success=success,
-            steps=int(state.steps[row]),
-            decisions=int(self.totals["decisions"][row]),
-            return_=rounded(self.totals["return"][row]),
-            human_distance_mean_m=None
-            if absent
-            else rounded(self.totals["distance"][row] / self.totals["steps"][row]),
-            human_distance_min_m=None if absent else rounded(self.nearest[row]),
-            human_collision=hit,
-            robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
-            other_collision="table" if table else "self" if itself else "none",
-            truncated=not success and not (hit or table or itself),
-        )
-
-    def _option(self, run: OptionRun) -> dict[str, Any]:
-        line = asdict(run)
-        return {"episode": int(self.entries.episode[line.pop("row")]), **line}
-
-
-PATH_COLUMNS = [
-    "episode", "step", "stage", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
-    "human_x", "human_y", "human_yaw", "human_distance_m",
-]  # fmt: skip
-
-
-def rounded(value: float) -> float:
-    """Return a number as tables hold it: to a micrometre, or the like."""
-    return round(float(value), 6)
-
-
-def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Scripted:
-    """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
-    env, scene, task = environment(config), engine.scene, engine.episodes.subtask
-    if config.meta.name == "none":
-        source = policy or config.policy
-        if source is None:
-            raise ConfigError(
-                f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
-            )
-        act = make_policy(source, task, scene, env, config.episode_seed)
-        return single(task, Option(task.name, task, act), config.task.limit_steps)
-    missing = [name for name in config.meta.options if name not in config.policies]
-    if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
-    options = []
-    for name in config.meta.options:
-        part = subtask(name)
-        act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
-        options.append(Option(name, part, act))
-    return Scripted(config.meta, task, chain(options))
-
-
-def train_seed(source: str | None) -> int | None:
-    """Return the training seed of the run that a policy belongs to; None for one that was not trained."""
-    folder = run_folder(source) if source else None
-    if folder is None:
-        return None
-    trained = load_config(folder)
-    return trained.train_seed if isinstance(trained, TrainConfig) else None
 
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:

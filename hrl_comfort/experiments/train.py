@@ -235,6 +235,7 @@ class Training:
                 "action": task.action,
                 "observation": task.observation,
                 "robot": self.config.robot.name,
+                "levels": None if self.config.comfort.source == "none" else self.config.comfort.levels,
                 "train_seed": self.config.train_seed,
             },
         }

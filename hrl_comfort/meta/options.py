@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
@@ -84,6 +85,18 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
         if theirs != ours:
             raise ConfigError(f"{key}={ours}, but policy={source!r} was trained with {key}={theirs}")
     seen = subtask(task.name, meta["observation"])
+    levels = meta.get("levels")  # policies of version 0.1 do not say: they know of no level
+    if levels is not None:
+        if config.comfort.source == "none":
+            raise ConfigError(
+                f"comfort.source=none, but policy={source!r} asks for a level; "
+                "give comfort.source=fixed comfort.level=5, say"
+            )
+        if config.comfort.levels != levels:
+            raise ConfigError(
+                f"comfort.levels={config.comfort.levels}, but policy={source!r} was trained with {levels}"
+            )
+        seen = with_level(seen, levels)
 
     def act(state: State) -> Tensor:
         return actor(seen.observe(state).float()).double()

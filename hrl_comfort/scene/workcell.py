@@ -30,6 +30,8 @@ _ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1
 class Scene:
     """A compiled cell and where to find things in it."""
 
+    robot: str
+    """A key of `scene.robots.ROBOTS`."""
     xml: str
     assets: Mapping[str, bytes]
     model: mujoco.MjModel
@@ -68,6 +70,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
     joints = [model.joint(f"robot/{name}").id for name in JOINTS]
     ncontrol = mujoco.mj_stateSize(model, CONTROL_SPEC)
     return Scene(
+        robot=robot.name,
         xml=xml,
         assets=assets,
         model=model,

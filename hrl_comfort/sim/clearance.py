@@ -11,6 +11,7 @@ from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.robots import LINKS, ROBOTS
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.arm_distance import link_frames
 
 Array = NDArray[np.float64]
 
@@ -49,27 +50,9 @@ class Body:
         tcp = data.site("robot/tcp").xpos
         self._tcp = (tcp - data.xpos[links[-1]]) @ data.xmat[links[-1]].reshape(3, 3)
 
-    def _frames(self, joints: Array) -> list[tuple[Array, Array]]:
-        """Return rotation (..., 3, 3) and origin (..., 3) of each link's DH frame."""
-        robot = self._robot
-        turn, origin = (
-            np.broadcast_to(np.eye(3), (*joints.shape[:-1], 3, 3)),
-            np.zeros((*joints.shape[:-1], 3)),
-        )
-        frames = []
-        for i in range(6):
-            cos, sin = np.cos(joints[..., i, None]), np.sin(joints[..., i, None])
-            ca, sa = np.cos(robot.alpha_rad[i]), np.sin(robot.alpha_rad[i])
-            x, y, z = turn[..., 0], turn[..., 1], turn[..., 2]
-            along, across = cos * x + sin * y, cos * y - sin * x
-            turn = np.stack([along, ca * across + sa * z, ca * z - sa * across], axis=-1)
-            origin = origin + robot.d_m[i] * z + robot.a_m[i] * along
-            frames.append((turn, origin))
-        return frames
-
     def spheres(self, joints: Array) -> Array:
         """Return the spheres' centres (..., P, 3) m."""
-        frames = self._frames(joints)
+        frames = link_frames(self._robot, joints)
         parts = []
         for link, places in zip(self._link, self._places, strict=True):
             turn, origin = frames[link]
@@ -78,7 +61,7 @@ class Body:
 
     def tool(self, joints: Array) -> Array:
         """Return the tool centre point (..., 3) m."""
-        turn, origin = self._frames(joints)[-1]
+        turn, origin = link_frames(self._robot, joints)[-1]
         return origin + turn @ self._tcp
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import people
+from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
@@ -21,6 +22,8 @@ POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
+LEVEL_STREAM = 1
+"""Of random numbers for levels alone, so that with comfort or without, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Draw:
     """0 orange, 1 pink."""
     noise: Array
     """(horizon, NOISE) in [0, 1): what the walk uses at each control step."""
+    level: Array
+    """(comfort.sources.DRAWS,) in [0, 1): what the source of comfort levels uses."""
     motion_id: int
     """Of the evaluation set; -1 in training."""
     spawn_id: int
@@ -71,12 +76,13 @@ class Draws:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, people.NOISE))
+        level = self._generator(row, episode, LEVEL_STREAM).random(DRAWS)
         for attempt in range(ATTEMPTS):
             banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
             bank = banks[colour % len(banks)]
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
-            yield Draw(colour, noise, motion_id, spawn_id, spawn, start, points)
+            yield Draw(colour, noise, level, motion_id, spawn_id, spawn, start, points)
 
     def keep_out(self, points: Array) -> people.KeepOut:
         """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""
@@ -88,11 +94,11 @@ class Draws:
         centres = np.concatenate([goals, np.zeros((n, 1, 2))], axis=1)
         return people.KeepOut(centres, self._config.human.keep_out_m)
 
-    def _generator(self, row: int, episode: int) -> np.random.Generator:
-        key = [(self.seed << 32) + row, episode]
+    def _generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
+        key = [(self.seed << 32) + row, (stream << 48) + episode]
         if self._evaluation is not None:
             entry = row % len(self._evaluation.episode)
-            key = [int(self._evaluation.episode_seed[entry]) << 32, episode]
+            key[0] = int(self._evaluation.episode_seed[entry]) << 32
         return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
 
     def _spawn_and_points(self, row: int, rng: np.random.Generator) -> tuple[int, Array, Array]:

@@ -24,10 +24,15 @@ class Engine:
     """N cells of one model. `reset` the rows that ended, then `step` them all."""
 
     def __init__(
-        self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
+        self,
+        config: EnvConfig,
+        rows: int,
+        seed: int,
+        evaluation: EvaluationSet | None = None,
+        measure_arm: bool = False,
     ) -> None:
         self.scene = build_scene(config.robot, config.cell, config.engine.substeps)
-        self.episodes = Episodes(self.scene, config, rows, seed, evaluation)
+        self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm)
         self.rows = rows
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
         self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)

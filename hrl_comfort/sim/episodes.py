@@ -8,6 +8,7 @@ episode, and every random draw of it comes from (seed, row, episode).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -17,10 +18,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort import people
-from hrl_comfort.config import FAR_AWAY_M, ConfigError, EnvConfig
+from hrl_comfort.comfort.adapt import TERM, with_comfort
+from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.comfort.sources import Moment, make_source
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig, RewardConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import PROPS, Scene
+from hrl_comfort.sim.arm_distance import ArmDistance
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.draws import ATTEMPTS, Draw, Draws
 from hrl_comfort.sim.outcome import Outcome, judge
@@ -31,18 +36,34 @@ Probe = Callable[[Array, Array], Array]
 """(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
 
+def weights_of(reward: RewardConfig, comfort_scale: float) -> dict[str, float]:
+    """Return the weight of every reward term by its name; k1, k2 and k3 are those of Eq. 1."""
+    weights = {**vars(reward), TERM: comfort_scale}
+    for name, k in (("pick", reward.k1), ("place", reward.k2), ("home", reward.k3)):
+        weights[name] *= k
+    return weights
+
+
 class Episodes:
     """The episodes of `rows` cells.
 
     With an `evaluation` set, row r runs the set's entry r (modulo its length): its spawn, motion and seed.
+    `measure_arm` fills `State.arm_distance` even where no reward asks for it.
     """
 
     def __init__(
-        self, scene: Scene, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
+        self,
+        scene: Scene,
+        config: EnvConfig,
+        rows: int,
+        seed: int,
+        evaluation: EvaluationSet | None = None,
+        measure_arm: bool = False,
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
-        self.subtask: Subtask = subtask(config.task.name, config.task.observation)
-        weights = vars(config.reward)
+        plain = subtask(config.task.name, config.task.observation)
+        self.subtask: Subtask = with_comfort(plain, config.comfort, config.task.max_step_deg)
+        weights = weights_of(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
         self.precision_m = config.task.precision.take_m
@@ -55,6 +76,9 @@ class Episodes:
         n = rows
         self.episode = np.full(n, -1, dtype=np.int64)
         self.noise = np.zeros((n, self.draws.horizon, people.NOISE))
+        self.source = make_source(config.comfort, n)
+        arm = measure_arm or (config.comfort.distance == "arm" and config.comfort.source != "none")
+        self._arm = ArmDistance(scene) if arm else None
         self.colour = np.zeros(n, dtype=np.int64)
         self.spawn_id = np.zeros(n, dtype=np.int64)
         self.motion_id = np.full(n, -1, dtype=np.int64)
@@ -85,6 +109,7 @@ class Episodes:
         for _ in range(ATTEMPTS):
             for row in pending:
                 self._take(row, next(attempts[row]))
+            self.source.begin(pending)
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             sensed = probe(self.start[pending, :12], self._control(pending))
@@ -107,6 +132,7 @@ class Episodes:
 
     def _take(self, row: int, draw: Draw) -> None:
         self.colour[row], self.noise[row] = draw.colour, draw.noise
+        self.source.draws[row] = draw.level
         self.motion_id[row], self.spawn_id[row] = draw.motion_id, draw.spawn_id
         self.start[row], self.joint_target[row] = draw.start, draw.start[12:]
         self.points[row], self.walk.spawn[row] = draw.points, draw.spawn
@@ -146,6 +172,7 @@ class Episodes:
             "human_pos": human,
             "human_yaw": yaw,
             "human_seen": self._seen(human.reshape(-1, 2)).reshape(n, steps, 2),
+            "limbs": limbs,
         }
         bodies = np.repeat(limbs, substeps, axis=1)
         return self._pack(targets, bodies)
@@ -160,7 +187,8 @@ class Episodes:
         substeps = self.config.engine.substeps
         moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
         outcome = judge(self.subtask, self._weights, self.config.task.limit_steps, self.state, moving)
-        self.state = outcome.state
+        self.state = outcome.state.with_(level=self._next_level(outcome))
+        outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
         taken = outcome.decision_steps.numpy()
@@ -214,15 +242,37 @@ class Episodes:
         ball[now == "return"] = self._drops[self.colour[rows]][now == "return"]
         return ball
 
+    def _next_level(self, outcome: Outcome) -> Tensor:
+        """Return the level (N,) at which the next decision is made."""
+        instants, (n, count) = outcome.instants, outcome.valid.shape
+        tool = instants.tcp_pos.view(n, count, 3)
+        travelled = (outcome.state.tcp_pos - tool[:, 0]).norm(dim=-1)
+        taken = outcome.decision_steps
+        speed = travelled / ((taken - 1).clamp(min=1) * CONTROL_STEP_S)
+        distance = human_distance(outcome.state.tcp_pos, outcome.state.human_pos)
+        now = Moment(
+            time_s=outcome.state.steps.numpy() * CONTROL_STEP_S,
+            passed_s=taken.numpy() * CONTROL_STEP_S,
+            distance_m=distance.numpy(),
+            speed_m_s=speed.numpy(),
+        )
+        return torch.from_numpy(self.source.advance(now))
+
     def _moving(self, sensed: Array, planned: dict[str, Array]) -> dict[str, Tensor]:
         """Return the fields of State that change within an episode, (N, K, ...), from sensor readings."""
         at = self.scene.sensors
+        planned = dict(planned)
+        limbs = planned.pop("limbs")
         arrays: dict[str, Array] = {
             "joint_pos": sensed[..., at["joint_pos"]],
             "joint_vel": sensed[..., at["joint_vel"]],
             "tcp_pos": sensed[..., at["tcp_pos"]],
             **planned,
         }
+        if self._arm is None:
+            arrays["arm_distance"] = np.full(sensed.shape[:-1], np.nan)
+        else:
+            arrays["arm_distance"] = self._arm(arrays["joint_pos"], limbs)
         tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in arrays.items()}
         for name, key in (
             ("human_collision", "human"),
@@ -241,6 +291,7 @@ class Episodes:
             "human_pos": walk.position[:, None],
             "human_yaw": walk.yaw[:, None],
             "human_seen": self._seen(walk.position)[:, None],
+            "limbs": self._limbs([walk]),
         }
         moving = {name: value[:, 0] for name, value in self._moving(sensed[:, None], planned).items()}
         scale = self.precision[rows] / task.precision.take_m
@@ -258,6 +309,7 @@ class Episodes:
             pink_drop=constant(self._drops[1]),
             points=torch.from_numpy(self.points[rows]),
             colour=torch.from_numpy(self.colour[rows]),
+            level=torch.from_numpy(self.source.level[rows].copy()),
             stage=torch.zeros(n, dtype=torch.int64),
             take=torch.from_numpy(self.precision[rows].copy()),
             leave=torch.from_numpy(scale * task.precision.leave_m),
@@ -294,6 +346,7 @@ class Episodes:
             "precision_m": self.precision_m,
             "walk": {name: torch.from_numpy(np.array(value)) for name, value in vars(self.walk).items()},
             "state": dict(vars(self.state)),
+            "source": self.source.state_dict(),
             **{name: torch.from_numpy(getattr(self, name).copy()) for name in self._ARRAYS},
         }
 
@@ -302,5 +355,6 @@ class Episodes:
         self.precision_m = saved["precision_m"]
         self.walk = people.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
+        self.source.load_state_dict(saved["source"])
         for name in self._ARRAYS:
             setattr(self, name, saved[name].numpy().copy())

@@ -53,6 +53,10 @@ class State:
     """(N,) m, precision of leaving."""
     home_tolerance: Tensor
     """(N,) rad, how near every joint must come to home."""
+    level: Tensor
+    """(N,) comfort level in force, constant over a decision; NaN without one (`comfort.source=none`)."""
+    arm_distance: Tensor
+    """(N,) m, smallest distance between any robot link and any body part; NaN where it is not measured."""
     human_collision: Tensor
     """(N,) bool, robot touches human."""
     table_collision: Tensor

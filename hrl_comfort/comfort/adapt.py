@@ -1,0 +1,60 @@
+"""Comfort added to a subtask: what its policy sees of the level, and what it is paid for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.metrics import human_distance, present
+from hrl_comfort.comfort.terms import comfort
+from hrl_comfort.config import ComfortConfig
+from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks.subtask import Change, Quantity
+
+TERM = "comfort"
+"""Name of the reward term, whose weight is `comfort.scale`."""
+
+
+def with_comfort(task: Subtask, config: ComfortConfig, max_step_deg: float) -> Subtask:
+    """Return `task` with the level among its observations and F_comfort among its reward terms.
+
+    With `comfort.source=none` it is returned as it is.
+    """
+    if config.source == "none":
+        return task
+    return replace(
+        with_level(task, config.levels), rewards={**task.rewards, TERM: comfort_reward(config, max_step_deg)}
+    )
+
+
+def with_level(task: Subtask, levels: int) -> Subtask:
+    """Return `task` with the level as its last observation."""
+    return replace(task, observations={**task.observations, "level": level_seen(levels)})
+
+
+def level_seen(levels: int) -> Quantity:
+    """Return the observation (N, 1): the level in force, 0 for level 1 to 1 for level N_c."""
+
+    def term(state: State) -> Tensor:
+        return ((state.level - 1) / (levels - 1))[:, None]
+
+    return term
+
+
+def comfort_reward(config: ComfortConfig, max_step_deg: float) -> Change:
+    """Return the reward term (N,) of one control step: F_comfort, 0 where nobody is there."""
+
+    def term(before: State, after: State) -> Tensor:
+        arm = config.distance == "arm"
+        distance = after.arm_distance if arm else human_distance(after.tcp_pos, after.human_pos)
+        value = comfort(distance, increment(before, after), after.level, max_step_deg, config)
+        return torch.where(present(after.human_pos), value, 0.0)
+
+    return term
+
+
+def increment(before: State, after: State) -> Tensor:
+    """Return the largest absolute increment (N,) of the joints' targets over a control step, degrees."""
+    return torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))

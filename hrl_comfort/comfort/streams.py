@@ -1,0 +1,212 @@
+"""Numbers from outside that stand for comfort, and the level they come to.
+
+A signal goes wrong in three ways, and none stops the robot: rubbish and values far outside the range are
+not used (the last good value holds), and after `stall_s` without a good one the most cautious level is in
+force. Each is warned of when it begins.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import socket
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import ComfortConfig, ConfigError
+
+CAUTIOUS = 1
+LARGEST_DATAGRAM = 4096
+
+
+class Stream(Protocol):
+    """Something that can be read without waiting."""
+
+    def read(self) -> list[str | float]:
+        """Return what has arrived since the last call, oldest first; text is taken for a number."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class Signal:
+    """Values become levels: range, smoothing, rubbish and stalls, by `clock` (s)."""
+
+    def __init__(self, config: ComfortConfig, name: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._config, self._name, self._clock = config, name, clock
+        self._smooth: float | None = None
+        self.last_good_s = -math.inf
+        self._warned: set[str] = set()
+
+    def level(self, arrived: list[str | float]) -> int:
+        """Take in what has arrived and return the level in force, 1 to N_c."""
+        now = self._clock()
+        for raw in arrived:
+            share = self._share(raw)
+            if share is not None:
+                self._take(share, now)
+        if self._smooth is None or now - self.last_good_s > self._config.stream.stall_s:
+            self._warn("stall", f"no good value for {self._config.stream.stall_s:g} s: level {CAUTIOUS}")
+            return CAUTIOUS
+        self._warned.discard("stall")
+        return round(1 + self._smooth * (self._config.levels - 1))
+
+    def _share(self, raw: str | float) -> float | None:
+        """Return where a value lies between low (0) and high (1); None, with a warning, if it is no good."""
+        stream = self._config.stream
+        try:
+            share = (float(raw) - stream.low) / (stream.high - stream.low)
+        except (TypeError, ValueError):
+            share = math.nan
+        if not math.isfinite(share):
+            self._warn("rubbish", f"{str(raw)[:40]!r} is not a number: not used")
+            return None
+        if not -stream.tolerance <= share <= 1 + stream.tolerance:
+            self._warn("range", f"{raw!r} is far outside [{stream.low:g}, {stream.high:g}]: not used")
+            return None
+        self._warned -= {"rubbish", "range"}
+        return min(max(share, 0.0), 1.0)
+
+    def _take(self, share: float, now: float) -> None:
+        stream = self._config.stream
+        if self._smooth is None or now - self.last_good_s > stream.stall_s or stream.smoothing_s == 0:
+            self._smooth = share
+        else:
+            self._smooth += (share - self._smooth) * -math.expm1(
+                (self.last_good_s - now) / stream.smoothing_s
+            )
+        self.last_good_s = now
+
+    def _warn(self, kind: str, what: str) -> None:
+        if kind not in self._warned:
+            self._warned.add(kind)
+            warnings.warn(f"comfort.source={self._name}: {what}", stacklevel=4)
+
+
+class Udp:
+    """Datagrams to `stream.host`:`stream.port`, each one number in ASCII."""
+
+    def __init__(self, config: ComfortConfig) -> None:
+        stream = config.stream
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((stream.host, stream.port))
+        except OSError as error:
+            self._socket.close()
+            raise ConfigError(
+                f"comfort.stream.port={stream.port} on comfort.stream.host={stream.host!r} cannot be "
+                f"listened to: {error.strerror or error}"
+            ) from error
+        self._socket.setblocking(False)
+
+    @property
+    def port(self) -> int:
+        """The port in use."""
+        return int(self._socket.getsockname()[1])
+
+    def read(self) -> list[str | float]:
+        """See `Stream`."""
+        arrived: list[str | float] = []
+        while True:
+            try:
+                arrived.append(self._socket.recv(LARGEST_DATAGRAM).decode("ascii", "replace").strip())
+            except BlockingIOError:
+                return arrived
+
+    def close(self) -> None:
+        """See `Stream`."""
+        self._socket.close()
+
+
+class Lsl:
+    """The first channel of the Lab Streaming Layer stream `stream.name` (extra `streams`: pylsl).
+
+    It is looked for once, for `stall_s`; while it is away, nothing arrives, and it is found again.
+    """
+
+    def __init__(self, config: ComfortConfig) -> None:
+        try:
+            import pylsl
+        except (ImportError, RuntimeError) as error:
+            raise ConfigError(
+                f"comfort.source=lsl needs pylsl: pip install 'hrl-comfort[streams]' ({error})"
+            ) from error
+        name = config.stream.name
+        found = pylsl.resolve_byprop("name", name, timeout=config.stream.stall_s)
+        if not found:
+            raise ConfigError(
+                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within "
+                f"{config.stream.stall_s:g} s"
+            )
+        self._inlet = pylsl.StreamInlet(found[0], recover=True)
+        self._inlet.open_stream(timeout=config.stream.stall_s)
+
+    def read(self) -> list[str | float]:
+        """See `Stream`."""
+        samples, _ = self._inlet.pull_chunk(timeout=0.0)
+        return [sample[0] for sample in samples]
+
+    def close(self) -> None:
+        """See `Stream`."""
+        self._inlet.close_stream()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Levels (E,) from times (E,) s on, rising."""
+
+    time_s: NDArray[np.float64]
+    levels: NDArray[np.float64]
+
+    def level(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the levels (N,) at times (N,) s; before the first value, the most cautious."""
+        at = np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1
+        return np.where(at < 0, float(CAUTIOUS), self.levels[np.maximum(at, 0)])
+
+
+def read_recording(config: ComfortConfig) -> Recording:
+    """Return the recording in `comfort.file`, played through a `Signal` as if it arrived live.
+
+    In gaps longer than `stall_s`, and so long after the last value, the level is the most cautious.
+
+    Raises:
+      ConfigError: no such file, other columns, no line, or times that do not rise.
+    """
+    path = Path(config.file or "")
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"comfort.file={str(path)!r} cannot be read: {error}") from error
+    if not rows or [cell.strip() for cell in rows[0]] != ["t", "value"] or len(rows) < 2:
+        raise ConfigError(f"comfort.file={str(path)!r} must have the columns t,value and a line")
+    now = 0.0
+    signal = Signal(config, "file", clock=lambda: now)
+    times: list[float] = []
+    levels: list[float] = []
+    for number, row in enumerate(rows[1:], start=2):
+        where = f"comfort.file={str(path)!r} line {number}: {','.join(row)!r}"
+        try:
+            moment = float(row[0])
+        except (ValueError, IndexError) as error:
+            raise ConfigError(f"{where} must be t,value with t in s") from error
+        if len(row) != 2 or not math.isfinite(moment) or (times and moment <= times[-1]):
+            raise ConfigError(f"{where} must be t,value, times rising")
+        if times and moment - signal.last_good_s > config.stream.stall_s and levels[-1] != CAUTIOUS:
+            times.append(max(signal.last_good_s + config.stream.stall_s, np.nextafter(times[-1], math.inf)))
+            levels.append(float(CAUTIOUS))
+        now = moment
+        times.append(moment)
+        levels.append(float(signal.level([row[1]])))
+    end = signal.last_good_s + config.stream.stall_s
+    if end > times[-1]:
+        times.append(end)
+        levels.append(float(CAUTIOUS))
+    return Recording(np.array(times), np.array(levels))

@@ -1,0 +1,152 @@
+"""Comfort of one whole episode, measured from its trajectory (docs/metrics.md explains every number).
+
+Measured whether comfort is rewarded or not. A value that an episode does not have is None, never zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import CONTROL_STEP_S
+
+Floats = NDArray[np.float64]
+
+INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
+"""Outer bounds of the zones round a person (Hall, The Hidden Dimension, 1966)."""
+SLOW_M_S = 0.01
+"""A tool slower than this waits."""
+SHORT_CONTACT_S = 0.5
+CLOSING_M_S = 1e-3
+"""Slower than this, nothing closes in and there is no time to contact."""
+
+# Speed and separation monitoring: ISO/TS 15066, since 2025 in ISO 10218-2; terms as in the overview by
+# Marvel and Norcross (NIST, 2017, PMC5117641). The human's speed is the standard's; the robot's numbers are
+# this simulation's. The figures compare runs; they certify nothing.
+WORST_HUMAN_M_S = 1.6
+REACTION_S = 0.1
+"""One decision of five control steps."""
+DECELERATION_M_S2 = 5.0
+"""Assumed braking of the tool."""
+INTRUSION_M = 0.0
+"""C: body parts are seen as they are, at every step."""
+UNCERTAINTY_M = 0.0
+"""Z_d + Z_r: in simulation positions are exact."""
+
+
+MEASURES = (
+    "tool_path_m",
+    "waiting_share",
+    "joint_increment_mean_deg",
+    "joint_increment_max_deg",
+    "log_dimensionless_jerk",
+    "human_distance_mean_m",
+    "human_distance_min_m",
+    "human_distance_by_path_m",
+    "arm_distance_mean_m",
+    "arm_distance_min_m",
+    "zone_intimate",
+    "zone_personal",
+    "zone_social",
+    "tool_speed_near_m_s",
+    "time_to_contact_min_s",
+    "time_to_contact_short",
+    "separation_margin_min_m",
+    "separation_margin_observed_min_m",
+)
+"""Names of what `metrics` returns, in order."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One episode, T control steps and the instant before the first: T + 1 instants, 20 ms apart."""
+
+    tool: Floats
+    """(T + 1, 3) m, tool centre point."""
+    human: Floats
+    """(T + 1, 2) m, the human's axis."""
+    joint_target: Floats
+    """(T + 1, 6) rad."""
+    arm_distance: Floats
+    """(T + 1,) m, smallest between any link and any body part."""
+    human_here: bool
+
+
+def metrics(path: Trajectory) -> dict[str, float | None]:
+    """Return every measure by its column's name; those of the person are None where nobody is there."""
+    moved = {**of_motion(path), "log_dimensionless_jerk": log_dimensionless_jerk(path.tool)}
+    person = of_person(path)
+    return {**moved, **(person if path.human_here else dict.fromkeys(person))}
+
+
+def of_motion(path: Trajectory) -> dict[str, float | None]:
+    """Return the tool's path (m), the share of steps in which it waits, and joint increments (degrees)."""
+    lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
+    increments = np.degrees(np.abs(np.diff(path.joint_target, axis=0)).max(axis=-1))
+    return {
+        "tool_path_m": float(lengths.sum()),
+        "waiting_share": float((lengths < SLOW_M_S * CONTROL_STEP_S).mean()),
+        "joint_increment_mean_deg": float(increments.mean()),
+        "joint_increment_max_deg": float(increments.max()),
+    }
+
+
+def of_person(path: Trajectory) -> dict[str, float | None]:
+    """Return distances, zones, speed near the person, time to contact and separation margins."""
+    lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
+    distance = np.linalg.norm(path.tool[1:, :2] - path.human[1:], axis=-1)
+    arm, speed = path.arm_distance[1:], lengths / CONTROL_STEP_S
+    near = arm < INTIMATE_M
+    human_speed = np.linalg.norm(np.diff(path.human, axis=0), axis=-1) / CONTROL_STEP_S
+    contact = time_to_contact(path.arm_distance)
+    return {
+        "human_distance_mean_m": float(distance.mean()),
+        "human_distance_min_m": float(distance.min()),
+        "human_distance_by_path_m": _ratio((distance * lengths).sum(), lengths.sum()),
+        "arm_distance_mean_m": float(arm.mean()),
+        "arm_distance_min_m": float(arm.min()),
+        "zone_intimate": float((distance < INTIMATE_M).mean()),
+        "zone_personal": float(((distance >= INTIMATE_M) & (distance < PERSONAL_M)).mean()),
+        "zone_social": float(((distance >= PERSONAL_M) & (distance < SOCIAL_M)).mean()),
+        "tool_speed_near_m_s": float(speed[near].mean()) if near.any() else None,
+        "time_to_contact_min_s": float(contact.min()) if np.isfinite(contact).any() else None,
+        "time_to_contact_short": float((contact < SHORT_CONTACT_S).mean()),
+        "separation_margin_min_m": float((arm - protective_distance(speed, WORST_HUMAN_M_S)).min()),
+        "separation_margin_observed_min_m": float((arm - protective_distance(speed, human_speed)).min()),
+    }
+
+
+def time_to_contact(distance: Floats) -> Floats:
+    """Return d / -d' (T,) s at each step of distances (T + 1,) m; infinite where they do not shrink."""
+    closing = -np.diff(distance) / CONTROL_STEP_S
+    return np.where(closing > CLOSING_M_S, np.maximum(distance[1:], 0.0) / np.maximum(closing, 1e-9), np.inf)
+
+
+def protective_distance(robot_m_s: Floats, human_m_s: Floats | float) -> Floats:
+    """S_p = v_h (T_r + T_s) + v_r T_r + v_r^2 / 2a + C + Z_d + Z_r, m, with T_s = v_r / a."""
+    stopping_s = robot_m_s / DECELERATION_M_S2
+    braking_m = robot_m_s**2 / (2 * DECELERATION_M_S2)
+    travelled = human_m_s * (REACTION_S + stopping_s) + robot_m_s * REACTION_S + braking_m
+    return np.asarray(travelled + INTRUSION_M + UNCERTAINTY_M)
+
+
+def log_dimensionless_jerk(tool: Floats) -> float | None:
+    """-ln[(T^3 / v_peak^2) integral of |v''|^2 dt] of positions (T + 1, 3); nearer to zero is smoother.
+
+    Balasubramanian et al., J. NeuroEngineering and Rehabilitation 12 (2015). None for fewer than 3 steps, or
+    for a tool that never moves.
+    """
+    velocity = np.diff(tool, axis=0) / CONTROL_STEP_S
+    peak = np.linalg.norm(velocity, axis=-1).max(initial=0.0)
+    if len(velocity) < 3 or peak == 0.0:
+        return None
+    jerk = np.diff(velocity, n=2, axis=0) / CONTROL_STEP_S**2
+    duration = len(velocity) * CONTROL_STEP_S
+    dimensionless = duration**3 / peak**2 * (jerk**2).sum() * CONTROL_STEP_S
+    return float(-np.log(dimensionless)) if dimensionless > 0 else None
+
+
+def _ratio(above: float, below: float) -> float | None:
+    return float(above / below) if below > 0 else None

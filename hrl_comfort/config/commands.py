@@ -1,0 +1,131 @@
+"""What each command takes: sections and a few keys of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
+from hrl_comfort.config.checks import ConfigError, between, one_of
+from hrl_comfort.config.comfort import ComfortConfig
+from hrl_comfort.config.constants import ENDINGS_SEED, EVALUATION_EPISODES, FIRST_SEED
+from hrl_comfort.config.human import HumanConfig
+from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
+from hrl_comfort.config.task import RewardConfig, TaskConfig
+
+
+@dataclass(frozen=True)
+class MetaConfig:
+    """What sequences the frozen subtask policies."""
+
+    name: str
+    options: list[str]
+    """Subtasks in the order in which the scripted controller runs them."""
+    time_limit_steps: int
+    """Control steps after which an option is preempted."""
+    retries: int
+    """Further tries of an option that was preempted."""
+
+    def __post_init__(self) -> None:
+        one_of("meta.name", self.name, ("none", "scripted"))
+        between("meta.time_limit_steps", self.time_limit_steps, 1, 100_000)
+        between("meta.retries", self.retries, 0, 100)
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """What an environment is made of."""
+
+    robot: RobotConfig
+    cell: CellConfig
+    human: HumanConfig
+    comfort: ComfortConfig
+    task: TaskConfig
+    reward: RewardConfig
+    engine: EngineConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """`hrl-comfort train`."""
+
+    robot: RobotConfig
+    cell: CellConfig
+    human: HumanConfig
+    comfort: ComfortConfig
+    task: TaskConfig
+    reward: RewardConfig
+    engine: EngineConfig
+    curriculum: CurriculumConfig
+    agent: AgentConfig
+    train_seed: int
+    episode_seed: int
+    output: str
+    resume: str | None
+    """Run folder to continue; its own config.yaml is used."""
+    initial_policy: str | None
+    """policy.pt or run folder whose actor, critics and normaliser training starts from."""
+
+    def __post_init__(self) -> None:
+        if not self.output:
+            raise ConfigError("output='' must be a folder")
+        between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
+        between("train_seed", self.train_seed, 0, 2**63 - 1)
+        between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """`hrl-comfort evaluate`."""
+
+    robot: RobotConfig
+    cell: CellConfig
+    human: HumanConfig
+    comfort: ComfortConfig
+    task: TaskConfig
+    reward: RewardConfig
+    engine: EngineConfig
+    meta: MetaConfig
+    policy: str | None
+    """Run folder, checkpoint or policy file, `expert` or `random`; not used with a meta-controller."""
+    policies: dict[str, str]
+    """Subtask name to policy, for a meta-controller."""
+    checkpoints: str
+    """`none`, or `all`: every checkpoint of the run in `policy`."""
+    episodes: int
+    episode_seed: int
+    levels: list[int]
+    """Comfort levels to evaluate one after the other, the same episodes at each; none: as `comfort` says."""
+    group_by: list[str]
+    """Columns of episodes.csv that split summary.json further."""
+    record: bool
+    """Write paths.csv."""
+    endings: str | None
+    """Instead, write how the joints were when episodes drawn as in training succeeded to this .npz: angles,
+    velocities and servo targets, the starts of the next subtask."""
+    output: str
+
+    def __post_init__(self) -> None:
+        one_of("checkpoints", self.checkpoints, ("none", "all"))
+        if not self.output:
+            raise ConfigError("output='' must be a folder")
+        chained = self.meta.name != "none"
+        if chained and self.policy is not None:
+            raise ConfigError(
+                f"policy={self.policy!r} does not go with meta={self.meta.name}; give policies.*"
+            )
+        if self.policies and not chained:
+            raise ConfigError("policies.* go with a meta-controller: meta=scripted")
+        if self.checkpoints == "all" and (chained or self.record or self.endings is not None):
+            raise ConfigError("checkpoints=all goes with meta=none, record=false and without endings=")
+        between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
+        between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """`hrl-comfort report`."""
+
+    run: str
+    """Folder that holds run folders and their `eval/`, or one run folder."""
+    output: str | None
+    video: bool

@@ -1,0 +1,78 @@
+"""How a policy is taught."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hrl_comfort.config.checks import ConfigError, between, one_of
+
+CURRICULA = ("off", "linear", "adaptive")
+
+
+@dataclass(frozen=True)
+class CurriculumConfig:
+    """Precision schedule. `task.precision.take_m` follows it, leave and home keep their ratio to it."""
+
+    kind: str
+    start_m: float
+    end_m: float
+    step_m: float
+    """`adaptive`: how much one tightening takes off."""
+    threshold: float
+    """`adaptive`: success share over the last `window` episodes that tightens."""
+    window: int
+    fraction: float
+    """`linear`: share of the training after which `end_m` is reached."""
+
+    def __post_init__(self) -> None:
+        one_of("curriculum.kind", self.kind, CURRICULA)
+        between("curriculum.end_m", self.end_m, 0.005, 0.5)
+        between("curriculum.start_m", self.start_m, self.end_m, 0.5)
+        between("curriculum.step_m", self.step_m, 0.001, 0.5)
+        between("curriculum.threshold", self.threshold, 0.0, 1.0)
+        between("curriculum.window", self.window, 1, 100_000)
+        between("curriculum.fraction", self.fraction, 0.01, 1.0)
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """Soft actor-critic (Haarnoja et al. 2018), the paper's network and rates by default."""
+
+    decisions: int
+    """Policy calls to train for, over all rows."""
+    warmup_decisions: int
+    """Uniformly random decisions before the first update."""
+    updates_per_decision: float
+    batch_size: int
+    buffer_size: int
+    learning_rate: float
+    tau: float
+    gamma: float
+    """Discount per control step; a decision of k steps discounts by gamma**k."""
+    hidden: list[int]
+    entropy_coefficient: float
+    """Initial value; it is learned from there."""
+    target_entropy: float
+    normalise: bool
+    log_every: int
+    """Decisions between two rows of metrics.csv."""
+    checkpoint_every: int
+    """Decisions between two checkpoints."""
+    keep_checkpoints: int
+
+    def __post_init__(self) -> None:
+        between("agent.decisions", self.decisions, 1, 1e9)
+        between("agent.warmup_decisions", self.warmup_decisions, 0, 1e8)
+        between("agent.updates_per_decision", self.updates_per_decision, 0.0, 16.0)
+        between("agent.batch_size", self.batch_size, 1, 65536)
+        between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
+        between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
+        between("agent.tau", self.tau, 0.0, 1.0)
+        between("agent.gamma", self.gamma, 0.0, 1.0)
+        if not self.hidden or any(not 1 <= h <= 8192 for h in self.hidden):
+            raise ConfigError(f"agent.hidden={list(self.hidden)!r} must be layer widths from 1 to 8192")
+        between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
+        between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
+        between("agent.log_every", self.log_every, 1, 1e9)
+        between("agent.checkpoint_every", self.checkpoint_every, 1, 1e9)
+        between("agent.keep_checkpoints", self.keep_checkpoints, 1, 1000)

@@ -1,0 +1,92 @@
+"""What is to be done, and what it pays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hrl_comfort.config.checks import between, one_of, point
+
+COLOURS = ("random", "orange", "pink")
+ACTIONS = ("joint", "cartesian")
+POINTS = ("fixed", "random")
+OBSERVATIONS = ("default", "paper")
+
+
+@dataclass(frozen=True)
+class PrecisionConfig:
+    """How near counts as done."""
+
+    take_m: float
+    leave_m: float
+    home_deg: float
+
+    def __post_init__(self) -> None:
+        between("task.precision.take_m", self.take_m, 0.005, 0.5)
+        between("task.precision.leave_m", self.leave_m, 0.005, 0.5)
+        between("task.precision.home_deg", self.home_deg, 0.1, 60.0)
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """One subtask (or a chain of them in one network) and its contract with the policy."""
+
+    name: str
+    colour: str
+    precision: PrecisionConfig
+    limit_steps: int
+    """Control steps of 20 ms after which an episode is truncated."""
+    steps_per_decision: int
+    max_step_deg: float
+    """Largest joint increment a control step."""
+    max_step_m: float
+    """`action=cartesian`: largest tool displacement a control step, each axis."""
+    max_step_rot_deg: float
+    """`action=cartesian`: largest tool rotation a control step, each axis."""
+    action: str
+    observation: str
+    point: str
+    """`reach`: the goal is `point_m`, or drawn at random for each episode."""
+    point_m: list[float]
+    second_point_m: list[float]
+    """`point_to_point`: fixed second point."""
+    start: str
+    """Where place and return start: `ik`, or the path of recorded endings (.npz), replayed in motion."""
+
+    def __post_init__(self) -> None:
+        one_of("task.colour", self.colour, COLOURS)
+        one_of("task.action", self.action, ACTIONS)
+        one_of("task.observation", self.observation, OBSERVATIONS)
+        one_of("task.point", self.point, POINTS)
+        between("task.limit_steps", self.limit_steps, 1, 100_000)
+        between("task.steps_per_decision", self.steps_per_decision, 1, 100)
+        between("task.max_step_deg", self.max_step_deg, 0.01, 3.6)
+        between("task.max_step_m", self.max_step_m, 0.001, 0.05)
+        between("task.max_step_rot_deg", self.max_step_rot_deg, 0.01, 10.0)
+        point("task.point_m", self.point_m, 3)
+        point("task.second_point_m", self.second_point_m, 3)
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weight of each named reward term (see docs/tasks.md for their equations and units)."""
+
+    progress: float
+    home_progress: float
+    pick: float
+    place: float
+    home: float
+    reach: float
+    arrival_speed: float
+    """A rad/s of the joints' velocity (Euclidean norm) at the control step that completes a stage."""
+    human_collision: float
+    other_collision: float
+    step: float
+    return_shaping: float
+    k1: float
+    """Eq. 1: k1, k2 and k3 multiply the bonuses of pick, place and return."""
+    k2: float
+    k3: float
+
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            between(f"reward.{key}", value, -1e4, 1e4)

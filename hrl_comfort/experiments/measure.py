@@ -1,0 +1,308 @@
+"""Runs episodes of the evaluation set and says what happened in each."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
+from hrl_comfort.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.experiments.statistics import write_summary
+from hrl_comfort.files import write_text
+from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
+from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
+from hrl_comfort.meta.play import play
+from hrl_comfort.people import EvaluationSet, load_evaluation_set
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.tasks import State, subtask
+
+Floats = NDArray[np.float64]
+
+CHUNK = 250
+"""Episodes simulated side by side."""
+COLOURS = ("orange", "pink")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
+
+    task: str
+    policy: str
+    train_seed: int | None
+    episode_seed: int
+    episode: int
+    colour: str
+    spawn_id: int
+    motion_id: int
+    seen: bool
+    comfort_level: int | None
+    human: str
+    precision_m: float
+    success: bool
+    steps: int
+    decisions: int
+    # `return` is a Python keyword; the column is named without the underscore.
+    return_: float
+    human_collision: bool
+    robot_moving_at_collision: bool | None
+    other_collision: str
+    truncated: bool
+    comfort_level_mean: float | None
+    measures: dict[str, float | None]
+    """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
+
+    def row(self) -> dict[str, Any]:
+        """Return the cells by column."""
+        own = {name.rstrip("_"): value for name, value in vars(self).items() if name != "measures"}
+        return {**own, **self.measures}
+
+
+COLUMNS = (*(field.name.rstrip("_") for field in fields(Episode) if field.name != "measures"), *MEASURES)
+"""Of episodes.csv."""
+
+
+@dataclass
+class Result:
+    """What an evaluation saw."""
+
+    episodes: list[Episode]
+    options: list[dict[str, Any]]
+    paths: list[list[Any]]
+
+    @property
+    def success(self) -> float:
+        """Share of episodes that succeeded."""
+        return float(np.mean([episode.success for episode in self.episodes]))
+
+    def write(self, output: Path, config: EvaluateConfig) -> None:
+        """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
+        for stale in ("options.csv", "paths.csv", "video.mp4"):
+            (output / stale).unlink(missing_ok=True)
+        write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
+        if self.options:
+            write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
+        if self.paths:
+            write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+        save_config(config, output / "config.yaml")
+        write_summary(output, config.group_by, config.task.limit_steps)
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV, whole or not at all; None becomes an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def measure(config: EvaluateConfig, policy: str | None = None) -> Result:
+    """Run the first `config.episodes` entries of the evaluation set; `policy` stands in for the config's."""
+    entries = load_evaluation_set().reseeded(config.episode_seed)
+    result = Result([], [], [])
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[success]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        total = config.episodes * max(1, len(config.levels))
+        bar = progress.add_task(f"evaluate {config.task.name}", total=total, success="")
+        for at_level in at_each_level(config):
+            for start in range(0, config.episodes, CHUNK):
+                part = entries.part(start, min(start + CHUNK, config.episodes))
+                Chunk(at_level, policy, part, result).run(lambda done: progress.advance(bar, done))
+                progress.update(bar, success=f"success {result.success:.1%}")
+    return result
+
+
+def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
+    """Return the configuration once for each of `config.levels`, fixed at it; as it is if there are none."""
+    if not config.levels:
+        return [config]
+    return [
+        replace(config, comfort=replace(config.comfort, source="fixed", level=level))
+        for level in config.levels
+    ]
+
+
+class Chunk:
+    """Episodes that run side by side, one a row."""
+
+    def __init__(
+        self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result
+    ) -> None:
+        self.config, self.entries, self.result = config, entries, result
+        self.label = policy or config.policy or f"meta={config.meta.name}"
+        rows = len(entries.episode)
+        env = environment(config)
+        self.engine = Engine(env, rows, 0, entries, measure_arm=True)
+        self.controller = make_controller(config, policy, self.engine)
+        self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
+
+    def run(self, advance: Callable[[int], None]) -> None:
+        """Run every row to the end of its episode."""
+        rows = len(self.entries.episode)
+        state = self.engine.reset()
+        self.totals = {name: np.zeros(rows) for name in ("decisions", "return", "steps", "level")}
+        self.seen = [(state, torch.ones(rows, 1, dtype=torch.bool))]
+        found: dict[int, Episode] = {}
+        if self.config.record:
+            self._record(state, torch.ones(rows, dtype=torch.bool))
+        for moment in play(self.engine, self.controller):
+            self._add(moment.outcome, moment.active)
+            for row in torch.nonzero(moment.ended).squeeze(-1).tolist():
+                found[row] = self._episode(row, moment.outcome)
+            advance(int(moment.ended.sum()))
+        self.engine.close()
+        measured = self._measure()
+        self.result.episodes += [replace(found[row], measures=measured[row]) for row in range(rows)]
+        self.result.options += [
+            self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))
+        ]
+
+    def _add(self, outcome: Outcome, active: torch.Tensor) -> None:
+        valid = (outcome.valid & active[:, None]).numpy()
+        self.totals["decisions"] += active.numpy()
+        self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
+        self.totals["steps"] += valid.sum(axis=1)
+        self.totals["level"] += outcome.instants.level.view(valid.shape)[:, 0].numpy() * valid.sum(axis=1)
+        self.seen.append((outcome.instants, outcome.valid & active[:, None]))
+        if self.config.record:
+            for k, instant in enumerate(outcome.steps):
+                self._record(instant, outcome.valid[:, k] & active)
+
+    def _measure(self) -> list[dict[str, float | None]]:
+        """Return what `comfort.trajectory` measures of each row."""
+        rows = len(self.entries.episode)
+        valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
+
+        def column(name: str) -> Floats:
+            parts = [getattr(state, name) for state, _ in self.seen]
+            whole = [part.view(rows, -1, *part.shape[1:]) for part in parts]
+            return np.asarray(torch.cat(whole, dim=1).numpy())
+
+        columns = {name: column(name) for name in ("tcp_pos", "human_pos", "joint_target", "arm_distance")}
+        here = self.config.human.motion != "none"
+        found = []
+        for row in range(rows):
+            tool, human, target, arm = (values[row][valid[row]] for values in columns.values())
+            values = metrics(Trajectory(tool, human, target, arm, here))
+            found.append({name: None if value is None else rounded(value) for name, value in values.items()})
+        return found
+
+    def _record(self, state: State, rows: torch.Tensor) -> None:
+        """Append a line of paths.csv for each of the rows (N,) bool."""
+        for row in torch.nonzero(rows).squeeze(-1).tolist():
+            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
+            distance = float(np.linalg.norm(tcp[:2] - human))
+            numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
+            self.result.paths.append(
+                [
+                    int(self.entries.episode[row]),
+                    int(state.steps[row]),
+                    int(state.stage[row]),
+                    *map(rounded, numbers),
+                ]
+            )
+
+    def _episode(self, row: int, outcome: Outcome) -> Episode:
+        config, state, entries = self.config, outcome.state, self.entries
+        success = bool(outcome.success[row])
+        hit = bool(state.human_collision[row])
+        colour = COLOURS[int(state.colour[row])]
+        table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
+        episodes = self.engine.episodes
+        return Episode(
+            task=config.task.name,
+            policy=self.label,
+            train_seed=self.train_seed,
+            episode_seed=int(entries.episode_seed[row]),
+            episode=int(entries.episode[row]),
+            colour=colour,
+            spawn_id=int(episodes.spawn_id[row]),
+            motion_id=int(episodes.motion_id[row]),
+            seen=bool(entries.seen[row]),
+            comfort_level=self._level(row, config),
+            human=config.human.motion,
+            precision_m=config.task.precision.take_m,
+            success=success,
+            steps=int(state.steps[row]),
+            decisions=int(self.totals["decisions"][row]),
+            return_=rounded(self.totals["return"][row]),
+            human_collision=hit,
+            robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
+            other_collision="table" if table else "self" if itself else "none",
+            truncated=not success and not (hit or table or itself),
+            comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
+            measures={},
+        )
+
+    def _mean_level(self, row: int) -> float:
+        return float(self.totals["level"][row] / self.totals["steps"][row])
+
+    def _level(self, row: int, config: EvaluateConfig) -> int | None:
+        """Return the level of the row's whole episode; None where there is none, or not one alone."""
+        if config.comfort.source not in ("fixed", "random"):
+            return None
+        return round(self._mean_level(row))
+
+    def _option(self, run: OptionRun) -> dict[str, Any]:
+        line = asdict(run)
+        return {"episode": int(self.entries.episode[line.pop("row")]), **line}
+
+
+PATH_COLUMNS = [
+    "episode", "step", "stage", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
+    "human_x", "human_y", "human_yaw", "human_distance_m",
+]  # fmt: skip
+
+
+def rounded(value: float) -> float:
+    """Return a number as tables hold it: to a micrometre, or the like."""
+    return round(float(value), 6)
+
+
+def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Scripted:
+    """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
+    env, scene, task = environment(config), engine.scene, engine.episodes.subtask
+    if config.meta.name == "none":
+        source = policy or config.policy
+        if source is None:
+            raise ConfigError(
+                f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
+            )
+        act = make_policy(source, task, scene, env, config.episode_seed)
+        return single(task, Option(task.name, task, act), config.task.limit_steps)
+    missing = [name for name in config.meta.options if name not in config.policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
+    options = []
+    for name in config.meta.options:
+        part = subtask(name)
+        act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
+        options.append(Option(name, part, act))
+    return Scripted(config.meta, task, chain(options))
+
+
+def train_seed(source: str | None) -> int | None:
+    """Return the training seed of the run that a policy belongs to; None for one that was not trained."""
+    folder = run_folder(source) if source else None
+    if folder is None:
+        return None
+    trained = load_config(folder)
+    return trained.train_seed if isinstance(trained, TrainConfig) else None
