@@ -86,7 +86,7 @@ class EvaluateConfig:
     engine: EngineConfig
     meta: MetaConfig
     policy: str | None
-    """Run folder, checkpoint or policy file, `expert` or `random`; not used with a meta-controller."""
+    """Run folder, checkpoint, policy file, `expert`, `field` or `random`; not used with a meta-controller."""
     policies: dict[str, str]
     """Subtask name to policy, for a meta-controller."""
     checkpoints: str

@@ -18,9 +18,10 @@ from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
+from hrl_comfort.sim.field import Field
 from hrl_comfort.tasks import State, Subtask, subtask
 
-SCRIPTED = ("expert", "random")
+SCRIPTED = ("expert", "field", "random")
 Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, 6) in [-1, 1]."""
 
@@ -57,13 +58,15 @@ class Option:
 
 
 def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:
-    """Return what acts for `task`: `expert`, `random`, or the policy of a run folder, checkpoint or file.
+    """Return what acts for `task`: `expert`, `field`, `random`, or the policy in a folder or file.
 
     Raises:
       ConfigError: there is no such policy, or it was trained for another subtask or decision length.
     """
     if source == "expert":
         return Expert(scene, config, task).act
+    if source == "field":
+        return Field(scene, config, task).act
     if source == "random":
         generator = torch.Generator().manual_seed(seed)
         return lambda state: torch.rand(len(state.steps), 6, generator=generator, dtype=torch.float64) * 2 - 1
