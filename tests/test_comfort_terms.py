@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort import terms
-from hrl_comfort.comfort.adapt import with_comfort
+from hrl_comfort.comfort.adapt import limit_steps, with_comfort
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ComfortConfig, TrainConfig
 from hrl_comfort.tasks import SUBTASKS
@@ -107,3 +107,9 @@ def test_nothing_is_seen_or_paid_without_a_source() -> None:
     assert with_comfort(SUBTASKS["pick"], config.comfort, 2.0) is SUBTASKS["pick"]
     seen = with_comfort(SUBTASKS["pick"], comfort(), 2.0)
     assert list(seen.observations)[-1] == "level" and list(seen.rewards)[-1] == "comfort"
+
+
+def test_time_limit_grows_where_speed_counts_so_that_slow_is_possible() -> None:
+    level = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
+    assert limit_steps(level, 500, comfort(beta=1.0)).tolist() == [5000, 1000, 500]
+    assert limit_steps(level, 500, comfort(beta=0.0)).tolist() == [500, 500, 500]

@@ -35,7 +35,12 @@ def threshold_reference(level: Tensor, config: ComfortConfig) -> Tensor:
 
 def threshold_levels(level: Tensor, config: ComfortConfig) -> Tensor:
     """Theta from d_max at level 1 to d_min at level N_c, m, in equal parts: the project's own."""
-    return config.max_m - (config.max_m - config.min_m) * (level - 1) / (config.levels - 1)
+    return config.max_m - (config.max_m - config.min_m) * ease(level, config)
+
+
+def ease(level: Tensor, config: ComfortConfig) -> Tensor:
+    """Return (...,) how much at ease the person is, 0 at level 1 to 1 at level N_c."""
+    return (level - 1) / (config.levels - 1)
 
 
 THRESHOLDS: dict[str, Callable[[Tensor, ComfortConfig], Tensor]] = {
@@ -74,7 +79,8 @@ def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
     """-min(1, |d - theta| / (d_max - d_min)), in [-1, 0]: a preferred distance for each level.
 
     The project's own. Never positive, so nothing is gained by staying anywhere; and it draws a robot nearer
-    whose person is at ease, where forms that only push away leave it where the task takes it.
+    whose person is at ease, where forms that only push away leave it where the task takes it. To it comes
+    -haste (C_l - 1) / (N_c - 1) a step: who is at ease would rather have it done soon.
     """
     return -((distance - theta).abs() / (config.max_m - config.min_m)).clamp(max=1.0)
 
@@ -90,7 +96,8 @@ FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {
 
 def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Tensor:
     """F_conf1 (...,) of distance (...,) m at level (...,), in the form and with the threshold of `config`."""
-    return FORMS[config.form](distance, THRESHOLDS[config.threshold](level, config), config)
+    term = FORMS[config.form](distance, THRESHOLDS[config.threshold](level, config), config)
+    return term - config.haste * ease(level, config) if config.form == "bounded" else term
 
 
 # ---- F_conf2, by joint increment -----------------------------------------------------------------------

@@ -89,6 +89,8 @@ class ComfortConfig:
     min_m: float
     max_m: float
     """Range of distances, d_min and d_max of the threshold."""
+    haste: float
+    """`form=bounded`: what a control step costs beside somebody wholly at ease, before alpha and scale."""
     alpha: float
     """Weight of the distance term, F_conf1."""
     beta: float
@@ -119,6 +121,7 @@ class ComfortConfig:
         one_of("comfort.distance", self.distance, DISTANCES)
         between("comfort.max_m", self.max_m, 0.01, 10.0)
         between("comfort.min_m", self.min_m, 0.0, self.max_m - 0.001)
+        between("comfort.haste", self.haste, 0.0, 10.0)
         between("comfort.alpha", self.alpha, 0.0, 1.0)
         between("comfort.beta", self.beta, 0.0, 1.0)
         one_of("comfort.speed_form", self.speed_form, SPEED_FORMS)

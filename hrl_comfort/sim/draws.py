@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import people
+from hrl_comfort.comfort.adapt import longest_limit_steps
 from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
@@ -60,7 +61,8 @@ class Draws:
         cell = config.cell
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = people.moved_spawns(config.human, self.goals[:, :2])
-        self.horizon = config.task.limit_steps + config.task.steps_per_decision
+        longest = longest_limit_steps(config.task.limit_steps, config.comfort)
+        self.horizon = longest + config.task.steps_per_decision
         self._starts = start_states(scene, config, task.start)
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort import people
-from hrl_comfort.comfort.adapt import TERM, with_comfort
+from hrl_comfort.comfort.adapt import TERM, limit_steps, with_comfort
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.comfort.sources import Moment, make_source
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig, RewardConfig
@@ -186,7 +186,8 @@ class Episodes:
         assert self.state is not None
         substeps = self.config.engine.substeps
         moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
-        outcome = judge(self.subtask, self._weights, self.config.task.limit_steps, self.state, moving)
+        limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
+        outcome = judge(self.subtask, self._weights, limit, self.state, moving)
         self.state = outcome.state.with_(level=self._next_level(outcome))
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.comfort.adapt import longest_limit_steps
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.scene.human import (
     ARM_RADIUS_M,
@@ -69,7 +70,7 @@ class Expert:
         self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.steps_per_decision
-        self._limit = config.task.limit_steps
+        self._limit = longest_limit_steps(config.task.limit_steps, config.comfort)
         human, precision = config.human, config.task.precision
         self._sigma = human.jitter_m / np.sqrt(3.0)
         self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0

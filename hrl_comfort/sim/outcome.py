@@ -64,11 +64,12 @@ class Outcome:
 
 
 def judge(
-    subtask: Subtask, weights: Tensor, limit_steps: int, before: State, moving: dict[str, Tensor]
+    subtask: Subtask, weights: Tensor, limit_steps: Tensor, before: State, moving: dict[str, Tensor]
 ) -> Outcome:
     """Judge K control steps from the state `before` (N rows) and the fields (N, K, ...) that changed.
 
-    `weights` (T,) are those of the subtask's reward terms. A decision ends where its stage or its episode
+    `weights` (T,) are those of the subtask's reward terms, `limit_steps` (N,) the time limits. A decision
+    ends where its stage or its episode
     does, so within its valid steps the stage in force is the one it began with.
     """
     n, count = moving["tcp_pos"].shape[:2]
@@ -84,7 +85,7 @@ def judge(
     previous = begun.with_(steps=steps - 1, **earlier)
 
     failed, finished = subtask.failure(after), subtask.success(after)
-    out_of_time = steps >= limit_steps
+    out_of_time = steps >= limit_steps[row]
     over = ((after.stage > begun.stage) | failed | out_of_time).view(n, count)
     last = torch.where(over.any(dim=1), over.int().argmax(dim=1), count - 1)
     valid = torch.arange(count) <= last[:, None]
