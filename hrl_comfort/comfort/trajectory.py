@@ -21,6 +21,8 @@ SLOW_M_S = 0.01
 SHORT_CONTACT_S = 0.5
 CLOSING_M_S = 1e-3
 """Slower than this, nothing closes in and there is no time to contact."""
+ROUNDING = 1e-12
+"""A dimensionless jerk below this is that of rounding errors."""
 
 # Speed and separation monitoring: ISO/TS 15066, since 2025 in ISO 10218-2; terms as in the overview by
 # Marvel and Norcross (NIST, 2017, PMC5117641). The human's speed is the standard's; the robot's numbers are
@@ -135,17 +137,17 @@ def protective_distance(robot_m_s: Floats, human_m_s: Floats | float) -> Floats:
 def log_dimensionless_jerk(tool: Floats) -> float | None:
     """-ln[(T^3 / v_peak^2) integral of |v''|^2 dt] of positions (T + 1, 3); nearer to zero is smoother.
 
-    Balasubramanian et al., J. NeuroEngineering and Rehabilitation 12 (2015). None for fewer than 3 steps, or
-    for a tool that never moves.
+    Balasubramanian et al., J. NeuroEngineering and Rehabilitation 12 (2015). None for fewer than 3 steps, for
+    a tool that waits throughout, and for one without jerk.
     """
     velocity = np.diff(tool, axis=0) / CONTROL_STEP_S
     peak = np.linalg.norm(velocity, axis=-1).max(initial=0.0)
-    if len(velocity) < 3 or peak == 0.0:
+    if len(velocity) < 3 or peak < SLOW_M_S:
         return None
     jerk = np.diff(velocity, n=2, axis=0) / CONTROL_STEP_S**2
     duration = len(velocity) * CONTROL_STEP_S
     dimensionless = duration**3 / peak**2 * (jerk**2).sum() * CONTROL_STEP_S
-    return float(-np.log(dimensionless)) if dimensionless > 0 else None
+    return float(-np.log(dimensionless)) if dimensionless > ROUNDING else None
 
 
 def _ratio(above: float, below: float) -> float | None:
