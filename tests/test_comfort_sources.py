@@ -127,6 +127,14 @@ def test_smoothing_follows_with_its_time_constant() -> None:
     assert smooth.level([0]) == round(1 + 9 * np.exp(-1))
 
 
+def test_of_values_that_arrive_together_the_newest_counts_however_smooth() -> None:
+    clock = Clock()
+    smooth = signal(clock, "comfort.stream.smoothing_s=1", "comfort.stream.high=9")
+    assert smooth.level([0, 9]) == 10
+    clock.now = 1.0
+    assert smooth.level([9, 5, 0]) == round(1 + 9 * np.exp(-1))
+
+
 @pytest.mark.parametrize("bad", ["abc", "", "nan", "inf", "1e9", "-50", "\x00\ufffd"])
 def test_rubbish_keeps_the_last_good_level_and_warns_once(bad: str) -> None:
     stream = signal(Clock(), "comfort.stream.high=9")

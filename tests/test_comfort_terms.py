@@ -13,6 +13,7 @@ from hrl_comfort.comfort import terms
 from hrl_comfort.comfort.adapt import limit_steps, with_comfort
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ComfortConfig, TrainConfig
+from hrl_comfort.config import comfort as allowed
 from hrl_comfort.tasks import SUBTASKS
 
 
@@ -20,6 +21,12 @@ def comfort(**changes: object) -> ComfortConfig:
     config = compose("train", ["comfort=conditioned"])
     assert isinstance(config, TrainConfig)
     return replace(config.comfort, **changes)  # type: ignore[arg-type]
+
+
+def test_what_the_configuration_allows_is_what_there_is() -> None:
+    assert tuple(terms.FORMS) == allowed.FORMS
+    assert tuple(terms.THRESHOLDS) == allowed.THRESHOLDS
+    assert tuple(terms.SPEED_FORMS) == allowed.SPEED_FORMS
 
 
 def number(value: float) -> Tensor:

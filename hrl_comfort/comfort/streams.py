@@ -48,10 +48,9 @@ class Signal:
     def level(self, arrived: list[str | float]) -> int:
         """Take in what has arrived and return the level in force, 1 to N_c."""
         now = self._clock()
-        for raw in arrived:
-            share = self._share(raw)
-            if share is not None:
-                self._take(share, now)
+        good = [share for raw in arrived if (share := self._share(raw)) is not None]
+        if good:  # of what came together, the newest: it is what holds now
+            self._take(good[-1], now)
         if self._smooth is None or now - self.last_good_s > self._config.stream.stall_s:
             self._warn("stall", f"no good value for {self._config.stream.stall_s:g} s: level {CAUTIOUS}")
             return CAUTIOUS
