@@ -102,6 +102,21 @@ def test_comfort_changes_nothing_else_of_an_episode() -> None:
     assert engine.episodes.episode.min() > 0, "a row did not begin a second episode"
 
 
+def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either() -> None:
+    plain = begun("task.limit_steps=40")
+    slow = begun("task.limit_steps=40", "comfort=conditioned", "comfort.source=fixed", "comfort.level=1",
+                 "comfort.beta=1")  # fmt: skip
+    assert slow.episodes.noise.shape[1] > plain.episodes.noise.shape[1]
+    for action in actions(6, 7):
+        ours, theirs = plain.step(action), slow.step(action)
+        for name in ("human_pos", "colour", "tcp_pos"):
+            assert torch.equal(getattr(ours.state, name), getattr(theirs.state, name))
+    for action in actions(6, 3, seed=1):
+        plain.step(action)
+        outcome = slow.step(action)
+    assert not outcome.truncated.any()
+
+
 def test_the_dm_control_front_sees_the_levels_of_row_0() -> None:
     config = configured(*CHANGING)
     front, engine = make_environment(config, 3), Engine(config, 4, 3)
@@ -143,11 +158,11 @@ def test_a_saved_engine_goes_on_with_the_same_levels() -> None:
 
 def bounded(engine: Engine, outcome: Outcome, arm: bool = False) -> Tensor:
     """Return F_conf1 (N, K) of `form=bounded` and `threshold=levels`, by hand."""
-    config, level = engine.episodes.config.comfort, by_row(outcome, "level")
+    config, ease = engine.episodes.config.comfort, (by_row(outcome, "level") - 1) / 9
     span = config.max_m - config.min_m
     tool = (by_row(outcome, "tcp_pos")[..., :2] - by_row(outcome, "human_pos")).norm(dim=-1)
     distance = by_row(outcome, "arm_distance") if arm else tool
-    return -((distance - (config.max_m - span * (level - 1) / 9)).abs() / span).clamp(max=1)
+    return -((distance - (config.max_m - span * ease)).abs() / span).clamp(max=1) - config.haste * ease
 
 
 def test_terms_add_up_to_the_reward_with_comfort_among_them() -> None:

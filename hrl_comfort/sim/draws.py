@@ -23,8 +23,9 @@ POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
-LEVEL_STREAM = 1
-"""Of random numbers for levels alone, so that with comfort or without, the rest of an episode is the same."""
+LEVEL_STREAM, LATER_STREAM = 1, 2
+"""Of random numbers for levels, and for walks beyond `task.limit_steps`: streams of their own, so that with
+comfort or without, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class Draws:
         cell = config.cell
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = people.moved_spawns(config.human, self.goals[:, :2])
+        self._plain_horizon = config.task.limit_steps + config.task.steps_per_decision
         longest = longest_limit_steps(config.task.limit_steps, config.comfort)
         self.horizon = longest + config.task.steps_per_decision
         self._starts = start_states(scene, config, task.start)
@@ -73,7 +75,10 @@ class Draws:
         rng = self._generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
         if self._evaluation is None:
-            motion_id, noise = -1, rng.random((self.horizon, people.NOISE))
+            later = self._generator(row, episode, LATER_STREAM)
+            noise = rng.random((self._plain_horizon, people.NOISE))
+            more = later.random((self.horizon - self._plain_horizon, people.NOISE))
+            motion_id, noise = -1, np.concatenate([noise, more])
         else:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
