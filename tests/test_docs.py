@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from hrl_comfort.compose import check_overrides, load_config
+from hrl_comfort.comfort import sources, terms
+from hrl_comfort.compose import check_overrides, compose, load_config
+from hrl_comfort.experiments.measure import COLUMNS
 from hrl_comfort.experiments.training_log import read_provenance
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,6 +37,38 @@ def test_every_command_in_the_docs_is_accepted(page: str, line: str) -> None:
     _, verb, *words = shlex.split(line, comments=True)
     overrides = [word for word in words if word != "-m"]
     assert check_overrides(verb, overrides, sweep="-m" in words), page
+
+
+COMFORT = [line for page, line in commands() if page == "comfort.md" and " -m " not in line]
+
+
+@pytest.mark.parametrize("line", COMFORT)
+def test_every_command_about_comfort_is_a_whole_configuration(line: str) -> None:
+    _, verb, *overrides = shlex.split(line, comments=True)
+    compose(verb, overrides)
+
+
+def test_comfort_has_a_command_for_every_source_and_a_word_on_every_form() -> None:
+    text = (ROOT / "docs" / "comfort.md").read_text(encoding="utf-8")
+    for name in sources.SOURCES:
+        assert f"comfort.source={name}" in " ".join(COMFORT) or name == "none", name
+    for name in (*sources.SOURCES, *terms.FORMS, *terms.THRESHOLDS, *terms.SPEED_FORMS):
+        assert f"`{name}`" in text, name
+
+
+def test_metrics_explains_every_column_of_the_episodes() -> None:
+    text = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+    part = text.split("## episodes.csv")[1].split("\n## ")[0]
+    assert [name for name in COLUMNS if f"`{name}`" not in part] == []
+
+
+def test_configuration_explains_every_key_of_comfort() -> None:
+    text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+    part = text.split("\n## comfort")[1].split("\n## ")[0]
+    config = asdict(compose("train").comfort)
+    keys = [key for key in config if key not in ("stream", "person")]
+    keys += [f"{section}.{key}" for section in ("stream", "person") for key in config[section]]
+    assert [key for key in keys if f"`{key}`" not in part] == []
 
 
 def test_tables_are_those_of_the_committed_evaluations() -> None:
