@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -77,6 +77,15 @@ curriculum_of() {
         folder=curriculum/$1_$seed
         train $folder task=pick_place "curriculum=$1" agent.decisions=40000 train_seed=$seed episode_seed=$seed
         measure $folder/eval "policy=$ref/$folder"
+    done
+}
+
+comfort() { # one policy for ten levels, five training seeds: the task first, then the levels in earnest
+    for seed in ${SEEDS:-0 1 2 3 4}; do
+        seeds=("train_seed=$seed" "episode_seed=$seed")
+        train comfort/seed$seed/pick_place_first experiment=comfort_gentle "${seeds[@]}"
+        train comfort/seed$seed/pick_place experiment=comfort_conditioned "${seeds[@]}" \
+            "initial_policy=$ref/comfort/seed$seed/pick_place_first"
     done
 }
 
