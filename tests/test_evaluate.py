@@ -13,6 +13,7 @@ from hrl_comfort.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.measure import PATH_COLUMNS
+from hrl_comfort.experiments.run_folder import read_run, recorded_paths, row_of
 
 
 def run(tmp_path: Path, *overrides: str) -> Path:
@@ -102,6 +103,34 @@ def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
         ]
         assert np.mean(distances) == pytest.approx(float(episode["human_distance_mean_m"]), abs=2e-6)
         assert min(distances) == pytest.approx(float(episode["human_distance_min_m"]), abs=2e-6)
+
+
+def test_recorded_paths_tell_levels_apart(tmp_path: Path) -> None:
+    words = ("comfort=conditioned", "levels=[2,9]", "record=true", "task.limit_steps=13", "episodes=2")
+    found = read_run(run(tmp_path, *words))
+    paths = recorded_paths(found)
+    assert list(paths) == [("0", "2"), ("1", "2"), ("0", "9"), ("1", "9")]
+    for key, path in paths.items():
+        row = row_of(found, key)
+        assert (row["episode"], row["comfort_level"]) == key
+        assert path["step"].tolist() == list(range(int(row["steps"]) + 1))
+        assert set(path["level"]) == {float(key[1])}
+    assert list(recorded_paths(found, count=1)) == [("0", "2")]
+    assert list(recorded_paths(found, episodes=("1",))) == [("1", "2"), ("1", "9")]
+
+
+def test_recorded_levels_are_those_in_force_and_empty_without_one(tmp_path: Path) -> None:
+    schedule = ("comfort.source=schedule", "comfort.schedule_s=[0,0.2]", "comfort.schedule_levels=[9,2]")
+    words = ("record=true", "task.limit_steps=20", "episodes=2")
+    found = read_run(run(tmp_path / "jump", "comfort=conditioned", *schedule, *words))
+    (key, path), *_ = recorded_paths(found).items()
+    assert key == ("0", "9")
+    assert path["level"][:11].tolist() == [9.0] * 11
+    assert set(path["level"][11:]) <= {2.0}
+    assert row_of(found, key)["episode"] == "0"
+    none = read_run(run(tmp_path / "none", *words))
+    assert list(recorded_paths(none)) == [("0", ""), ("1", "")]
+    assert {row["level"] for row in table(tmp_path / "none" / "paths.csv")} == {""}
 
 
 def test_no_human_leaves_distances_empty_not_zero(tmp_path: Path) -> None:

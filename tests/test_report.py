@@ -215,13 +215,13 @@ def test_text_of_a_run_is_escaped(tmp_path):
 
 
 def test_paths_without_a_human_or_a_cell_are_drawn(demo):
-    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)["0"]
+    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)["0", ""]
     alone = {
         **path,
         "human_x": np.full_like(path["human_x"], 50.0),
         "human_distance_m": np.full_like(path["step"], np.nan),
     }
-    figure = figures.paths({"0": alone}, {}, {})
+    figure = figures.paths({("0", ""): alone}, {}, {})
     assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "Top view",
         "Side view",
@@ -313,7 +313,7 @@ def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
 
 def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     run = run_folder.find_runs(demo)[0]
-    path = {name: values[:12] for name, values in run_folder.recorded_paths(run, 1)["0"].items()}
+    path = {name: values[:12] for name, values in run_folder.recorded_paths(run, 1)["0", ""].items()}
     robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
     try:
         file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))

@@ -20,6 +20,7 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.experiments.run_folder import Recorded
 from hrl_comfort.experiments.statistics import Floats, Row
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -170,7 +171,7 @@ def _wide(axis: Axes, low: Floats, high: Floats) -> None:
 
 
 def paths(
-    episodes: Mapping[str, Mapping[str, Floats]], ended: Mapping[str, str], cell: Mapping[str, Any]
+    episodes: Mapping[Recorded, Mapping[str, Floats]], ended: Mapping[Recorded, str], cell: Mapping[str, Any]
 ) -> Figure:
     """Top and side view of tool and human, and their horizontal distance over time.
 

@@ -211,12 +211,14 @@ class Chunk:
         for row in torch.nonzero(rows).squeeze(-1).tolist():
             tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
             distance = float(np.linalg.norm(tcp[:2] - human))
+            level = float(state.level[row])
             numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
             self.result.paths.append(
                 [
                     int(self.entries.episode[row]),
                     int(state.steps[row]),
                     int(state.stage[row]),
+                    None if np.isnan(level) else round(level),
                     *map(rounded, numbers),
                 ]
             )
@@ -268,7 +270,7 @@ class Chunk:
 
 
 PATH_COLUMNS = [
-    "episode", "step", "stage", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
+    "episode", "step", "stage", "level", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
     "human_x", "human_y", "human_yaw", "human_distance_m",
 ]  # fmt: skip
 

@@ -19,7 +19,15 @@ import jinja2
 
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.experiments import figures
-from hrl_comfort.experiments.run_folder import ENDINGS, Run, ending, find_runs, recorded_paths
+from hrl_comfort.experiments.run_folder import (
+    ENDINGS,
+    Recorded,
+    Run,
+    ending,
+    find_runs,
+    recorded_paths,
+    row_of,
+)
 from hrl_comfort.experiments.statistics import KEYS, Floats, Row
 from hrl_comfort.files import write_text
 
@@ -117,7 +125,7 @@ def _path_pictures(runs: Sequence[Run]) -> list[Picture]:
     for run in runs:
         recorded = recorded_paths(run, SHOWN_PATHS)
         if recorded:
-            ended = {row["episode"]: ending(row) for row in run.episodes or []}
+            ended = {key: ending(row) for key in recorded if (row := row_of(run, key))}
             cell = run.config.get("cell", {})
             lacking = "" if cell else " Goals are not drawn: the folder has no config.yaml."
             pictures.append(
@@ -194,8 +202,8 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     from hrl_comfort.experiments import video
 
     recorded = recorded_paths(run, SEARCHED_PATHS)
-    rows: dict[str, Row] = {row["episode"]: row for row in run.episodes or []}
-    successes = [name for name in recorded if name in rows and ending(rows[name]) == "success"]
+    rows: dict[Recorded, Row] = {key: row for key in recorded if (row := row_of(run, key))}
+    successes = [key for key, row in rows.items() if ending(row) == "success"]
     episode = (successes or list(recorded))[0]
     row = rows.get(episode, {})
     task, colour = row.get("task") or run.config["task"]["name"], row.get("colour") or "orange"
@@ -207,7 +215,8 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     except (TypeError, ConfigError) as error:
         return "", f"No video: {run.name}/config.yaml does not fit this version ({error})."
     which = "the first recorded success" if successes else "a recorded episode"
-    return f"{run.name}, episode {episode}, {which}; drawn from its joint angles, real time.", ""
+    at_level = f" at level {episode[1]}" if episode[1] else ""
+    return f"{run.name}, episode {episode[0]}{at_level}, {which}; drawn from its joint angles, real time.", ""
 
 
 def report(config: ReportConfig) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,10 @@ ENDINGS = (
     "self-collision",
     "time limit",
 )
+
+
+Recorded = tuple[str, str]
+"""A recorded episode: its index, and the comfort level that it began with (empty without one)."""
 
 
 @dataclass(frozen=True)
@@ -164,19 +169,39 @@ def ending(row: Row) -> str:
     return "time limit" if number(row.get("truncated")) > 0 else "other"
 
 
-def recorded_paths(run: Run, count: int) -> dict[str, dict[str, Floats]]:
-    """Return the columns of the first `count` recorded episodes, by episode; none when not recorded."""
+def recorded_paths(
+    run: Run, count: int | None = None, episodes: Collection[str] | None = None
+) -> dict[Recorded, dict[str, Floats]]:
+    """Return the columns of recorded episodes by episode and level; none when not recorded.
+
+    An evaluation at several levels records an episode once at each, one level after the other. What is
+    returned is the first `count` of them, if given, and of `episodes` alone, if given.
+    """
     if run.paths is None:
         return {}
-    kept: dict[str, list[Row]] = {}
+    kept: dict[Recorded, list[Row]] = {}
+    current: dict[str, Recorded] = {}
     with run.paths.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             if any(row.get(name) in (None, "") for name in NEEDED["paths.csv"]):
                 raise ConfigError(f"{run.paths} is damaged: it lacks a column, or a line is cut short")
-            if row["episode"] in kept or len(kept) < count:
-                kept.setdefault(row["episode"], []).append(row)
-    tables = {name: {key: column(rows, key) for key in rows[0]} for name, rows in kept.items()}
-    return {name: _ordered(table) for name, table in tables.items()}
+            episode = row["episode"]
+            if episode not in current or row["step"] == "0":  # there it begins, or begins anew
+                current[episode] = (episode, row.get("level") or "")
+            if episodes is not None and episode not in episodes:
+                continue
+            if current[episode] in kept or count is None or len(kept) < count:
+                kept.setdefault(current[episode], []).append(row)
+    tables = {key: {name: column(rows, name) for name in rows[0]} for key, rows in kept.items()}
+    return {key: _ordered(table) for key, table in tables.items()}
+
+
+def row_of(run: Run, recorded: Recorded) -> Row:
+    """Return the row of episodes.csv that a recorded episode belongs to; empty when there is none."""
+    episode, level = recorded
+    rows = [row for row in run.episodes or [] if row["episode"] == episode]
+    # A level that changes within the episode is none of the episode's own.
+    return next((row for row in rows if (row.get("comfort_level") or level) == level), {})
 
 
 def _ordered(table: dict[str, Floats]) -> dict[str, Floats]:
