@@ -1,0 +1,41 @@
+"""What comfort levels change as a Markdown table, for the docs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hrl_comfort.experiments.comfort_statistics import DISTANCE, STEPS
+
+TABLE: tuple[tuple[str, str, str, float, int], ...] = (
+    ("success, %", "rates", "success", 100, 1),
+    ("moving robot hit person, %", "rates", "moving_collision", 100, 1),
+    ("person touched, %", "rates", "human_collision", 100, 1),
+    ("distance, m (pairs)", "pairs", DISTANCE, 1, 3),
+    ("steps (pairs)", "pairs", STEPS, 1, 1),
+    ("distance, m (all)", "all", DISTANCE, 1, 3),
+    ("steps (all)", "all", STEPS, 1, 1),
+)
+"""Columns of the table: heading, where the number is, its name, a factor, digits."""
+
+
+def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
+    """Return a summary's levels as a Markdown table; its last line is the change from first to last level."""
+    found = summary["spawns"][spawns]
+
+    def cell(value: Mapping[str, Any] | None, key: str, scale: float, digits: int) -> str:
+        if value is None:
+            return "–"
+        text = f"{scale * value[key]:.{digits}f}"
+        if value["ci95"] is not None:
+            text += " [{:.{d}f}, {:.{d}f}]".format(*(scale * bound for bound in value["ci95"]), d=digits)
+        return text
+
+    lines = [["level", *(heading for heading, *_ in TABLE)], ["---"] * (1 + len(TABLE))]
+    for at in found["levels"]:
+        cells = (cell(at[part].get(name), "mean", scale, digits) for _, part, name, scale, digits in TABLE)
+        lines.append([str(at["level"]), *cells])
+    if (whole := found["first_to_last"]) is not None:
+        cells = (cell(whole.get(part, {}).get(name), "percent", 1, 1) for _, part, name, *_ in TABLE)
+        lines.append([f"{whole['from']} to {whole['to']}, change in %", *cells])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
