@@ -9,12 +9,13 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, FigureConfig, ReportConfig, TrainConfig
 
 VERBS = {
     "train": "teach one subtask to one policy",
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
+    "figure": "draw what comfort levels change (kind=levels evaluations=[DIR,...] output=FILE.png)",
     "bench": "print how fast the batched environment is (bench env)",
     "demo": "train, evaluate, chain and report, in minutes",
 }
@@ -62,6 +63,17 @@ def report(overrides: list[str]) -> None:
     run(config)
 
 
+def figure(overrides: list[str]) -> None:
+    """Run `hrl-comfort figure`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("figure", overrides)
+    assert isinstance(config, FigureConfig)
+    from hrl_comfort.experiments.figure import figure as run
+
+    run(config)
+
+
 def bench(words: list[str]) -> None:
     """Run `hrl-comfort bench env`."""
     if not words or words[0] != "env":
@@ -86,6 +98,7 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "train": train,
     "evaluate": evaluate,
     "report": report,
+    "figure": figure,
     "bench": bench,
     "demo": demo,
 }

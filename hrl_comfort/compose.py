@@ -25,11 +25,23 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig, ReportConfig, TrainConfig
+from hrl_comfort.config import (
+    ConfigError,
+    EnvConfig,
+    EvaluateConfig,
+    FigureConfig,
+    ReportConfig,
+    TrainConfig,
+)
 from hrl_comfort.files import write_text
 
-Config = TrainConfig | EvaluateConfig | ReportConfig
-ROOTS: dict[str, type[Config]] = {"train": TrainConfig, "evaluate": EvaluateConfig, "report": ReportConfig}
+Config = TrainConfig | EvaluateConfig | ReportConfig | FigureConfig
+ROOTS: dict[str, type[Config]] = {
+    "train": TrainConfig,
+    "evaluate": EvaluateConfig,
+    "report": ReportConfig,
+    "figure": FigureConfig,
+}
 T = TypeVar("T")
 
 

@@ -23,6 +23,11 @@ from hrl_comfort.compose import (
 )
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 
+OWN = {
+    "report": ["run=runs"],
+    "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
+}
+"""What a command without sections must be told."""
 NEEDED = {"playback": ["human.file=walk.csv"]}
 """What a choice cannot do without."""
 CHOICES = [
@@ -50,7 +55,7 @@ def test_every_choice_composes(root, group, name):
 
 @pytest.mark.parametrize("root", ROOTS)
 def test_every_root_composes_to_frozen_dataclasses(root):
-    config = compose(root, ["run=runs"] if root == "report" else [])
+    config = compose(root, OWN.get(root, []))
     assert type(config) is ROOTS[root]
     with pytest.raises(dataclasses.FrozenInstanceError):
         config.output = "elsewhere"
@@ -117,6 +122,10 @@ def test_the_paper_experiment_is_the_papers():
         (["report"], "run must be set: run=VALUE"),
         (["report", "run=/no/such/folder"], "/no/such/folder"),
         (["report", "task=pick"], "task is not a key; report has output, run, video"),
+        (["figure", *OWN["figure"], "kind=bars"], "kind='bars' is not allowed; choose one of levels, speed"),
+        (["figure", *OWN["figure"], "output=a.pdf"], "output='a.pdf' must end in .png"),
+        (["figure", *OWN["figure"], "kind=jump"], "jump_s=null"),
+        (["figure", *OWN["figure"], "evaluations=[/no/such/folder]"], "/no/such/folder"),
         (["bench"], "say bench env"),
         (["bench", "-m"], "bench cannot be swept"),
     ],
@@ -140,7 +149,7 @@ def test_help_lists_every_verb_and_choice(capsys):
 
 @pytest.mark.parametrize("root", ROOTS)
 def test_a_written_configuration_loads_back_equal(root, tmp_path):
-    config = compose(root, ["run=runs"] if root == "report" else ["human.speed_m_s=0.1234567890123"])
+    config = compose(root, OWN.get(root, ["human.speed_m_s=0.1234567890123"]))
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == load_config(tmp_path) == config
 

@@ -27,7 +27,7 @@ def commands() -> list[tuple[str, str]]:
     found = []
     for page in [*PAGES, *EXPERIMENTS]:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-        lines = re.findall(r"^(?:#\s+)?hrl-comfort (?:train|evaluate) .*$", text, re.MULTILINE)
+        lines = re.findall(r"^(?:#\s+)?hrl-comfort (?:train|evaluate|report|figure) .*$", text, re.MULTILINE)
         found += [(page.name, line.removeprefix("#").strip()) for line in lines if IMAGINED not in line]
     return found
 

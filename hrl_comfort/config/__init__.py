@@ -9,7 +9,15 @@ from __future__ import annotations
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.commands import EnvConfig, EvaluateConfig, MetaConfig, ReportConfig, TrainConfig
+from hrl_comfort.config.commands import (
+    FIGURES,
+    EnvConfig,
+    EvaluateConfig,
+    FigureConfig,
+    MetaConfig,
+    ReportConfig,
+    TrainConfig,
+)
 from hrl_comfort.config.constants import (
     CONTROL_STEP_S,
     ENDINGS_SEED,
@@ -26,6 +34,7 @@ __all__ = [
     "ENDINGS_SEED",
     "EVALUATION_EPISODES",
     "FAR_AWAY_M",
+    "FIGURES",
     "FIRST_SEED",
     "AgentConfig",
     "CellConfig",
@@ -35,6 +44,7 @@ __all__ = [
     "EngineConfig",
     "EnvConfig",
     "EvaluateConfig",
+    "FigureConfig",
     "HumanConfig",
     "MetaConfig",
     "PrecisionConfig",

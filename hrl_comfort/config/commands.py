@@ -129,3 +129,48 @@ class ReportConfig:
     """Folder that holds run folders and their `eval/`, or one run folder."""
     output: str | None
     video: bool
+
+
+FIGURES = ("levels", "speed", "plane", "paths", "people", "jump")
+
+
+@dataclass(frozen=True)
+class FigureConfig:
+    """`hrl-comfort figure`."""
+
+    kind: str
+    """One of FIGURES."""
+    evaluations: list[str]
+    """Folders of evaluations, or patterns of them: `runs/*/eval`."""
+    output: str
+    """The PNG; where there are numbers they go to a JSON file of the same name beside it."""
+    labels: list[str]
+    """`plane`, `people`: a name for each of `evaluations`; those of one name are one series of `plane`."""
+    over: str
+    """`levels`, `speed`, `plane`: over `pairs`, the episodes that succeed at every level, or over `all`."""
+    levels: list[int]
+    """`paths`: levels to draw; `people`: the one level to draw."""
+    episodes: list[int]
+    """`paths`, `people`: one or two; none: the first orange and the first pink one that succeed in all."""
+    jump_s: float | None
+    """`jump`: when the level changes, seconds from the start of the episode."""
+
+    def __post_init__(self) -> None:
+        one_of("kind", self.kind, FIGURES)
+        one_of("over", self.over, ("pairs", "all"))
+        if not self.evaluations:
+            raise ConfigError("evaluations=[] must name at least one folder of an evaluation")
+        if not self.output.endswith(".png"):
+            raise ConfigError(f"output={self.output!r} must end in .png")
+        if self.labels and len(self.labels) != len(self.evaluations):
+            raise ConfigError(f"labels={list(self.labels)} must be as many as evaluations, or none")
+        if len(self.episodes) > 2:
+            raise ConfigError(f"episodes={list(self.episodes)} must be one or two, a panel each")
+        if self.kind == "people" and len(self.levels) > 1:
+            raise ConfigError(f"levels={list(self.levels)} must be one level: kind=people compares motions")
+        if self.kind == "jump":
+            if self.jump_s is None:
+                raise ConfigError("jump_s=null: kind=jump needs the time of the jump, such as jump_s=0.6")
+            between("jump_s", self.jump_s, 0.0, 3600.0)
+            if len(self.evaluations) != 2:
+                raise ConfigError("kind=jump needs two evaluations: without the jump, and with it")

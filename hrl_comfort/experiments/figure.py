@@ -1,0 +1,143 @@
+"""`hrl-comfort figure`: reads the evaluations, has one figure drawn, and writes it with its numbers."""
+
+from __future__ import annotations
+
+import glob
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump
+from hrl_comfort.experiments.comfort_statistics import Limit, Paired, paired, summarise
+from hrl_comfort.experiments.comfort_table import markdown
+from hrl_comfort.experiments.figures import STYLE
+from hrl_comfort.experiments.run_folder import Run, read_run
+from hrl_comfort.files import write_atomically, write_text
+
+DPI = 200
+Groups = dict[str, list[Run]]
+"""Evaluations by the name they have in the figure."""
+Drawn = tuple[Figure, dict[str, Any]]
+"""A figure and its numbers; no numbers, no file of them."""
+
+
+def figure(config: FigureConfig) -> Path:
+    """Draw what `config` asks for; return the PNG.
+
+    Raises:
+      ConfigError: an evaluation is not there, is damaged, or lacks what the figure needs.
+    """
+    picture, numbers = KINDS[config.kind](config, read_groups(config))
+    output = Path(config.output)
+    with matplotlib.rc_context(STYLE):
+        write_atomically(
+            output, lambda file: picture.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
+        )
+    if numbers:
+        write_text(output.with_suffix(".json"), json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+    Console(stderr=True).print(f"{output}", soft_wrap=True)
+    return output
+
+
+def read_groups(config: FigureConfig) -> Groups:
+    """Return the evaluations that the folders and patterns of `config` name, those of one label together."""
+    groups: Groups = {}
+    for i, pattern in enumerate(config.evaluations):
+        names = [pattern] if Path(pattern).is_dir() else sorted(glob.glob(pattern))
+        folders = [Path(name) for name in names if Path(name).is_dir()]
+        if not folders:
+            raise ConfigError(f"evaluations={pattern!r} is not the folder of an evaluation")
+        label = config.labels[i] if config.labels else pattern.removesuffix("/").removesuffix("/eval")
+        groups.setdefault(label, []).extend(_evaluation(folder) for folder in folders)
+    return groups
+
+
+def _evaluation(folder: Path) -> Run:
+    run = read_run(folder)
+    if not run.episodes:
+        raise ConfigError(f"evaluations={str(folder)!r} holds no episodes.csv with an episode in it")
+    return run
+
+
+def _paired(runs: list[Run]) -> Paired:
+    return paired([(run.episodes or [], _limit(run)) for run in runs])
+
+
+def _limit(run: Run) -> Limit:
+    """Return the time limit by level: as `comfort.adapt.limit_steps`, it grows where speed is paid for.
+
+    From the plain YAML, so that evaluations of other versions can be drawn too.
+    """
+    steps = run.config.get("task", {}).get("limit_steps")
+    if steps is None:
+        raise ConfigError(f"{run.folder}/config.yaml lacks task.limit_steps, at which failures count")
+    comfort = run.config.get("comfort", {})
+    if not comfort.get("beta"):
+        return lambda level: int(steps)
+    return lambda level: math.ceil(steps * comfort["levels"] / level)
+
+
+def _everything(groups: Groups) -> list[Run]:
+    return [run for runs in groups.values() for run in runs]
+
+
+def _levels(config: FigureConfig, groups: Groups) -> Drawn:
+    data = _paired(_everything(groups))
+    numbers = summarise(data)
+    print(markdown(numbers), end="")
+    return comfort_figures.levels(data, config.over), numbers
+
+
+def _speed(config: FigureConfig, groups: Groups) -> Drawn:
+    data = _paired(_everything(groups))
+    return comfort_figures.speed(data, config.over), summarise(data)
+
+
+def _plane(config: FigureConfig, groups: Groups) -> Drawn:
+    data = {label: _paired(runs) for label, runs in groups.items()}
+    numbers = {label: summarise(each) for label, each in data.items()}
+    return comfort_figures.plane(data, config.over), numbers
+
+
+def _paths(config: FigureConfig, groups: Groups) -> Drawn:
+    return comfort_paths.paths(_everything(groups), config.levels, config.episodes), {}
+
+
+def _people(config: FigureConfig, groups: Groups) -> Drawn:
+    runs = _everything(groups)
+    motions = [(run.episodes or [{}])[0].get("human") or "" for run in runs]
+    if not config.labels and len(set(motions)) == len(runs):
+        named = {name.replace("_", " "): run for name, run in zip(motions, runs, strict=True)}
+    elif len(groups) == len(runs):
+        named = {label: run for label, (run,) in groups.items()}
+    else:
+        raise ConfigError("kind=people takes one evaluation a motion: give each folder a label of its own")
+    return comfort_paths.people(named, config.levels, config.episodes), {}
+
+
+def _jump(config: FigureConfig, groups: Groups) -> Drawn:
+    assert config.jump_s is not None, "FigureConfig checks it"
+    if len(groups) != 2:
+        raise ConfigError(
+            f"evaluations={list(config.evaluations)} must be two: without the jump, and with it"
+        )
+    without, jumping = groups.values()
+    data = level_jump.aligned(without, jumping, config.jump_s)
+    return level_jump.jump(data), level_jump.numbers(data)
+
+
+KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
+    "levels": _levels,
+    "speed": _speed,
+    "plane": _plane,
+    "paths": _paths,
+    "people": _people,
+    "jump": _jump,
+}
