@@ -18,6 +18,9 @@ train() { # folder, overrides; a training that was stopped goes on
 measure() { # folder, overrides
     "${hrl[@]}" evaluate "output=$ref/$1" episodes=1000 'group_by=[seen]' "${@:2}"
 }
+measure_levels() { # folder, overrides; the same episodes at each of ten levels
+    measure "$1" 'levels=[1,2,3,4,5,6,7,8,9,10]' "${@:2}"
+}
 endings() { # how a policy leaves the arm, over episodes drawn as in training: the evaluation set stays held out
     [ -f "$ref/$1/endings.npz" ] || "${hrl[@]}" evaluate "policy=$ref/$1" episodes=2000 "endings=$ref/$1/endings.npz"
 }
@@ -80,12 +83,14 @@ curriculum_of() {
     done
 }
 
-comfort() { # one policy for ten levels, five training seeds: the task first, then the levels in earnest
+comfort() { # one policy for ten levels, by training seed: the task first, then the levels in earnest, then nearer
     for seed in ${SEEDS:-0 1 2 3 4}; do
-        seeds=("train_seed=$seed" "episode_seed=$seed")
-        train comfort/seed$seed/pick_place_first experiment=comfort_gentle "${seeds[@]}"
-        train comfort/seed$seed/pick_place experiment=comfort_conditioned "${seeds[@]}" \
-            "initial_policy=$ref/comfort/seed$seed/pick_place_first"
+        to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
+        train $to/pick_place_first experiment=comfort_gentle "${seeds[@]}"
+        train $to/pick_place_second experiment=comfort_conditioned "${seeds[@]}" \
+            "initial_policy=$ref/$to/pick_place_first"
+        train $to/pick_place experiment=comfort_nearer "${seeds[@]}" "initial_policy=$ref/$to/pick_place_second"
+        measure_levels $to/eval "policy=$ref/$to/pick_place"
     done
 }
 
