@@ -58,12 +58,12 @@ fine() { # the line's policies trained on to 2 cm
     done
 }
 
-approach() { # beside somebody who walks at the gripper, at last with a touch four times as dear; and blind to it
+approach() { # beside somebody who walks at the gripper, a touch ever dearer, at last from all round; and blind to it
     train pick_place_approach_first experiment=approach
     train pick_place_approach_second experiment=approach agent.decisions=200000 curriculum=off \
         reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_first"
-    train pick_place_approach experiment=approach agent.decisions=200000 curriculum=off agent.learning_rate=1e-4 \
-        reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_second"
+    train pick_place_approach experiment=approach agent.decisions=400000 curriculum=off reward.human_collision=-100 \
+        human.spawn=anywhere 'human.spawn_radius_m=[0.38,1.3]' "initial_policy=$ref/pick_place_approach_second"
     for part in pick_place_approach_first pick_place_approach_second pick_place_approach; do
         measure $part/eval "policy=$ref/$part"
         measure $part/masked "policy=$ref/$part" human.masked=true
