@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hrl_comfort.comfort.adapt import longest_limit_steps
+from hrl_comfort.comfort.adapt import limit_steps, longest_limit_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.experiments.statistics import write_summary
+from hrl_comfort.experiments.statistics import Row, number, write_summary
 from hrl_comfort.files import write_text
 from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
@@ -98,7 +98,13 @@ class Result:
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
         save_config(config, output / "config.yaml")
-        write_summary(output, config.group_by, config.task.limit_steps)
+        write_summary(output, config.group_by, lambda row: limit_of(row, config))
+
+
+def limit_of(row: Row, config: EvaluateConfig) -> int:
+    """Return the time limit, control steps, of an episode at the level of its row of episodes.csv."""
+    level = torch.tensor([number(row["comfort_level_mean"])], dtype=torch.float64)
+    return int(limit_steps(level, config.task.limit_steps, config.comfort))
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:

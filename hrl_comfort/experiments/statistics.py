@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from hrl_comfort.files import write_text
 
 Row = dict[str, str]
 Floats = NDArray[np.float64]
+Limit = int | Callable[[Row], int]
+"""Time limit of an episode, control steps; the same for all or by its row."""
 
 KEYS = ("task", "policy", "human", "comfort_level", "precision_m")
 """What always tells one group of episodes from another."""
@@ -157,7 +159,7 @@ def _metric_names(rows: Sequence[Row], labels: Sequence[str]) -> list[str]:
     return [name for name in rows[0] if name not in labels and not _is_text(rows, name)]
 
 
-def group_metrics(rows: Sequence[Row], labels: Sequence[str], limit_steps: int) -> dict[str, Any]:
+def group_metrics(rows: Sequence[Row], labels: Sequence[str], limit_steps: int | Floats) -> dict[str, Any]:
     """Return the metrics of one group of episodes; a metric without a value is absent."""
     seeds = [row.get("train_seed") or "" for row in rows]
     success = column(rows, "success")
@@ -202,7 +204,7 @@ def _label(name: str, cell: str | None) -> str | float | int | bool | None:
     return cell
 
 
-def summarise(rows: Sequence[Row], group_by: Sequence[str], limit_steps: int) -> dict[str, Any]:
+def summarise(rows: Sequence[Row], group_by: Sequence[str], limit_steps: Limit) -> dict[str, Any]:
     """Return the summary of episodes: one group a task, policy, human, level, precision and `group_by`.
 
     Steps and distances are over successful episodes; their `_all` twins over all, where a failed
@@ -220,12 +222,13 @@ def summarise(rows: Sequence[Row], group_by: Sequence[str], limit_steps: int) ->
     groups = []
     for cells, members in split.items():
         labels = {name: _label(name, cell) for name, cell in zip(names, cells, strict=True)}
-        metrics = group_metrics(members, (*LABELS, *group_by), limit_steps)
+        limits = np.array([limit_steps(row) for row in members]) if callable(limit_steps) else limit_steps
+        metrics = group_metrics(members, (*LABELS, *group_by), limits)
         groups.append({**labels, "episodes": len(members), "metrics": metrics})
     return {"groups": groups}
 
 
-def write_summary(folder: Path | str, group_by: Sequence[str], limit_steps: int) -> dict[str, Any]:
+def write_summary(folder: Path | str, group_by: Sequence[str], limit_steps: Limit) -> dict[str, Any]:
     """Summarise `folder`/episodes.csv into `folder`/summary.json, and return it."""
     folder = Path(folder)
     episodes = folder / "episodes.csv"
