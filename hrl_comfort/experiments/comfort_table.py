@@ -15,6 +15,8 @@ TABLE: tuple[tuple[str, str, str, float, int], ...] = (
     ("steps (pairs)", "pairs", STEPS, 1, 1),
     ("distance, m (all)", "all", DISTANCE, 1, 3),
     ("steps (all)", "all", STEPS, 1, 1),
+    ("waiting, % of steps", "pairs", "waiting_share", 100, 1),
+    ("joint increment, ° (pairs)", "pairs", "joint_increment_mean_deg", 1, 2),
 )
 """Columns of the table: heading, where the number is, its name, a factor, digits."""
 
