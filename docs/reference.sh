@@ -84,14 +84,39 @@ curriculum_of() {
 }
 
 comfort() { # one policy for ten levels, by training seed: the task first, then the levels in earnest, then nearer
-    for seed in ${SEEDS:-0 1 2 3 4}; do
+    for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
         train $to/pick_place_first experiment=comfort_gentle "${seeds[@]}"
         train $to/pick_place_second experiment=comfort_conditioned "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_first"
         train $to/pick_place experiment=comfort_nearer "${seeds[@]}" "initial_policy=$ref/$to/pick_place_second"
         measure_levels $to/eval "policy=$ref/$to/pick_place"
+        train $to/pick_place_10cm experiment=comfort_10cm "${seeds[@]}" "initial_policy=$ref/$to/pick_place"
+        measure_levels $to/eval_10cm "policy=$ref/$to/pick_place_10cm"
     done
+}
+
+rivals() { # what learns nothing, at the same levels
+    measure_levels comfort/field task=pick_place policy=field comfort=conditioned \
+        task.precision.take_m=0.30 task.precision.leave_m=0.30
+}
+
+figures() { # from the evaluations of comfort and rivals; what is recorded for a picture is not kept
+    figure() { "${hrl[@]}" figure "output=$ref/comfort/$1.png" "${@:2}"; }
+    record() { "${hrl[@]}" evaluate "output=$ref/comfort/$1" record=true episodes="$2" "policy=$3" "${@:4}"; }
+    one=$ref/comfort/seed0/pick_place
+    ten="$one"_10cm
+    figure levels kind=levels "evaluations=['$ref/comfort/seed*/eval']"
+    figure levels_10cm kind=levels "evaluations=['$ref/comfort/seed*/eval_10cm']"
+    figure plane kind=plane "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/field']" 'labels=[one policy,field]'
+    record recorded/levels 100 $one 'levels=[1,4,7,10]'
+    figure paths kind=paths "evaluations=[$ref/comfort/recorded/levels]"
+    for human in random_walk arc approach; do record recorded/$human 20 $one human=$human 'levels=[5]'; done
+    figure people kind=people 'levels=[5]' \
+        "evaluations=[$ref/comfort/recorded/random_walk,$ref/comfort/recorded/arc,$ref/comfort/recorded/approach]"
+    record recorded/calm 1000 $ten comfort.source=fixed comfort.level=10
+    record recorded/jump 1000 $ten comfort.source=schedule 'comfort.schedule_s=[0,0.2]' 'comfort.schedule_levels=[10,1]'
+    figure jump kind=jump jump_s=0.2 "evaluations=[$ref/comfort/recorded/calm,$ref/comfort/recorded/jump]"
 }
 
 expert() { # the scripted expert: every task can be done
