@@ -108,6 +108,7 @@ figures() { # from the evaluations of comfort and rivals; what is recorded for a
     ten="$one"_10cm
     figure levels kind=levels "evaluations=['$ref/comfort/seed*/eval']"
     figure levels_10cm kind=levels "evaluations=['$ref/comfort/seed*/eval_10cm']"
+    figure field kind=levels "evaluations=[$ref/comfort/field]"
     figure plane kind=plane "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/field']" 'labels=[one policy,field]'
     record recorded/levels 100 $one 'levels=[1,4,7,10]'
     figure paths kind=paths "evaluations=[$ref/comfort/recorded/levels]"
