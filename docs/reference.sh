@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|speed|fixed|forms|field|figures|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -84,20 +84,70 @@ curriculum_of() {
 }
 
 comfort() { # one policy for ten levels, by training seed: the task first, then the levels in earnest, then nearer
-    for seed in ${SEEDS:-0 1 2}; do
+    for seed in ${SEEDS:-0 1 2 3 4}; do
         to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
         train $to/pick_place_first experiment=comfort_gentle "${seeds[@]}"
         train $to/pick_place_second experiment=comfort_conditioned "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_first"
         train $to/pick_place experiment=comfort_nearer "${seeds[@]}" "initial_policy=$ref/$to/pick_place_second"
         measure_levels $to/eval "policy=$ref/$to/pick_place"
-        train $to/pick_place_10cm experiment=comfort_10cm "${seeds[@]}" "initial_policy=$ref/$to/pick_place"
+    done
+}
+
+comfort_10cm() { # on to 10 cm
+    for seed in ${SEEDS:-0 1 2}; do
+        to=comfort/seed$seed
+        train $to/pick_place_10cm experiment=comfort_10cm "train_seed=$seed" "episode_seed=$seed" \
+            "initial_policy=$ref/$to/pick_place"
         measure_levels $to/eval_10cm "policy=$ref/$to/pick_place_10cm"
     done
 }
 
-rivals() { # what learns nothing, at four of the levels
-    measure comfort/field 'levels=[1,4,7,10]' task=pick_place policy=field comfort=conditioned \
+comfort_cycle() { # pick, place and return with levels, each begun where the one before it ends, and their chain
+    ten_cm=(task.precision.take_m=0.10 task.precision.leave_m=0.10)
+    for seed in ${SEEDS:-0}; do
+        to=comfort/seed$seed start=ik seeds=("train_seed=$seed" "episode_seed=$seed")
+        for task in pick place return; do
+            train $to/${task}_first experiment=comfort_gentle task=$task curriculum=adaptive agent.decisions=100000 \
+                "${ten_cm[@]}" "${seeds[@]}" "task.start=$start"
+            train $to/$task experiment=comfort_nearer task=$task agent.decisions=80000 \
+                "${ten_cm[@]}" "${seeds[@]}" "task.start=$start" "initial_policy=$ref/$to/${task}_first"
+            endings $to/$task
+            start=$ref/$to/$task/endings.npz
+        done
+        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' \
+            "policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return"
+    done
+}
+
+speed() { # speed alone, from the policy that knows the task
+    for seed in ${SEEDS:-0}; do
+        train comfort/speed/seed$seed experiment=comfort_speed "train_seed=$seed" "episode_seed=$seed" \
+            "initial_policy=$ref/comfort/seed$seed/pick_place_first"
+        measure_levels comfort/speed/seed$seed/eval "policy=$ref/comfort/speed/seed$seed"
+    done
+}
+
+fixed() { # a policy a level
+    for level in ${LEVELS:-1 2 3 4 5 6 7 8 9 10}; do
+        train comfort/fixed/level_$level experiment=comfort_fixed "comfort.level=$level" \
+            "initial_policy=$ref/comfort/seed0/pick_place_second"
+        measure comfort/fixed/level_$level/eval "policy=$ref/comfort/fixed/level_$level" "levels=[$level]"
+    done
+}
+
+forms() { # what each form comes to, from the policy that knows the task: the same weight, decisions and rewards
+    for form in ${FORMS:-paper reference linear logarithmic bounded}; do
+        threshold=range scale=1
+        case $form in reference) threshold=reference ;; bounded) threshold=levels scale=3 ;; esac
+        train comfort/forms/$form experiment=comfort_nearer agent.decisions=50000 "comfort.form=$form" \
+            "comfort.threshold=$threshold" comfort.scale=$scale "initial_policy=$ref/comfort/seed0/pick_place_first"
+        measure comfort/forms/$form/eval "policy=$ref/comfort/forms/$form" 'levels=[1,4,7,10]'
+    done
+}
+
+field() { # the rival that learns nothing
+    measure_levels comfort/field task=pick_place policy=field comfort=conditioned \
         task.precision.take_m=0.30 task.precision.leave_m=0.30
 }
 

@@ -162,11 +162,8 @@ def bounded(engine: Engine, outcome: Outcome, arm: bool = False) -> Tensor:
     span = config.max_m - config.min_m
     tool = (by_row(outcome, "tcp_pos")[..., :2] - by_row(outcome, "human_pos")).norm(dim=-1)
     distance = by_row(outcome, "arm_distance") if arm else tool
-    beyond = (distance - (config.max_m - span * ease)) / span
-    cost = torch.where(
-        beyond > 0, (beyond.abs() ** config.power).clamp(max=config.far_ceiling), beyond.abs() ** config.power
-    ).clamp(max=1)
-    return -cost - config.haste * ease
+    off = ((distance - (config.max_m - span * ease)).abs() / span).clamp(max=1)
+    return -off.pow(config.power) - config.haste * ease
 
 
 def test_terms_add_up_to_the_reward_with_comfort_among_them() -> None:

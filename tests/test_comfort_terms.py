@@ -78,13 +78,6 @@ def test_printed_form_matches_a_hand_computed_value() -> None:
     assert terms.distance_term(number(0.45), number(3), config).item() == pytest.approx(expected)
 
 
-def test_bounded_form_costs_up_to_one_within_the_preferred_distance_and_its_ceiling_beyond() -> None:
-    config = comfort(form="bounded", threshold="levels", min_m=0.4, max_m=1.4, haste=0, far_ceiling=0.3)
-    distance = torch.tensor([0.0, 0.9, 1.4, 1.8, 2.0, 9.0], dtype=torch.float64)
-    value = terms.distance_term(distance, torch.ones_like(distance), config)
-    assert value.tolist() == pytest.approx([-1, -0.25, 0, -0.16, -0.3, -0.3])
-
-
 def test_released_form_matches_a_hand_computed_value() -> None:
     config = comfort(form="reference", threshold="reference", max_m=1.5)
     theta = 1.5 * (1 - 4 / 10)

@@ -76,16 +76,14 @@ def logarithmic(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tenso
 
 
 def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
-    """-min(c, (|d - theta| / (d_max - d_min))^power), in [-1, 0]: a preferred distance for each level.
+    """-min(1, |d - theta| / (d_max - d_min))^power, in [-1, 0]: a preferred distance for each level.
 
-    The project's own; c is 1 within theta and `far_ceiling` beyond it. Never positive, so nothing is gained by
-    staying anywhere; and it draws a robot nearer whose person is at ease, where forms that only push away
-    leave it where the task takes it. To it comes -haste (C_l - 1) / (N_c - 1) a step: who is at ease would
-    rather have it done soon.
+    The project's own. Never positive, so nothing is gained by staying anywhere; and it draws a robot nearer
+    whose person is at ease, where forms that only push away leave it where the task takes it. To it comes
+    -haste (C_l - 1) / (N_c - 1) a step: who is at ease would rather have it done soon.
     """
     off = (distance - theta).abs() / (config.max_m - config.min_m)
-    ceiling = torch.where(distance > theta, config.far_ceiling, 1.0).to(off.dtype)
-    return -torch.minimum(off.pow(config.power), ceiling)
+    return -off.clamp(max=1.0).pow(config.power)
 
 
 FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {

@@ -91,8 +91,6 @@ class ComfortConfig:
     """Range of distances, d_min and d_max of the threshold."""
     power: float
     """`form=bounded`: 1 weighs every centimetre from the preferred distance alike, 2 the far ones more."""
-    far_ceiling: float
-    """`form=bounded`: the most that being farther away than preferred costs; being too near costs up to 1."""
     haste: float
     """`form=bounded`: what a control step costs beside somebody wholly at ease, before alpha and scale."""
     alpha: float
@@ -126,7 +124,6 @@ class ComfortConfig:
         between("comfort.max_m", self.max_m, 0.01, 10.0)
         between("comfort.min_m", self.min_m, 0.0, self.max_m - 0.001)
         between("comfort.power", self.power, 0.5, 8.0)
-        between("comfort.far_ceiling", self.far_ceiling, 0.0, 1.0)
         between("comfort.haste", self.haste, 0.0, 10.0)
         between("comfort.alpha", self.alpha, 0.0, 1.0)
         between("comfort.beta", self.beta, 0.0, 1.0)
