@@ -34,6 +34,7 @@ def evaluation(
     record: bool = True,
     jump_to: int | None = None,
     episodes: int = 6,
+    jump_step: int = JUMP_STEP,
 ) -> Path:
     """Write an evaluation whose tool keeps 0.1 m + 2 cm a level below 11 off a straight line, and slows down.
 
@@ -50,7 +51,7 @@ def evaluation(
             tool = np.stack([-0.6 + 1.2 * when, 0.1 + bow, 0.3 + 0 * when], axis=1)
             in_force = np.full(steps + 1, level or np.nan)
             if jump_to is not None:
-                after = np.maximum(0, np.arange(steps + 1) - JUMP_STEP)
+                after = np.maximum(0, np.arange(steps + 1) - jump_step)
                 tool[:, 1] += 0.1 * 0.02 * after
                 in_force[after > 0] = jump_to
             walk = np.array([0.1 * e, -0.5]) + np.cumsum(rng.normal(0, 0.005, (steps + 1, 2)), axis=0)
@@ -200,11 +201,21 @@ def test_the_jump_is_measured_one_second_later(tmp_path):
 
 
 def test_episodes_that_end_before_the_second_is_over_leave_no_number(tmp_path):
-    folders = [evaluation(tmp_path / name, levels=(10,), jump_to=j) for name, j in (("a", None), ("b", 1))]
+    jumps = (("a", None), ("b", 1))
+    folders = [evaluation(tmp_path / name, levels=(10,), jump_to=to, jump_step=60) for name, to in jumps]
     file = draw(tmp_path / "f.png", "jump", folders, "jump_s=1.2")
     found = json.loads(file.with_suffix(".json").read_text())
     assert found["episodes"] == 0
     assert "human_distance_m" not in found
+
+
+def test_a_jump_at_another_time_or_the_other_way_round_is_refused(tmp_path):
+    without = evaluation(tmp_path / "without", levels=(10,))
+    jumping = evaluation(tmp_path / "with", levels=(10,), jump_to=1)
+    with pytest.raises(ConfigError, match=r"jump_s=1: .*changes at 0.42 s"):
+        draw(tmp_path / "f.png", "jump", [without, jumping], "jump_s=1")
+    with pytest.raises(ConfigError, match="must keep one level"):
+        draw(tmp_path / "f.png", "jump", [jumping, without], "jump_s=0.4")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,8 @@ LIMIT = 100
 
 def row(level: int, episode: int, **changes: object) -> dict[str, str]:
     cells: dict[str, object] = {
+        "task": "pick_place",
+        "precision_m": 0.3,
         "train_seed": 0,
         "human": "random_walk",
         "episode_seed": 1_000_000 + episode,
@@ -71,6 +73,24 @@ def test_over_all_a_failure_takes_the_time_limit_and_its_distance_is_as_measured
     assert found["steps"]["to"] == pytest.approx((45 + LIMIT + 55) / 3)
     assert found["human_distance_mean_m"]["from"] == pytest.approx((1.0 + 1.2 + 0.2) / 3)
     assert found["human_distance_mean_m"]["percent"] == pytest.approx(100 * (1.7 / 2.4 - 1))
+
+
+@pytest.mark.parametrize("name", ["task", "precision_m", "spawn_id", "colour"])
+def test_only_like_is_compared(name):
+    with pytest.raises(ConfigError, match=f"{name} is '1' and '2'"):
+        data([row(1, 0, **{name: 1}), row(10, 0, **{name: 2})])
+
+
+def test_series_are_compared_over_entries_that_all_of_them_master():
+    first = data([row(1, e, success=e != 0) for e in range(4)])
+    second = data([row(1, e, train_seed=seed, success=e != seed) for e in range(4) for seed in (1, 2)])
+    found = comfort.common({"first": first, "second": second})
+    assert {label: sorted(each.entry.tolist()) for label, each in found.items()} == {
+        "first": ["random_walk/1000003/3"],
+        "second": ["random_walk/1000003/3"] * 2,
+    }
+    with pytest.raises(ConfigError, match="no episode succeeds at every level of all of a, b"):
+        comfort.common({"a": data([row(1, 0)]), "b": data([row(1, 0, success=False)])})
 
 
 def test_each_evaluation_brings_its_own_time_limit():

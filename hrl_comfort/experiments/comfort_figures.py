@@ -138,5 +138,7 @@ def plane(groups: Mapping[str, Paired], over: str) -> Figure:
         axis.set(xlabel=f"mean {WORDS[STEPS]}", ylabel=WORDS[DISTANCE])
         axis.xaxis.set_major_locator(MaxNLocator(6))
         figure.legend(loc="outside upper left", ncols=3)
-        _note(figure, f"crosses: 95 % intervals; {OVER_WORDS[over]}")
+        entries = len(set.union(*(set(data.entry.tolist()) for data in groups.values())))
+        which = f"{entries} episodes that succeed in all of them" if over == "pairs" else OVER_WORDS[over]
+        _note(figure, f"crosses: 95 % intervals; {which}")
         return figure

@@ -26,6 +26,10 @@ RATES = ("success", "moving_collision", "human_collision", "other_collision")
 """Shares of all episodes: success; the moving robot hit the person; any collision with the person; with cell
 or itself."""
 OVER = ("pairs", "all")
+SAME = ("task", "precision_m")
+"""Columns that everything compared must agree in."""
+SAME_ENTRY = ("spawn_id", "motion_id", "colour")
+"""Columns that an entry of the evaluation set must have alike at every level."""
 Limit = Callable[[int], int]
 """An episode's time limit in control steps, by its level."""
 
@@ -35,6 +39,8 @@ class Paired:
     """Episodes of L levels side by side: n entries, each a training seed's run of one evaluation entry."""
 
     levels: tuple[int, ...]
+    entry: NDArray[np.str_]
+    """(n,) entry of the evaluation set: the same for every training seed that ran it."""
     seed: NDArray[np.str_]
     """(n,) training seed; empty where nothing was trained."""
     spawn: NDArray[np.str_]
@@ -58,8 +64,19 @@ class Paired:
         """Return the entries that are kept (n,)."""
         values = {name: value[kept] for name, value in self.values.items()}
         return replace(
-            self, seed=self.seed[kept], spawn=self.spawn[kept], seen=self.seen[kept], values=values
+            self,
+            entry=self.entry[kept],
+            seed=self.seed[kept],
+            spawn=self.spawn[kept],
+            seen=self.seen[kept],
+            values=values,
         )
+
+    @property
+    def mastered(self) -> set[str]:
+        """Entries that succeed at every level, for every training seed that ran them."""
+        failed = ~(self.values["success"] == 1).all(axis=1)
+        return set(self.entry.tolist()) - set(self.entry[failed].tolist())
 
     def over(self, name: str, over: str, columns: Sequence[int] | None = None) -> Floats:
         """Return a measure (n, C) at some levels (default: every one), NaN for entries that do not count.
@@ -81,8 +98,9 @@ def paired(tables: Sequence[tuple[Sequence[Row], Limit]]) -> Paired:
     """Return the episodes of several episodes.csv, each with its time limit, side by side.
 
     Raises:
-      ConfigError: an episode has no level or is there twice.
+      ConfigError: an episode has no level, is there twice, or is of another task, precision or entry.
     """
+    _agree([row for rows, _ in tables for row in rows], SAME)
     found: dict[tuple[str, ...], dict[int, tuple[Row, int]]] = {}
     for rows, limit in tables:
         for row in rows:
@@ -95,6 +113,8 @@ def paired(tables: Sequence[tuple[Sequence[Row], Limit]]) -> Paired:
             found[key][int(text)] = row, limit(int(text))
     if not found:
         raise ConfigError("there is no episode to compare")
+    for entry in found.values():
+        _agree([row for row, _ in entry.values()], SAME_ENTRY)
     levels = tuple(sorted({level for runs in found.values() for level in runs}))
     values = {name: np.full((len(found), len(levels)), np.nan) for name in (*MEASURED, *RATES)}
     for j, level in enumerate(levels):
@@ -105,11 +125,31 @@ def paired(tables: Sequence[tuple[Sequence[Row], Limit]]) -> Paired:
     first = [next(iter(runs.values()))[0] for runs in found.values()]
     return Paired(
         levels=levels,
+        entry=np.array(["/".join(key[1:]) for key in found]),
         seed=np.array([row.get("train_seed") or "" for row in first]),
         spawn=np.array([row["spawn_id"] for row in first]),
         seen=column(first, "seen") > 0,
         values=values,
     )
+
+
+def _agree(rows: Sequence[Row], columns: Sequence[str]) -> None:
+    for name in columns:
+        values = sorted({row.get(name) or "" for row in rows})
+        if len(values) > 1:
+            raise ConfigError(f"{name} is {' and '.join(map(repr, values))}: only like can be compared")
+
+
+def common(groups: Mapping[str, Paired]) -> dict[str, Paired]:
+    """Return the series over the entries of the evaluation set that all of them succeed at, at every level.
+
+    Raises:
+      ConfigError: there is no such entry.
+    """
+    shared = sorted(set.intersection(*(data.mastered for data in groups.values())))
+    if not shared:
+        raise ConfigError(f"no episode succeeds at every level of all of {', '.join(groups)}: over=all")
+    return {label: data.entries(np.isin(data.entry, shared)) for label, data in groups.items()}
 
 
 def _measures(rows: Sequence[Row], limits: Sequence[int]) -> dict[str, Floats]:

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump
-from hrl_comfort.experiments.comfort_statistics import Limit, Paired, paired, summarise
+from hrl_comfort.experiments.comfort_statistics import Limit, Paired, common, paired, summarise
 from hrl_comfort.experiments.comfort_table import markdown
 from hrl_comfort.experiments.figures import STYLE
 from hrl_comfort.experiments.run_folder import Run, read_run
@@ -102,6 +102,8 @@ def _speed(config: FigureConfig, groups: Groups) -> Drawn:
 
 def _plane(config: FigureConfig, groups: Groups) -> Drawn:
     data = {label: _paired(runs) for label, runs in groups.items()}
+    if config.over == "pairs":
+        data = common(data)
     numbers = {label: summarise(each) for label, each in data.items()}
     return comfort_figures.plane(data, config.over), numbers
 

@@ -22,6 +22,10 @@ from hrl_comfort.experiments.statistics import Floats, Row
 
 AFTER_S = 1.0
 """When the effect of the jump is read, from the jump on."""
+LATEST_STEPS = 6
+"""Control steps from the jump to the first one under the new level, at most: a decision, and one more."""
+SAME_M = 1e-3
+"""Two evaluations whose tools are farther apart before the jump are not the same episodes."""
 LEAST_SHARE = 0.25
 """Of the episodes that run at the jump; the figure ends where fewer still run."""
 MEASURES = {"human_distance_m": "distance to person (m)", "tool_speed_m_s": "tool speed (m/s)"}
@@ -44,7 +48,8 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
     """Return the episodes of both evaluations (a run a training seed), seconds counted from the jump.
 
     Raises:
-      ConfigError: paths.csv is missing, holds an episode twice, or no episode lasts until the jump.
+      ConfigError: paths.csv is missing, holds an episode twice, no episode lasts until the jump, or the two
+        differ in more than a level that changes at the jump.
     """
     at = round(jump_s / CONTROL_STEP_S)
     found = [_recorded(runs) for runs in (without, jumping)]
@@ -58,6 +63,7 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
     values = {name: np.full((2, len(pairs), length), np.nan) for name in MEASURES}
     apart = 0.0
     for i, pair in enumerate(pairs):
+        _check_levels(pair, at)
         steps = 1 + _last(pair)
         tools = [np.stack([path[f"tcp_{axis}"][:steps] for axis in "xyz"], axis=1) for path in pair]
         apart = max(apart, float(np.linalg.norm(tools[0] - tools[1], axis=1)[: at + 1].max()))
@@ -65,10 +71,31 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
             values["human_distance_m"][k, i, :steps] = path["human_distance_m"][:steps]
             speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / CONTROL_STEP_S
             values["tool_speed_m_s"][k, i, 1:steps] = speed
+    if apart > SAME_M:
+        raise ConfigError(
+            f"jump_s={jump_s}: the two evaluations' tools are {apart:.3f} m apart before it; "
+            "they must be the same policy and episodes"
+        )
     seeds = np.array([row.get("train_seed") or "" for row in rows])
     clusters = Clusters.nested(seeds, np.array([row.get("spawn_id") or "" for row in rows]))
     seconds = np.asarray((np.arange(length) - at) * CONTROL_STEP_S, dtype=np.float64)
     return Jump(seconds, values, clusters, apart)
+
+
+def _check_levels(pair: Sequence[dict[str, Floats]], at: int) -> None:
+    """Raise ConfigError unless the first path keeps its level and the second leaves it at control step `at`.
+
+    A level comes into force with the decision after it has changed, so a decision later will do.
+    """
+    without, jumping = (path["level"] for path in pair)
+    changed = np.flatnonzero(jumping != jumping[0])
+    if (without != without[0]).any() or without[0] != jumping[0]:
+        raise ConfigError("the first of evaluations= must keep one level, that from which the second jumps")
+    if len(changed) and not at <= changed[0] <= at + LATEST_STEPS:
+        raise ConfigError(
+            f"jump_s={at * CONTROL_STEP_S:g}: the level of the second evaluation changes at "
+            f"{changed[0] * CONTROL_STEP_S:g} s"
+        )
 
 
 def _recorded(runs: Sequence[Run]) -> dict[tuple[str, str], tuple[Row, dict[str, Floats]]]:
