@@ -225,3 +225,17 @@ def test_log_probability_stays_finite_for_saturated_actions():
     action, log_prob = actor.sample(torch.randn(5, D), torch.randn(5, A))
     assert action.abs().max() <= 1
     assert log_prob.isfinite().all()
+
+
+def test_critics_may_learn_alone_first() -> None:
+    learner = filled(Sac(agent(critic_first_updates=2), D, A))
+    before = {name: value.clone() for name, value in learner.actor.state_dict().items()}
+    alpha = learner.log_alpha.detach().clone()
+    critic = learner.critics.weights[0].detach().clone()
+    for _ in range(2):
+        learner.update()
+    assert all(torch.equal(value, before[name]) for name, value in learner.actor.state_dict().items())
+    assert torch.equal(learner.log_alpha.detach(), alpha)
+    assert not torch.equal(learner.critics.weights[0], critic)
+    learner.update()
+    assert any(not torch.equal(value, before[name]) for name, value in learner.actor.state_dict().items())

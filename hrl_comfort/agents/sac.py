@@ -165,7 +165,8 @@ class Sac:
             if not math.isfinite(value):
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         self.optimiser.zero_grad(set_to_none=True)
-        (critic_loss + actor_loss + alpha_loss).backward()
+        critics_alone = self.updates < self.config.critic_first_updates
+        (critic_loss if critics_alone else critic_loss + actor_loss + alpha_loss).backward()
         self.optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)

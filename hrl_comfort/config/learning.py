@@ -43,6 +43,9 @@ class AgentConfig:
     warmup_decisions: int
     """Uniformly random decisions before the first update."""
     updates_per_decision: float
+    critic_first_updates: int
+    """Updates in which the critics learn alone. Where training goes on from a policy under other rewards, the
+    old critics would spoil it first."""
     batch_size: int
     buffer_size: int
     learning_rate: float
@@ -64,6 +67,7 @@ class AgentConfig:
         between("agent.decisions", self.decisions, 1, 1e9)
         between("agent.warmup_decisions", self.warmup_decisions, 0, 1e8)
         between("agent.updates_per_decision", self.updates_per_decision, 0.0, 16.0)
+        between("agent.critic_first_updates", self.critic_first_updates, 0, 1e9)
         between("agent.batch_size", self.batch_size, 1, 65536)
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
