@@ -197,6 +197,15 @@ def test_a_negative_scale_takes_the_comfort_term_off_as_printed(form: str) -> No
     assert torch.equal(ours, -theirs) and (ours != 0).any()
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_full_speed_is_free_beside_somebody_wholly_at_ease(sign: float) -> None:
+    engine = begun("comfort=conditioned", "comfort.source=fixed", "comfort.level=10", "comfort.alpha=0",
+                   "comfort.beta=1", "comfort.speed_form=paper", "comfort.scale=1")  # fmt: skip
+    for _ in range(3):
+        outcome = engine.step(np.full((6, 6), sign))
+        assert (paid(engine, outcome) == 0).all()
+
+
 def test_nothing_is_paid_for_control_steps_after_an_episode_ended() -> None:
     engine = begun("comfort=conditioned", "comfort.scale=1", "task.limit_steps=7")
     engine.step(np.zeros((6, 6)))

@@ -18,6 +18,8 @@ from hrl_comfort.config import ComfortConfig
 SMALLEST_M = 1e-10
 OFFSET = -0.1
 """What the paper's terms are shifted by, and its F_conf2 costs."""
+ROUNDING_DEG = 1e-9
+"""An increment so little above a threshold is at it: ramp and radians turn 2 degrees into a bit more."""
 
 
 # ---- thresholds ----------------------------------------------------------------------------------------
@@ -111,7 +113,8 @@ def increment_threshold(level: Tensor, max_step_deg: float, config: ComfortConfi
 
 def speed_paper(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Tensor:
     """-0.1 above the threshold, else 0: Eq. 3."""
-    return torch.where(increment > threshold, OFFSET, 0.0).to(increment.dtype)
+    fast = increment > threshold + ROUNDING_DEG
+    return torch.where(fast, torch.full_like(increment, OFFSET), torch.zeros_like(increment))
 
 
 def speed_hinge(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Tensor:
