@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.evaluate import evaluate
+from hrl_comfort.experiments.figure import _limit
+from hrl_comfort.experiments.run_folder import read_run
 from hrl_comfort.people import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
@@ -273,6 +276,30 @@ def test_every_level_asked_for_gets_the_same_episodes_in_the_order_asked_for(tmp
     assert at[0] == at[1], "a policy that sees no level does the same at each"
     entries = load_evaluation_set().part(0, 4)
     assert [int(row["motion_id"]) for row in rows] == 2 * entries.motion_id.tolist()
+
+
+def failures_counted(folder: Path) -> list[float]:
+    """Return the mean of steps over all episodes of each group, in which none succeeds."""
+    groups = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["groups"]
+    assert all(group["metrics"]["success"]["mean"] == 0 for group in groups)
+    return [group["metrics"]["steps_all"]["mean"] for group in groups]
+
+
+def test_failures_count_at_the_time_limit_they_ran_under_and_a_figure_agrees(tmp_path: Path) -> None:
+    evaluated(tmp_path, "comfort=off", "comfort.beta=1", "levels=[3,10]")
+    limit = _limit(read_run(tmp_path))
+    assert failures_counted(tmp_path) == [134, 40] == [limit(3), limit(10)]
+
+
+def test_where_the_level_changes_a_failure_counts_at_the_limit_in_force_at_its_end(tmp_path: Path) -> None:
+    rising = ("comfort.source=schedule", "comfort.schedule_s=[0,0.2]", "comfort.beta=1", "human=none")
+    rows = evaluated(tmp_path / "down", *rising, "comfort.schedule_levels=[10,5]")
+    assert {row["steps"] for row in rows if row["truncated"] == "True"} == {"80"}
+    assert failures_counted(tmp_path / "down") == [80]
+    # The limit at level 10 is over when that level comes: the episode ends a step later.
+    rows = evaluated(tmp_path / "up", *rising, "comfort.schedule_s=[0,1]", "comfort.schedule_levels=[5,10]")
+    assert {row["steps"] for row in rows} == {"51"}
+    assert failures_counted(tmp_path / "up") == [51]
 
 
 def test_comfort_is_measured_alike_whether_it_is_paid_or_not(tmp_path: Path) -> None:

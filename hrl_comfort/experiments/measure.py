@@ -19,7 +19,7 @@ from hrl_comfort.comfort.adapt import limit_steps, longest_limit_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.experiments.statistics import Row, number, write_summary
+from hrl_comfort.experiments.statistics import write_summary
 from hrl_comfort.files import write_text
 from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
@@ -64,14 +64,17 @@ class Episode:
     comfort_level_mean: float | None
     measures: dict[str, float | None]
     """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
+    limit_steps: int
+    """Time limit, control steps, that was in force when the episode ended; not a column."""
 
     def row(self) -> dict[str, Any]:
         """Return the cells by column."""
-        own = {name.rstrip("_"): value for name, value in vars(self).items() if name != "measures"}
-        return {**own, **self.measures}
+        return {**{name.rstrip("_"): getattr(self, name) for name in OWN}, **self.measures}
 
 
-COLUMNS = (*(field.name.rstrip("_") for field in fields(Episode) if field.name != "measures"), *MEASURES)
+OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "limit_steps"))
+"""Fields of an Episode that are a column each."""
+COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
 """Of episodes.csv."""
 
 
@@ -98,13 +101,7 @@ class Result:
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
         save_config(config, output / "config.yaml")
-        write_summary(output, config.group_by, lambda row: limit_of(row, config))
-
-
-def limit_of(row: Row, config: EvaluateConfig) -> int:
-    """Return the time limit, control steps, of an episode at the level of its row of episodes.csv."""
-    level = torch.tensor([number(row["comfort_level_mean"])], dtype=torch.float64)
-    return int(limit_steps(level, config.task.limit_steps, config.comfort))
+        write_summary(output, config.group_by, [episode.limit_steps for episode in self.episodes])
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
@@ -187,7 +184,7 @@ class Chunk:
         self.totals["decisions"] += active.numpy()
         self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
         self.totals["steps"] += valid.sum(axis=1)
-        self.totals["level"] += outcome.instants.level.view(valid.shape)[:, 0].numpy() * valid.sum(axis=1)
+        self.totals["level"] += outcome.level.numpy() * valid.sum(axis=1)
         self.seen.append((outcome.instants, outcome.valid & active[:, None]))
         if self.config.record:
             for k, instant in enumerate(outcome.steps):
@@ -259,6 +256,7 @@ class Chunk:
             truncated=not success and not (hit or table or itself),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             measures={},
+            limit_steps=self._limit(row, outcome),
         )
 
     def _mean_level(self, row: int) -> float:
@@ -269,6 +267,14 @@ class Chunk:
         if config.comfort.source not in ("fixed", "random"):
             return None
         return round(self._mean_level(row))
+
+    def _limit(self, row: int, outcome: Outcome) -> int:
+        """Return the time limit in force at the end of the row's episode, control steps.
+
+        A level that rises may bring a limit that is over by then: the steps there were are the limit.
+        """
+        limit = limit_steps(outcome.level[row], self.config.task.limit_steps, self.config.comfort)
+        return max(int(limit), int(outcome.state.steps[row]))
 
     def _option(self, run: OptionRun) -> dict[str, Any]:
         line = asdict(run)

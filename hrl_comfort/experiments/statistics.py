@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ from hrl_comfort.files import write_text
 
 Row = dict[str, str]
 Floats = NDArray[np.float64]
-Limit = int | Callable[[Row], int]
-"""Time limit of an episode, control steps; the same for all or by its row."""
+Limit = int | Sequence[int]
+"""Time limit of an episode, control steps; the same for all, or each row's own."""
 
 KEYS = ("task", "policy", "human", "comfort_level", "precision_m")
 """What always tells one group of episodes from another."""
@@ -159,7 +159,7 @@ def _metric_names(rows: Sequence[Row], labels: Sequence[str]) -> list[str]:
     return [name for name in rows[0] if name not in labels and not _is_text(rows, name)]
 
 
-def group_metrics(rows: Sequence[Row], labels: Sequence[str], limit_steps: int | Floats) -> dict[str, Any]:
+def group_metrics(rows: Sequence[Row], labels: Sequence[str], limit_steps: Floats) -> dict[str, Any]:
     """Return the metrics of one group of episodes; a metric without a value is absent."""
     seeds = [row.get("train_seed") or "" for row in rows]
     success = column(rows, "success")
@@ -216,15 +216,15 @@ def summarise(rows: Sequence[Row], group_by: Sequence[str], limit_steps: Limit) 
     if unknown:
         raise ConfigError(f"group_by={unknown[0]!r} is not a column; choose among {', '.join(rows[0])}")
     names = [*KEYS, *(name for name in group_by if name not in KEYS)]
-    split: dict[tuple[str | None, ...], list[Row]] = {}
-    for row in rows:
-        split.setdefault(tuple(row.get(name) for name in names), []).append(row)
+    limits = np.broadcast_to(np.asarray(limit_steps, dtype=np.float64), len(rows))
+    split: dict[tuple[str | None, ...], list[int]] = {}
+    for index, row in enumerate(rows):
+        split.setdefault(tuple(row.get(name) for name in names), []).append(index)
     groups = []
-    for cells, members in split.items():
+    for cells, which in split.items():
         labels = {name: _label(name, cell) for name, cell in zip(names, cells, strict=True)}
-        limits = np.array([limit_steps(row) for row in members]) if callable(limit_steps) else limit_steps
-        metrics = group_metrics(members, (*LABELS, *group_by), limits)
-        groups.append({**labels, "episodes": len(members), "metrics": metrics})
+        metrics = group_metrics([rows[i] for i in which], (*LABELS, *group_by), limits[which])
+        groups.append({**labels, "episodes": len(which), "metrics": metrics})
     return {"groups": groups}
 
 

@@ -47,6 +47,11 @@ class Outcome:
         return self.valid.sum(dim=1)
 
     @property
+    def level(self) -> Tensor:
+        """(N,) the comfort level that was in force, NaN without one; `state.level` is the next decision's."""
+        return self.instants.level.view(self.valid.shape)[:, 0]
+
+    @property
     def human_distance(self) -> Tensor:
         """(N, K) m, horizontal, tool to the human's axis."""
         return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.valid.shape)
