@@ -17,6 +17,8 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
 
+COMFORT = environment(compose("train", ["task=cycle"])).comfort
+
 
 def meta(**changes: Any) -> MetaConfig:
     config = MetaConfig(name="scripted", options=["pick", "place", "return"], time_limit_steps=10, retries=1)
@@ -67,7 +69,7 @@ def test_options_take_over_where_the_one_before_ends() -> None:
 
 def test_options_that_do_not_cover_the_task_are_refused() -> None:
     with pytest.raises(ConfigError, match="needs"):
-        Scripted(meta(), subtask("cycle"), three()[:2])
+        Scripted(meta(), subtask("cycle"), three()[:2], COMFORT)
 
 
 def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
@@ -78,7 +80,7 @@ def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
 
 
 def test_rows_run_different_options_and_report_how_each_ended(state: State) -> None:
-    controller = Scripted(meta(), subtask("cycle"), three())
+    controller = Scripted(meta(), subtask("cycle"), three(), COMFORT)
     controller.begin(3)
     assert torch.equal(controller.act(state), torch.full((3, 6), 0.1, dtype=torch.float64))
     # Row 0 has picked, row 1 is under way, row 2 has collided.
@@ -94,7 +96,7 @@ def test_rows_run_different_options_and_report_how_each_ended(state: State) -> N
 
 
 def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) -> None:
-    controller = Scripted(meta(), subtask("cycle"), three())
+    controller = Scripted(meta(), subtask("cycle"), three(), COMFORT)
     controller.begin(3)
     assert not controller.observe(outcome(at(state, [10, 10, 10], [0, 0, 0]), NO, NO, NO)).any()
     assert controller.observe(outcome(at(state, [20, 20, 20], [0, 0, 0]), NO, NO, NO)).all()
@@ -102,8 +104,21 @@ def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) ->
     assert row == [(1, "preempted"), (2, "preempted")]
 
 
+def test_an_options_time_grows_with_the_episodes_where_speed_counts(state: State) -> None:
+    paid = replace(COMFORT, source="random", beta=1.0)
+    controller = Scripted(meta(retries=0), subtask("cycle"), three(), paid)
+    controller.begin(3)
+    levels = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
+    given_up = {}
+    for steps in (10, 19, 20, 99, 100):
+        now = at(state, [steps] * 3, [0] * 3).with_(level=levels)
+        for row in torch.nonzero(controller.observe(outcome(now, NO, NO, NO))).flatten().tolist():
+            given_up[row] = steps
+    assert given_up == {0: 100, 1: 20, 2: 10}
+
+
 def test_a_finished_cycle_ends_with_success(state: State) -> None:
-    controller = Scripted(meta(time_limit_steps=500), subtask("cycle"), three())
+    controller = Scripted(meta(time_limit_steps=500), subtask("cycle"), three(), COMFORT)
     controller.begin(3)
     yes = ~NO
     for stage in (1, 2):
@@ -116,7 +131,7 @@ def test_a_finished_cycle_ends_with_success(state: State) -> None:
 
 def test_a_lone_policy_is_one_option_for_the_whole_task(state: State) -> None:
     task = subtask("cycle")
-    controller = single(task, Option("cycle", task, constant(0.5)), 1500)
+    controller = single(task, Option("cycle", task, constant(0.5)), 1500, COMFORT)
     controller.begin(3)
     assert torch.equal(controller.act(state), torch.full((3, 6), 0.5, dtype=torch.float64))
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hrl_comfort.comfort.adapt import limit_steps, longest_limit_steps
+from hrl_comfort.comfort.adapt import limit_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
@@ -302,8 +302,7 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
                 f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
             )
         act = make_policy(source, task, scene, env, config.episode_seed)
-        limit = longest_limit_steps(config.task.limit_steps, config.comfort)
-        return single(task, Option(task.name, task, act), limit)
+        return single(task, Option(task.name, task, act), config.task.limit_steps, config.comfort)
     missing = [name for name in config.meta.options if name not in config.policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
@@ -312,7 +311,7 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
         part = subtask(name)
         act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
         options.append(Option(name, part, act))
-    return Scripted(config.meta, task, chain(options))
+    return Scripted(config.meta, task, chain(options), config.comfort)
 
 
 def train_seed(source: str | None) -> int | None:

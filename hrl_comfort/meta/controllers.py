@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, MetaConfig
+from hrl_comfort.comfort.adapt import limit_steps
+from hrl_comfort.config import ComfortConfig, ConfigError, MetaConfig
 from hrl_comfort.meta.options import Ending, Option
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, Subtask
@@ -28,10 +29,13 @@ class OptionRun:
 class Scripted:
     """Runs options in their fixed order: the next one when one succeeds, the same again when its time is up.
 
-    An option that has been preempted once more than `retries` allows ends the episode.
+    An option that has been preempted once more than `retries` allows ends the episode. Where `comfort` lets
+    an episode last longer at lower levels, an option may too.
     """
 
-    def __init__(self, config: MetaConfig, task: Subtask, options: list[Option]) -> None:
+    def __init__(
+        self, config: MetaConfig, task: Subtask, options: list[Option], comfort: ComfortConfig
+    ) -> None:
         names = [stage.name for option in options for stage in option.subtask.stages]
         expected = [stage.name for stage in task.stages]
         if names != expected:
@@ -39,7 +43,7 @@ class Scripted:
                 f"meta.options={[o.name for o in options]} do the stages {names}; "
                 f"task.name={task.name} needs {expected}"
             )
-        self.config, self.options = config, options
+        self.config, self.options, self.comfort = config, options, comfort
         self.runs: list[OptionRun] = []
 
     def begin(self, rows: int) -> None:
@@ -64,6 +68,7 @@ class Scripted:
         state = outcome.state
         failed = outcome.done & ~outcome.success
         given_up = torch.zeros_like(self._over)
+        limit = limit_steps(outcome.level, self.config.time_limit_steps, self.comfort)
         for row in torch.nonzero(~self._over).squeeze(-1).tolist():
             option = self.options[int(self._option[row])]
             now = int(state.steps[row])
@@ -76,7 +81,7 @@ class Scripted:
                 self._option[row] += 1
                 self._attempt[row] = 0
                 self._over[row] = bool(outcome.done[row])
-            elif now - int(self._started[row]) >= self.config.time_limit_steps:
+            elif now - int(self._started[row]) >= int(limit[row]):
                 self._end(row, now, Ending.PREEMPTED)
                 self._attempt[row] += 1
                 if self._attempt[row] > self.config.retries:
@@ -99,7 +104,7 @@ def chain(options: list[Option]) -> list[Option]:
     return placed
 
 
-def single(task: Subtask, option: Option, limit_steps: int) -> Scripted:
-    """Return the controller of a lone policy: its one option runs until the episode ends."""
-    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit_steps, retries=0)
-    return Scripted(config, task, [option])
+def single(task: Subtask, option: Option, limit: int, comfort: ComfortConfig) -> Scripted:
+    """Return the controller of a lone policy: its one option has the episode's limit, control steps."""
+    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit, retries=0)
+    return Scripted(config, task, [option], comfort)
