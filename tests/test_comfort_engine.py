@@ -120,6 +120,22 @@ def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either(
     assert not outcome.truncated.any()
 
 
+@pytest.mark.parametrize("cut", ["task.steps_per_decision=1", "task.limit_steps=6"])
+def test_a_decision_of_one_step_has_a_tool_speed(cut: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = begun("comfort=conditioned", "comfort.source=simulated", cut)
+    heard, source = [], engine.episodes.source
+    monkeypatch.setattr(source, "advance", lambda now: heard.append(now) or source.level)
+    tools, counts = [engine.episodes.state.tcp_pos], []
+    for _ in range(2):
+        outcome = engine.step(np.full((6, 6), 0.5))
+        tools.append(outcome.state.tcp_pos)
+        counts.append(outcome.decision_steps.numpy())
+    assert counts[-1].tolist() == [1] * 6
+    for before, after, count, now in zip(tools, tools[1:], counts, heard, strict=False):
+        np.testing.assert_allclose(now.speed_m_s, (after - before).norm(dim=-1).numpy() / (0.02 * count))
+    assert (heard[-1].speed_m_s > 0.01).all()
+
+
 def test_the_dm_control_front_sees_the_levels_of_row_0() -> None:
     config = configured(*CHANGING)
     front, engine = make_environment(config, 3), Engine(config, 4, 3)

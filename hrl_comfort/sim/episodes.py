@@ -244,12 +244,11 @@ class Episodes:
         return ball
 
     def _next_level(self, outcome: Outcome) -> Tensor:
-        """Return the level (N,) at which the next decision is made."""
-        instants, (n, count) = outcome.instants, outcome.valid.shape
-        tool = instants.tcp_pos.view(n, count, 3)
-        travelled = (outcome.state.tcp_pos - tool[:, 0]).norm(dim=-1)
+        """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
+        assert self.state is not None
+        travelled = (outcome.state.tcp_pos - self.state.tcp_pos).norm(dim=-1)
         taken = outcome.decision_steps
-        speed = travelled / ((taken - 1).clamp(min=1) * CONTROL_STEP_S)
+        speed = travelled / (taken * CONTROL_STEP_S)
         distance = human_distance(outcome.state.tcp_pos, outcome.state.human_pos)
         now = Moment(
             time_s=outcome.state.steps.numpy() * CONTROL_STEP_S,
