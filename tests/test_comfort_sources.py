@@ -60,6 +60,21 @@ def test_changing_levels_change_as_often_as_said_and_within_range() -> None:
     assert changes / 2000 == pytest.approx(5 * 0.9, rel=0.05)  # one in ten draws is the level that was
 
 
+def test_changing_levels_go_on_changing_however_long_an_episode() -> None:
+    source = begun(comfort("comfort.source=changing", "comfort.change_s=0.1"), 500)
+    seen = np.array([source.advance(at(0.01 * step, 500)) for step in range(1, 1001)])
+    changes = seen[1:] != seen[:-1]
+    assert changes.sum() / 500 == pytest.approx(100 * 0.9, rel=0.1)
+    assert changes[-200:].any(axis=0).all(), "a row keeps its level for the last two seconds"
+
+
+def test_changing_levels_follow_their_draws_in_order() -> None:
+    source = begun(comfort("comfort.source=changing", "comfort.change_s=1"), 1)
+    levels, lasting = 1 + np.floor(10 * source.draws[0, :16]), -np.log1p(-source.draws[0, 16:])
+    middles = np.cumsum(lasting) - lasting / 2
+    assert [source.advance(at(t, 1)).item() for t in middles] == levels.tolist()
+
+
 def test_scheduled_levels_are_in_force_from_their_times_on() -> None:
     source = begun(
         comfort("comfort.source=schedule", "comfort.schedule_s=[0,2]", "comfort.schedule_levels=[10,1]"), 1

@@ -82,12 +82,16 @@ class Random(Source):
 
 
 class Changing(Source):
-    """A level drawn anew after times of exponential length, mean `change_s`, within an episode."""
+    """A level drawn anew after times of exponential length, mean `change_s`, within an episode.
+
+    After the last of its draws, DRAWS / 2 levels, they come round again.
+    """
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
         half = DRAWS // 2
-        ends = np.cumsum(-self.config.change_s * np.log1p(-self.draws[:, half:-1]), axis=1)
+        ends = np.cumsum(-self.config.change_s * np.log1p(-self.draws[:, half:]), axis=1)
+        time_s = time_s % ends[:, -1]
         which = (time_s[:, None] >= ends).sum(axis=1)
         return 1.0 + np.floor(self.draws[np.arange(len(which)), which] * self.config.levels)
 
