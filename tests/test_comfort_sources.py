@@ -173,6 +173,12 @@ def test_a_stalled_stream_means_the_most_cautious_level_until_it_is_back() -> No
     assert stream.level([9]) == 10
 
 
+def test_a_stream_that_has_not_begun_is_not_called_stalled() -> None:
+    stream = signal(Clock(), "comfort.stream.high=9")
+    with pytest.warns(UserWarning, match="no good value has come yet: level 1"):
+        assert stream.level([]) == 1
+
+
 def test_a_little_beyond_the_range_counts_as_its_end() -> None:
     stream = signal(Clock(), "comfort.stream.high=9", "comfort.stream.tolerance=0.25")
     assert stream.level([10]) == 10 and stream.level([-2]) == 1
@@ -259,11 +265,32 @@ def test_a_recording_is_replayed_in_every_episode_with_its_gaps(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     "text",
-    ["", "t,value\n", "time,level\n0,1\n", "t,value\n1,2\n1,3\n", "t,value\nx,2\n", "t,value\n0,1,2\n"],
+    [
+        "",
+        "t,value\n",
+        "t,value\n\n\n",
+        "time,level\n0,1\n",
+        "t,value\n1,2\n1,3\n",
+        "t,value\nx,2\n",
+        "t,value\n0,1,2\n",
+        "t,value\n0,1\n\n1,2\n",
+        't,value\n0,1\n1,"2\n2,3\n',
+        "t,value\n0,1\n1," + 140_000 * "2",
+        "t,value\n" + 100_000 * "x",
+    ],
 )
 def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ConfigError, match=r"comfort\.file="):
+    with pytest.raises(ConfigError, match=r"comfort\.file=") as error:
         read_recording(recorded(tmp_path, text))
+    assert "\n" not in str(error.value) and len(str(error.value)) < 400
+
+
+def test_a_byte_order_mark_and_blank_lines_at_the_end_are_no_damage(tmp_path: Path) -> None:
+    plain, marked = (
+        read_recording(recorded(tmp_path, text))
+        for text in ("t,value\n0,9\n1,4\n", "\ufefft,value\n0,9\n1,4\n\n \n,\n")
+    )
+    assert (plain.time_s == marked.time_s).all() and (plain.levels == marked.levels).all()
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,8 @@ class Signal:
         if good:  # of what came together, the newest: it is what holds now
             self._take(good[-1], now)
         if self._smooth is None or now - self.last_good_s > self._config.stream.stall_s:
-            self._warn("stall", f"no good value for {self._config.stream.stall_s:g} s: level {CAUTIOUS}")
+            since = f"for {self._config.stream.stall_s:g} s" if self._smooth is not None else "has come yet"
+            self._warn("stall", f"no good value {since}: level {CAUTIOUS}")
             return CAUTIOUS
         self._warned.discard("stall")
         return round(1 + self._smooth * (self._config.levels - 1))
@@ -176,14 +177,16 @@ def read_recording(config: ComfortConfig) -> Recording:
     In gaps longer than `stall_s`, and so long after the last value, the level is the most cautious.
 
     Raises:
-      ConfigError: no such file, other columns, no line, or times that do not rise.
+      ConfigError: no such file or one that is no CSV, other columns, no line, or times that do not rise.
     """
     path = Path(config.file or "")
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file, strict=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"comfort.file={str(path)!r} cannot be read: {error}") from error
+    while rows and not "".join(rows[-1]).strip():
+        rows.pop()
     if not rows or [cell.strip() for cell in rows[0]] != ["t", "value"] or len(rows) < 2:
         raise ConfigError(f"comfort.file={str(path)!r} must have the columns t,value and a line")
     now = 0.0
@@ -191,7 +194,7 @@ def read_recording(config: ComfortConfig) -> Recording:
     times: list[float] = []
     levels: list[float] = []
     for number, row in enumerate(rows[1:], start=2):
-        where = f"comfort.file={str(path)!r} line {number}: {','.join(row)!r}"
+        where = f"comfort.file={str(path)!r} line {number}: {','.join(row)[:40]!r}"
         try:
             moment = float(row[0])
         except (ValueError, IndexError) as error:
