@@ -301,6 +301,8 @@ def test_a_byte_order_mark_and_blank_lines_at_the_end_are_no_damage(tmp_path: Pa
         (["comfort.source=fixed", "comfort.level=11"], "comfort.level=11"),
         (["comfort.source=schedule"], r"comfort.schedule_s=\[\]"),
         (["comfort.schedule_s=[1]", "comfort.schedule_levels=[5]"], "must start at 0"),
+        (["comfort.schedule_s=[0,nan]", "comfort.schedule_levels=[5,6]"], r"comfort.schedule_s=\[0.0, nan\]"),
+        (["comfort.schedule_s=[0,inf]", "comfort.schedule_levels=[5,6]"], r"comfort.schedule_s=\[0.0, inf\]"),
         (["comfort.source=file"], "comfort.file=null"),
         (["comfort.form=round"], "comfort.form='round'.*bounded"),
         (["comfort.min_m=2"], "comfort.min_m=2"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-from hrl_comfort.config.checks import ConfigError, between, one_of
+from hrl_comfort.config.checks import ConfigError, between, one_of, point
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
 FORMS = ("paper", "reference", "linear", "logarithmic", "bounded")
@@ -140,6 +140,7 @@ class ComfortConfig:
             raise ConfigError(
                 f"comfort.schedule_levels={levels} must be as many as comfort.schedule_s={times}"
             )
+        point("comfort.schedule_s", times, len(times))
         if times and (times[0] != 0 or any(after <= before for before, after in pairwise(times))):
             raise ConfigError(f"comfort.schedule_s={times} must start at 0 and rise")
         for level in levels:
