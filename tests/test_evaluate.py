@@ -169,6 +169,26 @@ def test_more_episodes_than_the_set_holds_are_refused(tmp_path: Path) -> None:
         run(tmp_path, "episodes=1001")
 
 
+@pytest.mark.parametrize("wrong", ["policy=/no/such", "group_by=[no]", "comfort.source=file"])
+def test_an_evaluation_that_is_refused_leaves_no_folder(tmp_path: Path, wrong: str) -> None:
+    words = ["comfort.file=/no/such.csv"] if "file" in wrong else []
+    with pytest.raises(ConfigError):
+        run(tmp_path / "new" / "eval", wrong, *words)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [[], ["checkpoints=all"]])
+def test_a_folder_that_cannot_be_written_is_found_out_before_the_work(
+    tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hrl_comfort.experiments.evaluate.measure", None)
+    (tmp_path / "file").touch()
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    (tmp_path / "run" / "checkpoints" / "step_000000001.pt").touch()
+    with pytest.raises(ConfigError, match=rf"output='{tmp_path}/file/eval.*{tmp_path}/file: Not a directory"):
+        run(tmp_path / "file" / "eval", f"policy='{tmp_path}/run'", *words)
+
+
 def test_all_checkpoints_of_a_folder_without_any_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"holds no step_\*\.pt"):
         run(tmp_path, "checkpoints=all")

@@ -117,8 +117,25 @@ class EvaluateConfig:
             raise ConfigError("policies.* go with a meta-controller: meta=scripted")
         if self.checkpoints == "all" and (chained or self.record or self.endings is not None):
             raise ConfigError("checkpoints=all goes with meta=none, record=false and without endings=")
+        if self.levels:
+            self._check_levels()
         between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
         between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
+
+    def _check_levels(self) -> None:
+        levels, source = list(self.levels), self.comfort.source
+        for level in levels:
+            between("levels", level, 1, self.comfort.levels)
+        if len(set(levels)) < len(levels):
+            raise ConfigError(f"levels={levels} names a level twice")
+        if source not in ("none", "fixed", "random"):
+            raise ConfigError(
+                f"levels={levels} does not go with comfort.source={source}; choose none, fixed or random"
+            )
+        if self.endings is not None:
+            raise ConfigError(f"levels={levels} does not go with endings=; choose a comfort.source")
+        if self.checkpoints == "all":
+            raise ConfigError(f"levels={levels} does not go with checkpoints=all; choose a comfort.source")
 
 
 @dataclass(frozen=True)

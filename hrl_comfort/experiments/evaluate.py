@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
 from rich.console import Console
@@ -26,12 +27,22 @@ def evaluate(config: EvaluateConfig) -> Path:
     if config.checkpoints == "all":
         return evaluate_checkpoints(config)
     output = Path(config.output)
-    output.mkdir(parents=True, exist_ok=True)
+    check_folder(output)
     result = measure(config)
     result.write(output, config)
     what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
     Console().print(f"{output}: {what}", soft_wrap=True)
     return output
+
+
+def check_folder(output: Path) -> None:
+    """Raise ConfigError unless a folder can be written to or made; it is made when something is written."""
+    there = next(path for path in (output, *output.parents) if path.exists())
+    try:
+        TemporaryDirectory(dir=there).cleanup()
+    except OSError as error:
+        what = f"{there}: {error.strerror}"
+        raise ConfigError(f"output={str(output)!r} cannot be written: {what}") from error
 
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:
@@ -43,7 +54,7 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
             f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder"
         )
     output = Path(config.output) / "checkpoints"
-    output.mkdir(parents=True, exist_ok=True)
+    check_folder(output)
     every, curve = Result([], [], []), []
     for path in found:
         result = measure(config, str(path))
