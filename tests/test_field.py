@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,16 @@ def test_field_pushes_from_the_person_only_within_its_radius() -> None:
     beyond, within = (field.displacement(tool, goal, person, radius, 0.0) for radius in (0.69, 1.2))
     assert beyond[0] == pytest.approx(0.0, abs=1e-12)
     assert within[0] < -0.01
+
+
+def test_a_preferred_distance_of_nothing_is_no_push_at_all() -> None:
+    config = configured("task=pick", *at_level(10), "comfort.min_m=0")
+    engine = Engine(config, 2, SEED)
+    state, field = engine.reset(), Field(engine.scene, config, engine.episodes.subtask)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        action = field.act(state)
+    assert action.isfinite().all() and action.abs().amax() > 0.5
 
 
 def test_field_refuses_cartesian_actions() -> None:

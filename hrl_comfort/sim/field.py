@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.comfort.terms import threshold_levels
+from hrl_comfort.comfort.terms import SMALLEST_M, threshold_levels
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.robots import JOINTS
@@ -95,7 +95,7 @@ class Field:
         homeward = self._homeward[index].numpy()
         goals = self._goal(state.with_(stage=index)).numpy()
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
-        radius = threshold_levels(level, self._comfort).numpy()
+        radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
         people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
         limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
         before = state.joint_target.numpy()
