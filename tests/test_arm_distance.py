@@ -24,7 +24,6 @@ def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
     joints = rng.uniform(-np.pi, np.pi, (40, 6))
     x, y = rng.uniform(-1.0, 1.0, (2, 40))
     poses = limb_poses(x, y, rng.uniform(-np.pi, np.pi, 40), rng.uniform(0, 6, 40), 0.5, scene.floor_z)
-    body = model.body_rootid
     person = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name in LIMBS]
     base = model.body("robot/base").id
     arm = [
@@ -32,7 +31,10 @@ def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
         for g in range(model.ngeom)
         if model.body(model.geom_bodyid[g]).name.startswith("robot/") and model.geom_bodyid[g] != base
     ]
-    assert len(person) == 6 and len(arm) >= 10 and body is not None
+    moved = {model.body(body).name for body in range(model.nbody) if model.body_dofnum[body] > 0}
+    assert {model.body(model.geom_bodyid[g]).name for g in person} == set(LIMBS), "a limb without a shape"
+    assert {model.body(model.geom_bodyid[g]).name for g in arm} >= moved, "a link without a shape"
+    assert len(person) == 6 and len(arm) >= 10
     measured = ArmDistance(scene)(joints, poses)
     for case in range(40):
         data.qpos[:] = joints[case]

@@ -154,10 +154,3 @@ def comfort(
     if config.beta:
         total = total + config.beta * speed_term(increment, level, max_step_deg, config)
     return total
-
-
-def total_reward(
-    tasks: tuple[Tensor, Tensor, Tensor], k: tuple[float, float, float], scaled: Tensor
-) -> Tensor:
-    """R = k1 F_task1 + k2 F_task2 + k3 F_task3 + F_comfort: Eq. 1, the comfort term as a reward."""
-    return k[0] * tasks[0] + k[1] * tasks[1] + k[2] * tasks[2] + scaled
