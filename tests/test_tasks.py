@@ -12,7 +12,7 @@ from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask
-from hrl_comfort.tasks.rewards import arrival_speed, return_shaping
+from hrl_comfort.tasks.rewards import arrival_speed, late, return_shaping
 
 TASKS = sorted(SUBTASKS)
 
@@ -180,3 +180,9 @@ def test_drop_points_lie_at_least_70_cm_from_the_ball() -> None:
 def test_unknown_task_names_what_is_allowed() -> None:
     with pytest.raises(ConfigError, match=r"'juggle' is not allowed; choose one of .*pick"):
         subtask("juggle")
+
+
+def test_only_what_takes_longer_than_any_way_round_is_late() -> None:
+    state = beginning("pick")
+    at = [state.with_(steps=torch.full_like(state.steps, steps)) for steps in (150, 151)]
+    assert [float(late(state, now).mean()) for now in at] == [0.0, 1.0]

@@ -81,6 +81,7 @@ class RewardConfig:
     human_collision: float
     other_collision: float
     step: float
+    late: float
     return_shaping: float
     k1: float
     """Eq. 1: k1, k2 and k3 multiply the bonuses of pick, place and return."""

@@ -13,6 +13,7 @@ from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Change, Stage
 
 HOMEWARD = "return"
+LATE_STEPS = 150
 BONUS_NAMES = {"pick": "pick", "place": "place", "return": "home", "reach": "reach"}
 """Stage name to the weight that its completion is paid with (the paper: +50, +100, +150)."""
 
@@ -71,6 +72,14 @@ def step(before: State, after: State) -> Tensor:
     return torch.ones_like(after.tcp_pos[:, 0])
 
 
+def late(before: State, after: State) -> Tensor:
+    """1 at every control step after the first LATE_STEPS, 3 s: nobody on the way to a goal is so long.
+
+    Policies do not see the time; so what it costs falls on where episodes dwell, not on the way round.
+    """
+    return (after.steps > LATE_STEPS).to(after.tcp_pos.dtype)
+
+
 def return_shaping(before: State, after: State) -> Tensor:
     """-ln(d + 1) / 10, d the distance in metres of the tool from its home: the released code's shaping."""
     return -torch.log1p((after.tcp_pos - after.tcp_home).norm(dim=-1)) / 10.0
@@ -92,4 +101,5 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, Change]:
     terms["human_collision"] = human_collision
     terms["other_collision"] = other_collision
     terms["step"] = step
+    terms["late"] = late
     return terms
