@@ -52,6 +52,10 @@ class Option:
         """One past the last stage the option is responsible for."""
         return self.first + len(self.subtask.stages)
 
+    def can_start(self, state: State) -> Tensor:
+        """Return (N,) bool: the stage in force is one of the option's own."""
+        return (state.stage >= self.first) & (state.stage < self.last)
+
     def act(self, state: State) -> Tensor:
         """Return the actions (N, 6) of the option's policy."""
         return self.policy(state.with_(stage=(state.stage - self.first).clamp(min=0)))

@@ -22,6 +22,8 @@ class Outcome:
     """The last valid instant of each row."""
     reward_terms: Tensor
     """(N, T) weighted, summed over the decision's control steps."""
+    step_rewards: Tensor
+    """(N, K) all terms of a control step together; 0 after the decision ended."""
     success: Tensor
     terminated: Tensor
     truncated: Tensor
@@ -96,13 +98,14 @@ def judge(
     valid = torch.arange(count) <= last[:, None]
 
     gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
-    terms = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0).sum(dim=1)
+    earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
     at = torch.arange(n) * count + last
     terminated = (failed | finished)[at]
     final = {name: getattr(after, name)[at] for name in (*moving, "steps", "stage")}
     return Outcome(
         state=before.with_(**final),
-        reward_terms=terms,
+        reward_terms=earned.sum(dim=1),
+        step_rewards=earned.sum(dim=-1),
         # A collision in the step that completes the task is a failure.
         success=(finished & ~failed)[at],
         terminated=terminated,

@@ -1,0 +1,207 @@
+"""The semi-MDP above the options: a TorchRL environment whose action runs one frozen policy until it ends.
+
+Options end after different times in different rows, so a step runs until the first of them ends, and only
+the rows that `deciding` marks choose anew; the others go on with what they have (Sutton, Precup, Singh,
+Between MDPs and semi-MDPs, 1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.meta.options import Ending, Option
+from hrl_comfort.people import EvaluationSet
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.tasks import State
+
+ENDINGS = tuple(Ending)
+"""What the numbers in `ending` stand for."""
+MakeOptions = Callable[[Engine], list[Option]]
+
+
+class OptionEnv(EnvBase):
+    """N cells in which K options are run, batch size (N,).
+
+    Action (N,) int64 in [0, K): the option that begins in the rows that decide; elsewhere it is ignored.
+    A step reports, beside `observation` (N, D) float32 and `action_mask` (N, K) bool (options that can
+    start now): `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards
+    discounted by gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, the
+    control steps it took, and `ending` (N, 1) int64, an index of ENDINGS. `success` (N, 1) bool is the whole
+    episode's.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        make_options: MakeOptions,
+        limit_steps: int,
+        rows: int,
+        seed: int,
+        gamma: float,
+        evaluation: EvaluationSet | None = None,
+    ) -> None:
+        """Options run for `limit_steps` control steps at most; gamma discounts a control step."""
+        super().__init__(device="cpu", batch_size=torch.Size([rows]))
+        self.engine = Engine(config, rows, seed, evaluation)
+        self.options = make_options(self.engine)
+        self.limit_steps, self.gamma = limit_steps, gamma
+        self._begin_rows = torch.ones(rows, dtype=torch.bool)
+        state = self.engine.reset()
+        self._option = torch.zeros(rows, dtype=torch.int64)
+        self._started = state.steps.clone()
+        self._return = torch.zeros(rows, dtype=torch.float64)
+        self._origin = self._observe(state)
+        self._make_specs()
+        self.engine.episodes.rewind()
+
+    def _make_specs(self) -> None:
+        n, count = self.batch_size[0], len(self.options)
+        flag, number = Binary(1, shape=(n, 1), dtype=torch.bool), Unbounded(shape=(n, 1), dtype=torch.int64)
+        self.observation_spec = Composite(
+            observation=Unbounded(shape=self._origin.shape, dtype=torch.float32),
+            action_mask=Binary(count, shape=(n, count), dtype=torch.bool),
+            deciding=flag.clone(),
+            success=flag.clone(),
+            steps_to_next_obs=number.clone(),
+            ending=number.clone(),
+            shape=(n,),
+        )
+        self.action_spec = Categorical(count, shape=(n,), dtype=torch.int64)
+        self.reward_spec = Unbounded(shape=(n, 1), dtype=torch.float32)
+        self.full_done_spec = Composite(
+            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
+        )
+
+    def _observe(self, state: State) -> Tensor:
+        return self.engine.episodes.subtask.observe(state).float()
+
+    def available(self, state: State) -> Tensor:
+        """Return (N, K) bool: options that can start now; where none can, each may (the episode is over)."""
+        mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
+        return mask | ~mask.any(dim=-1, keepdim=True)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        rows = torch.ones(self.batch_size, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict:
+            rows = tensordict["_reset"].reshape(-1)
+        state = self.engine.reset(np.flatnonzero(rows.numpy()))
+        self._begin_rows = self._begin_rows | rows
+        nothing = torch.zeros(*self.batch_size, 1, dtype=torch.int64)
+        return TensorDict(
+            {
+                "observation": self._observe(state),
+                "action_mask": self.available(state),
+                "deciding": self._begin_rows[:, None].clone(),
+                "steps_to_next_obs": nothing.clone(),
+                "ending": nothing.clone(),
+                **{name: nothing.bool() for name in ("success", "done", "terminated", "truncated")},
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        state = self.engine.episodes.state
+        assert state is not None
+        self._begin(tensordict["action"], state)
+        while True:
+            outcome = self.engine.step(self._act(state).numpy())
+            self._earn(outcome)
+            state = outcome.state
+            ended, ending = self._ended(outcome)
+            if bool(ended.any()):
+                break
+        self._begin_rows = ended
+        flags = {
+            "deciding": ended,
+            "success": outcome.success,
+            "done": outcome.done,
+            "terminated": outcome.terminated,
+            "truncated": outcome.truncated,
+        }
+        return TensorDict(
+            {
+                "observation": self._observe(state),
+                "action_mask": self.available(state),
+                "reward": torch.where(ended, self._return, 0.0)[:, None].float(),
+                "steps_to_next_obs": torch.where(ended, state.steps - self._started, 0)[:, None],
+                "ending": ending[:, None],
+                **{name: flag[:, None] for name, flag in flags.items()},
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _begin(self, action: Tensor, state: State) -> None:
+        """Start the chosen options in the rows that decide."""
+        rows = self._begin_rows
+        chosen = action.reshape(-1)
+        allowed = self.available(state).gather(1, chosen[:, None]).squeeze(1)
+        if bool((rows & ~allowed).any()):
+            row = int(torch.nonzero(rows & ~allowed)[0])
+            raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
+        self._option = torch.where(rows, chosen, self._option)
+        self._started = torch.where(rows, state.steps, self._started)
+        self._return = torch.where(rows, 0.0, self._return)
+        self._origin = torch.where(rows[:, None], self._observe(state), self._origin)
+
+    def _act(self, state: State) -> Tensor:
+        action = torch.zeros_like(state.joint_pos)
+        for index, option in enumerate(self.options):
+            rows = torch.nonzero(self._option == index).squeeze(-1)
+            if len(rows):
+                action[rows] = option.act(state.rows(rows)).to(action.dtype)
+        return action
+
+    def _earn(self, outcome: Outcome) -> None:
+        """Add a decision's rewards, each discounted from the start of its row's option."""
+        count = outcome.valid.shape[1]
+        passed = (outcome.state.steps - outcome.decision_steps - self._started)[:, None] + torch.arange(count)
+        weight = torch.where(outcome.valid, self.gamma ** passed.double(), 0.0)
+        self._return = self._return + (weight * outcome.step_rewards).sum(dim=1)
+
+    def _ended(self, outcome: Outcome) -> tuple[Tensor, Tensor]:
+        """Return which rows' options have ended (N,) bool, and how (N,), an index of ENDINGS."""
+        state = outcome.state
+        last = torch.tensor([option.last for option in self.options])[self._option]
+        succeeded = state.stage >= last
+        failed = outcome.terminated & ~outcome.success
+        preempted = outcome.truncated | (state.steps - self._started >= self.limit_steps)
+        ending = torch.full_like(self._option, ENDINGS.index(Ending.PREEMPTED))
+        ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
+        ending[failed] = ENDINGS.index(Ending.FAILURE)
+        ended = succeeded | failed | preempted
+        return ended, torch.where(ended, ending, 0)
+
+    def transitions(self, after: TensorDictBase) -> TensorDict:
+        """Return the options that ended in a step as transitions (F,) of the semi-MDP.
+
+        `after` is the step's `next`. `steps_to_next_obs` lies at the root, where TorchRL's TD0 takes gamma to
+        its power; so the value of the next observation is discounted by the option's length.
+        """
+        rows = torch.nonzero(after["deciding"].reshape(-1)).squeeze(-1)
+        names = ("observation", "action_mask", "reward", "done", "terminated", "truncated")
+        return TensorDict(
+            {
+                "observation": self._origin[rows],
+                "action": self._option[rows],
+                "steps_to_next_obs": after["steps_to_next_obs"][rows],
+                "next": TensorDict({name: after[name][rows] for name in names}, batch_size=[len(rows)]),
+            },
+            batch_size=[len(rows)],
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.engine.episodes.draws.seed = seed
+            self.engine.episodes.rewind()
