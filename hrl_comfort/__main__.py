@@ -42,9 +42,12 @@ def evaluate(overrides: list[str]) -> None:
     """Run `hrl-comfort evaluate`."""
     from hrl_comfort.compose import compose
 
-    config = compose("evaluate", overrides)
+    seams = overrides[:1] == ["handover"]
+    config = compose("evaluate", overrides[1:] if seams else overrides)
     assert isinstance(config, EvaluateConfig)
-    if config.endings is not None:
+    if seams:
+        from hrl_comfort.experiments.handover import handover as run
+    elif config.endings is not None:
         from hrl_comfort.experiments.endings import record_endings as run
     else:
         from hrl_comfort.experiments.evaluate import evaluate as run

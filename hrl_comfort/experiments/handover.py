@@ -1,0 +1,141 @@
+"""Handover diagnostics: what becomes of a subtask that takes over where another one left the arm.
+
+Skills that work alone can fail when chained: the policy before leaves the arm where the next one never
+began. Three tables say where: how often the next subtask succeeds from each kind of start, how far chains
+get, and which observations at the seams the next policy has hardly seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.comfort.adapt import with_level
+from hrl_comfort.compose import environment, load_config, run_folder
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaConfig, TrainConfig
+from hrl_comfort.experiments.endings import record_endings
+from hrl_comfort.experiments.measure import measure, write_table
+from hrl_comfort.experiments.statistics import wilson_interval
+from hrl_comfort.people import load_evaluation_set
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import subtask
+
+ENDINGS = 2000
+"""Episodes, drawn as in training, whose endings are recorded."""
+FAR = 3.0
+"""An observation this many standard deviations from its mean in training counts as far."""
+LONE = MetaConfig(name="none", options=[], time_limit_steps=1, retries=0)
+
+
+def handover(config: EvaluateConfig) -> Path:
+    """Write handover.csv, chain.csv and seams.csv of a chain of policies; return their folder.
+
+    Raises:
+      ConfigError: `config` names no chain of trained policies.
+    """
+    torch.set_num_threads(1)
+    names = list(config.meta.options)
+    if config.meta.name != "scripted" or len(names) < 2:
+        raise ConfigError(f"meta={config.meta.name} chains nothing: give meta=scripted task=cycle policies.*")
+    missing = [name for name in names if name not in config.policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
+    output = Path(config.output)
+    matrix: list[list[Any]] = []
+    seams: list[list[Any]] = []
+    upstream = {name: "ik" for name in ("previous", "expert")}
+    for before, after in zip(names[:-1], names[1:], strict=True):
+        upstream = {
+            kind: _endings(config, output, before, kind, upstream[kind]) for kind in ("previous", "expert")
+        }
+        for kind, start in {"own": own_start(config, after), **upstream}.items():
+            part = alone(config, after, start, config.policies[after])
+            wins = [episode.success for episode in measure(part).episodes]
+            low, high = wilson_interval(sum(wins), len(wins))
+            matrix.append([after, kind, len(wins), np.mean(wins), low, high])
+            seams += [[after, kind, *row] for row in far_observations(part)]
+    write_table(output / "handover.csv", HANDOVER, matrix)
+    write_table(output / "seams.csv", SEAMS, seams)
+    write_table(output / "chain.csv", CHAIN, chain_lengths(config, names))
+    for after, kind, episodes, success, low, high in matrix:
+        what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
+        Console().print(what, soft_wrap=True)
+    return output
+
+
+HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]
+CHAIN = ["options", "episodes", "success", "success_low", "success_high"]
+SEAMS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
+
+
+def alone(config: EvaluateConfig, name: str, start: str, policy: str) -> EvaluateConfig:
+    """Return the evaluation of one subtask by itself, begun from the starts `start` (`task.start`)."""
+    task = replace(config.task, name=name, start=start, limit_steps=config.meta.time_limit_steps)
+    return replace(config, task=task, meta=LONE, policies={}, policy=policy)
+
+
+def own_start(config: EvaluateConfig, name: str) -> str:
+    """Return the `task.start` that the policy of a subtask was trained from."""
+    folder = run_folder(config.policies[name])
+    trained = None if folder is None else load_config(folder)
+    return trained.task.start if isinstance(trained, TrainConfig) else "ik"
+
+
+def _endings(config: EvaluateConfig, output: Path, name: str, kind: str, start: str) -> str:
+    """Record how a subtask's policy, or the expert, leaves the arm; return the .npz."""
+    path = str(output / f"{name}_{kind}.npz")
+    part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
+    record_endings(replace(part, endings=path, episodes=ENDINGS))
+    return path
+
+
+def chain_lengths(config: EvaluateConfig, names: list[str]) -> list[list[Any]]:
+    """Return, for 1, 2, ... options in a row, in how many episodes of the chain all of them succeeded."""
+    result = measure(config)
+    done = np.zeros(len(result.episodes), dtype=np.int64)
+    index = {episode.episode: i for i, episode in enumerate(result.episodes)}
+    for run in result.options:
+        if run["ending"] == "success":
+            i = index[run["episode"]]
+            done[i] = max(done[i], 1 + names.index(run["option"]))
+    rows = []
+    for length in range(1, len(names) + 1):
+        wins = int((done >= length).sum())
+        rows.append([length, len(done), wins / len(done), *wilson_interval(wins, len(done))])
+    return rows
+
+
+def far_observations(config: EvaluateConfig) -> list[list[Any]]:
+    """Return name, component, largest deviation (standard deviations) and share far of each observation.
+
+    Deviations are from the mean in the policy's training, over the first instants of the evaluation's episodes.
+    """
+    assert config.policy is not None
+    policy = load_policy(config.policy)
+    task = subtask(config.task.name, config.task.observation)
+    if policy.spec["meta"].get("levels") is not None:
+        task = with_level(task, config.comfort.levels)
+    entries = load_evaluation_set().part(0, config.episodes)
+    engine = Engine(environment(config), len(entries.episode), 0, entries)
+    state = engine.reset()
+    engine.close()
+    rows, first = [], 0
+    for name, term in task.observations.items():
+        values = term(state)
+        span = slice(first, first + values.shape[1])
+        deviation = _deviation(values, policy.normaliser.mean[span], policy.normaliser.variance[span])
+        for k, column in enumerate(deviation.T):
+            rows.append([name, k, round(float(column.max()), 3), float((column > FAR).double().mean())])
+        first = span.stop
+    return rows
+
+
+def _deviation(values: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
+    return (values - mean).abs() / variance.sqrt().clamp_min(1e-3)
