@@ -8,6 +8,7 @@ get, and which observations at the seams the next policy has hardly seen.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,8 @@ def handover(config: EvaluateConfig) -> Path:
     output = Path(config.output)
     matrix: list[list[Any]] = []
     seams: list[list[Any]] = []
-    upstream = {name: "ik" for name in ("previous", "expert")}
-    for before, after in zip(names[:-1], names[1:], strict=True):
+    upstream = dict.fromkeys(("previous", "expert"), "ik")
+    for before, after in pairwise(names):
         upstream = {
             kind: _endings(config, output, before, kind, upstream[kind]) for kind in ("previous", "expert")
         }
@@ -115,7 +116,7 @@ def chain_lengths(config: EvaluateConfig, names: list[str]) -> list[list[Any]]:
 def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """Return name, component, largest deviation (standard deviations) and share far of each observation.
 
-    Deviations are from the mean in the policy's training, over the first instants of the evaluation's episodes.
+    Deviations are from the mean in training, over the first instants of the evaluation's episodes.
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
