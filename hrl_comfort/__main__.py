@@ -9,10 +9,17 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from hrl_comfort.config import ConfigError, EvaluateConfig, FigureConfig, ReportConfig, TrainConfig
+from hrl_comfort.config import (
+    ConfigError,
+    EvaluateConfig,
+    FigureConfig,
+    MetaTrainConfig,
+    ReportConfig,
+    TrainConfig,
+)
 
 VERBS = {
-    "train": "teach one subtask to one policy",
+    "train": "teach one subtask to one policy, or a controller above them (train meta)",
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
     "figure": "draw what comfort levels change (kind=levels evaluations=[DIR,...] output=FILE.png)",
@@ -28,6 +35,13 @@ def train(overrides: list[str]) -> None:
     """Run `hrl-comfort train`."""
     from hrl_comfort.compose import compose
 
+    if overrides[:1] == ["meta"]:
+        controller = compose("train_meta", overrides[1:])
+        assert isinstance(controller, MetaTrainConfig)
+        from hrl_comfort.experiments.train_meta import train_meta
+
+        train_meta(controller)
+        return
     config = compose("train", overrides)
     assert isinstance(config, TrainConfig)
     others = [line for line in overrides if not line.startswith("resume=")]

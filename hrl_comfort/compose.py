@@ -30,14 +30,16 @@ from hrl_comfort.config import (
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
+    MetaTrainConfig,
     ReportConfig,
     TrainConfig,
 )
 from hrl_comfort.files import write_text
 
-Config = TrainConfig | EvaluateConfig | ReportConfig | FigureConfig
+Config = TrainConfig | MetaTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
 ROOTS: dict[str, type[Config]] = {
     "train": TrainConfig,
+    "train_meta": MetaTrainConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
     "figure": FigureConfig,
@@ -83,7 +85,7 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
         raise ConfigError(one_line(error)) from error
 
 
-def environment(config: TrainConfig | EvaluateConfig) -> EnvConfig:
+def environment(config: TrainConfig | MetaTrainConfig | EvaluateConfig) -> EnvConfig:
     """Return the sections that an environment is made of."""
     return EnvConfig(**{field.name: getattr(config, field.name) for field in dataclasses.fields(EnvConfig)})
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, MetaConfig
+from hrl_comfort.experiments.measure import measure
 from hrl_comfort.meta.controllers import Scripted, chain, single
 from hrl_comfort.meta.options import Option, make_policy
 from hrl_comfort.sim.engine import Engine
@@ -150,3 +151,12 @@ def test_a_missing_policy_is_named_in_one_line() -> None:
     with pytest.raises(ConfigError, match="'nowhere' is not there; give a run folder") as error:
         make_policy("nowhere", subtask("pick"), scene, config, 0)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("division", ["three", "two", "one"])
+def test_every_division_of_the_task_chains_to_the_whole_cycle(division: str) -> None:
+    config = compose("evaluate", ["task=cycle", "meta=scripted", f"division={division}", "episodes=2"])
+    policies = dict.fromkeys(config.meta.options, "expert")
+    result = measure(replace(config, policies=policies))
+    assert [episode.success for episode in result.episodes] == [True, True]
+    assert [run["option"] for run in result.options if run["episode"] == 0] == list(config.meta.options)

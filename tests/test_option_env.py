@@ -13,8 +13,9 @@ from torchrl.objectives.value import TD0Estimator
 from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.meta.controllers import chain
-from hrl_comfort.meta.option_env import ENDINGS, OptionEnv
+from hrl_comfort.meta.option_env import OptionEnv
 from hrl_comfort.meta.options import Ending, Option
+from hrl_comfort.meta.running import ENDINGS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.expert import Expert
 from hrl_comfort.tasks import subtask
@@ -115,7 +116,7 @@ def test_rows_that_go_on_keep_their_option_whatever_is_chosen() -> None:
     assert deciding.any() and not deciding.all()
     td["action"] = torch.where(deciding, choose(env, td), 2)
     env.step(td)
-    assert (env._option[~deciding] == 0).all()
+    assert (env.running.option[~deciding] == 0).all()
 
 
 def test_transitions_hold_the_option_from_where_it_began_to_where_it_ended() -> None:

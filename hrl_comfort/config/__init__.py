@@ -14,7 +14,7 @@ from hrl_comfort.config.commands import (
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
-    MetaConfig,
+    MetaTrainConfig,
     ReportConfig,
     TrainConfig,
 )
@@ -27,6 +27,7 @@ from hrl_comfort.config.constants import (
 )
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
+from hrl_comfort.config.meta import MetaAgentConfig, MetaConfig
 from hrl_comfort.config.task import PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [
@@ -46,7 +47,9 @@ __all__ = [
     "EvaluateConfig",
     "FigureConfig",
     "HumanConfig",
+    "MetaAgentConfig",
     "MetaConfig",
+    "MetaTrainConfig",
     "PrecisionConfig",
     "ReportConfig",
     "RewardConfig",

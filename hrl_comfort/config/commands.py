@@ -10,25 +10,8 @@ from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import ENDINGS_SEED, EVALUATION_EPISODES, FIRST_SEED
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
+from hrl_comfort.config.meta import MetaAgentConfig, MetaConfig
 from hrl_comfort.config.task import RewardConfig, TaskConfig
-
-
-@dataclass(frozen=True)
-class MetaConfig:
-    """What sequences the frozen subtask policies."""
-
-    name: str
-    options: list[str]
-    """Subtasks in the order in which the scripted controller runs them."""
-    time_limit_steps: int
-    """Control steps after which an option is preempted."""
-    retries: int
-    """Further tries of an option that was preempted."""
-
-    def __post_init__(self) -> None:
-        one_of("meta.name", self.name, ("none", "scripted"))
-        between("meta.time_limit_steps", self.time_limit_steps, 1, 100_000)
-        between("meta.retries", self.retries, 0, 100)
 
 
 @dataclass(frozen=True)
@@ -69,6 +52,38 @@ class TrainConfig:
         if not self.output:
             raise ConfigError("output='' must be a folder")
         between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
+        between("train_seed", self.train_seed, 0, 2**63 - 1)
+        between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
+
+
+@dataclass(frozen=True)
+class MetaTrainConfig:
+    """`hrl-comfort train meta`: a controller above frozen policies."""
+
+    robot: RobotConfig
+    cell: CellConfig
+    human: HumanConfig
+    comfort: ComfortConfig
+    task: TaskConfig
+    reward: RewardConfig
+    engine: EngineConfig
+    meta: MetaConfig
+    meta_agent: MetaAgentConfig
+    policies: dict[str, str]
+    """Subtask name to policy."""
+    train_seed: int
+    episode_seed: int
+    output: str
+
+    def __post_init__(self) -> None:
+        if not self.output:
+            raise ConfigError("output='' must be a folder")
+        if self.task.name != "sort":
+            raise ConfigError(
+                f"task.name={self.task.name!r} leaves nothing to choose; train meta takes task=sort"
+            )
+        if self.meta.name != "learned":
+            raise ConfigError(f"meta.name={self.meta.name!r} learns nothing; choose meta=learned")
         between("train_seed", self.train_seed, 0, 2**63 - 1)
         between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config.checks import between, one_of, point
+from hrl_comfort.config.checks import ConfigError, between, one_of, point
 
 COLOURS = ("random", "orange", "pink")
 ACTIONS = ("joint", "cartesian")
@@ -32,6 +32,12 @@ class TaskConfig:
 
     name: str
     colour: str
+    balls: int
+    """How many lie on the pick table; more than one are for `sort`."""
+    ball_slots_m: list[list[float]]
+    """Where they may lie, (x, y) from `cell.ball_m`; each ball of an episode has a slot of its own."""
+    ball_jitter_m: float
+    """A ball lies within this of its slot along x and y."""
     precision: PrecisionConfig
     limit_steps: int
     """Control steps of 20 ms after which an episode is truncated."""
@@ -54,6 +60,15 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         one_of("task.colour", self.colour, COLOURS)
+        for slot in self.ball_slots_m:
+            point("task.ball_slots_m", slot, 2)
+        between("task.ball_jitter_m", self.ball_jitter_m, 0.0, 0.1)
+        if not 1 <= self.balls <= len(self.ball_slots_m):
+            raise ConfigError(
+                f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the task.ball_slots_m"
+            )
+        if self.balls > 1 and self.name != "sort":
+            raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort")
         one_of("task.action", self.action, ACTIONS)
         one_of("task.observation", self.observation, OBSERVATIONS)
         one_of("task.point", self.point, POINTS)

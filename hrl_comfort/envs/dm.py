@@ -105,7 +105,7 @@ def make_environment(config: EnvConfig, seed: int) -> control.Environment:
 
     A decision is one `step`; reaching `task.limit_steps` ends an episode with discount 1 (truncation).
     """
-    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
     task = CellTask(scene, config, seed)
     # dm_control asks for the observation's spec before the first reset: there has to be a state by then.

@@ -21,9 +21,13 @@ from hrl_comfort.compose import environment, load_config, run_folder, save_confi
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.statistics import write_summary
 from hrl_comfort.files import write_text
-from hrl_comfort.meta.controllers import OptionRun, Scripted, chain, single
+from hrl_comfort.meta.choices import make_choice
+from hrl_comfort.meta.controllers import Controller, OptionRun, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
 from hrl_comfort.meta.play import play
+from hrl_comfort.meta.q_learning import load_choice
+from hrl_comfort.meta.running import Running
+from hrl_comfort.meta.sorting import SKILLS, Sorting, sorting_options
 from hrl_comfort.people import EvaluationSet, load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
@@ -292,7 +296,7 @@ def rounded(value: float) -> float:
     return round(float(value), 6)
 
 
-def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Scripted:
+def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Controller:
     """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
     env, scene, task = environment(config), engine.scene, engine.episodes.subtask
     if config.meta.name == "none":
@@ -306,6 +310,25 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
     missing = [name for name in config.meta.options if name not in config.policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
+    if config.task.name == "sort":
+        if list(config.meta.options) != list(SKILLS):
+            raise ConfigError(f"meta.options={list(config.meta.options)} do not sort; choose division=three")
+        running = Running(
+            sorting_options(config.policies, scene, env, config.episode_seed),
+            config.meta.time_limit_steps,
+            engine.episodes,
+        )
+        if config.meta.name == "learned":
+            if "meta" not in config.policies:
+                raise ConfigError("policies.meta is not given; meta=learned needs it")
+            choose = load_choice(config.policies["meta"], config.comfort.levels, len(running.options))
+        else:
+            choose = make_choice(config.meta.name, config.episode_seed)
+        return Sorting(running, choose)
+    if config.meta.name != "scripted":
+        raise ConfigError(
+            f"meta={config.meta.name} is for task=sort; task={config.task.name} takes meta=scripted"
+        )
     options = []
     for name in config.meta.options:
         part = subtask(name)

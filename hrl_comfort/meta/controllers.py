@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -24,6 +25,21 @@ class OptionRun:
     start_step: int
     end_step: int
     ending: str
+
+
+class Controller(Protocol):
+    """Says what every row does, decision by decision (`meta.play`)."""
+
+    runs: list[OptionRun]
+
+    def begin(self, rows: int) -> None:
+        """Start afresh with N rows."""
+
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 6)."""
+
+    def observe(self, outcome: Outcome) -> Tensor:
+        """Note what a decision led to and return (N,) bool: rows whose episode is given up."""
 
 
 class Scripted:

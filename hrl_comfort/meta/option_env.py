@@ -18,15 +18,15 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.meta.options import Ending, Option
+from hrl_comfort.meta.options import Option, Pause
+from hrl_comfort.meta.running import Running
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State
+from hrl_comfort.tasks.subtask import Quantity
 
-ENDINGS = tuple(Ending)
-"""What the numbers in `ending` stand for."""
-MakeOptions = Callable[[Engine], list[Option]]
+MakeOptions = Callable[[Engine], list[Option | Pause]]
 
 
 class OptionEnv(EnvBase):
@@ -36,8 +36,8 @@ class OptionEnv(EnvBase):
     A step reports, beside `observation` (N, D) float32 and `action_mask` (N, K) bool (options that can
     start now): `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards
     discounted by gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, the
-    control steps it took, and `ending` (N, 1) int64, an index of ENDINGS. `success` (N, 1) bool is the whole
-    episode's.
+    control steps it took, and `ending` (N, 1) int64, an index of `running.ENDINGS`. `success` (N, 1) bool
+    is the whole episode's.
     """
 
     batch_locked = True
@@ -51,23 +51,31 @@ class OptionEnv(EnvBase):
         seed: int,
         gamma: float,
         evaluation: EvaluationSet | None = None,
+        observe: Quantity | None = None,
     ) -> None:
-        """Options run for `limit_steps` control steps at most; gamma discounts a control step."""
+        """Options run for `limit_steps` control steps at most; gamma discounts a control step.
+
+        `observe` is what the controller sees, the task's own observation by default.
+        """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = Engine(config, rows, seed, evaluation)
-        self.options = make_options(self.engine)
-        self.limit_steps, self.gamma = limit_steps, gamma
+        self.running = Running(make_options(self.engine), limit_steps, self.engine.episodes)
+        self.gamma = gamma
+        self._see = observe or self.engine.episodes.subtask.observe
         self._begin_rows = torch.ones(rows, dtype=torch.bool)
         state = self.engine.reset()
-        self._option = torch.zeros(rows, dtype=torch.int64)
-        self._started = state.steps.clone()
         self._return = torch.zeros(rows, dtype=torch.float64)
+        self.earned = torch.zeros(rows, dtype=torch.float64)
+        """(N,) rewards of the last step, not discounted, of options that have ended and of others."""
+        self.last_state: State = state
+        """What the last step led to, before any row began anew."""
         self._origin = self._observe(state)
+        self._origin_mask = self.running.available(state)
         self._make_specs()
         self.engine.episodes.rewind()
 
     def _make_specs(self) -> None:
-        n, count = self.batch_size[0], len(self.options)
+        n, count = self.batch_size[0], len(self.running.options)
         flag, number = Binary(1, shape=(n, 1), dtype=torch.bool), Unbounded(shape=(n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=self._origin.shape, dtype=torch.float32),
@@ -85,12 +93,7 @@ class OptionEnv(EnvBase):
         )
 
     def _observe(self, state: State) -> Tensor:
-        return self.engine.episodes.subtask.observe(state).float()
-
-    def available(self, state: State) -> Tensor:
-        """Return (N, K) bool: options that can start now; where none can, each may (the episode is over)."""
-        mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
-        return mask | ~mask.any(dim=-1, keepdim=True)
+        return self._see(state).float()
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         rows = torch.ones(self.batch_size, dtype=torch.bool)
@@ -102,7 +105,7 @@ class OptionEnv(EnvBase):
         return TensorDict(
             {
                 "observation": self._observe(state),
-                "action_mask": self.available(state),
+                "action_mask": self.running.available(state),
                 "deciding": self._begin_rows[:, None].clone(),
                 "steps_to_next_obs": nothing.clone(),
                 "ending": nothing.clone(),
@@ -114,15 +117,22 @@ class OptionEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.engine.episodes.state
         assert state is not None
-        self._begin(tensordict["action"], state)
+        rows = self._begin_rows
+        self._return = torch.where(rows, 0.0, self._return)
+        self._origin = torch.where(rows[:, None], self._observe(state), self._origin)
+        able = self.running.available(state)
+        self._origin_mask = torch.where(rows[:, None], able, self._origin_mask)
+        state = self.running.begin(rows, tensordict["action"].reshape(-1))
+        self.earned = torch.zeros_like(self.earned)
         while True:
-            outcome = self.engine.step(self._act(state).numpy())
+            outcome = self.engine.step(self.running.act(state).numpy())
             self._earn(outcome)
             state = outcome.state
-            ended, ending = self._ended(outcome)
+            over = self.running.ended(outcome)
+            ended = over.rows
             if bool(ended.any()):
                 break
-        self._begin_rows = ended
+        self._begin_rows, self.last_state = ended, state
         flags = {
             "deciding": ended,
             "success": outcome.success,
@@ -133,55 +143,24 @@ class OptionEnv(EnvBase):
         return TensorDict(
             {
                 "observation": self._observe(state),
-                "action_mask": self.available(state),
+                "action_mask": self.running.available(state),
                 "reward": torch.where(ended, self._return, 0.0)[:, None].float(),
-                "steps_to_next_obs": torch.where(ended, state.steps - self._started, 0)[:, None],
-                "ending": ending[:, None],
+                "steps_to_next_obs": torch.where(ended, state.steps - self.running.started, 0)[:, None],
+                "ending": over.ending[:, None],
                 **{name: flag[:, None] for name, flag in flags.items()},
             },
             batch_size=self.batch_size,
         )
 
-    def _begin(self, action: Tensor, state: State) -> None:
-        """Start the chosen options in the rows that decide."""
-        rows = self._begin_rows
-        chosen = action.reshape(-1)
-        allowed = self.available(state).gather(1, chosen[:, None]).squeeze(1)
-        if bool((rows & ~allowed).any()):
-            row = int(torch.nonzero(rows & ~allowed)[0])
-            raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
-        self._option = torch.where(rows, chosen, self._option)
-        self._started = torch.where(rows, state.steps, self._started)
-        self._return = torch.where(rows, 0.0, self._return)
-        self._origin = torch.where(rows[:, None], self._observe(state), self._origin)
-
-    def _act(self, state: State) -> Tensor:
-        action = torch.zeros_like(state.joint_pos)
-        for index, option in enumerate(self.options):
-            rows = torch.nonzero(self._option == index).squeeze(-1)
-            if len(rows):
-                action[rows] = option.act(state.rows(rows)).to(action.dtype)
-        return action
-
     def _earn(self, outcome: Outcome) -> None:
         """Add a decision's rewards, each discounted from the start of its row's option."""
         count = outcome.valid.shape[1]
-        passed = (outcome.state.steps - outcome.decision_steps - self._started)[:, None] + torch.arange(count)
+        passed = (outcome.state.steps - outcome.decision_steps - self.running.started)[
+            :, None
+        ] + torch.arange(count)
         weight = torch.where(outcome.valid, self.gamma ** passed.double(), 0.0)
         self._return = self._return + (weight * outcome.step_rewards).sum(dim=1)
-
-    def _ended(self, outcome: Outcome) -> tuple[Tensor, Tensor]:
-        """Return which rows' options have ended (N,) bool, and how (N,), an index of ENDINGS."""
-        state = outcome.state
-        last = torch.tensor([option.last for option in self.options])[self._option]
-        succeeded = state.stage >= last
-        failed = outcome.terminated & ~outcome.success
-        preempted = outcome.truncated | (state.steps - self._started >= self.limit_steps)
-        ending = torch.full_like(self._option, ENDINGS.index(Ending.PREEMPTED))
-        ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
-        ending[failed] = ENDINGS.index(Ending.FAILURE)
-        ended = succeeded | failed | preempted
-        return ended, torch.where(ended, ending, 0)
+        self.earned = self.earned + outcome.step_rewards.sum(dim=1)
 
     def transitions(self, after: TensorDictBase) -> TensorDict:
         """Return the options that ended in a step as transitions (F,) of the semi-MDP.
@@ -194,7 +173,8 @@ class OptionEnv(EnvBase):
         return TensorDict(
             {
                 "observation": self._origin[rows],
-                "action": self._option[rows],
+                "action_mask": self._origin_mask[rows],
+                "action": self.running.option[rows],
                 "steps_to_next_obs": after["steps_to_next_obs"][rows],
                 "next": TensorDict({name: after[name][rows] for name in names}, batch_size=[len(rows)]),
             },

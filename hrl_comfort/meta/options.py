@@ -20,8 +20,10 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
 from hrl_comfort.sim.field import Field
 from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks.subtask import Quantity
 
 SCRIPTED = ("expert", "field", "random")
+NEVER = 2**62
 Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, 6) in [-1, 1]."""
 
@@ -39,26 +41,63 @@ class Option:
     """A subtask with a frozen policy for it.
 
     `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
-    as its subtask has, and sees their index counted from its own.
+    as its subtask has, and sees their index counted from its own. Of a task that goes round several times
+    (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for.
     """
 
     name: str
     subtask: Subtask
     policy: Act
     first: int = 0
+    round_stages: int = 0
+    ball: int | None = None
 
     @property
     def last(self) -> int:
-        """One past the last stage the option is responsible for."""
+        """One past the last stage the option is responsible for, in the first round."""
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: the stage in force is one of the option's own."""
-        return (state.stage >= self.first) & (state.stage < self.last)
+        """Return (N,) bool: the stage in force is one of the option's own, and its ball is not placed."""
+        stage = state.stage - self._round(state)
+        able = (stage >= self.first) & (stage < self.last)
+        return able if self.ball is None else able & ~state.placed[:, self.ball]
+
+    def ends(self, state: State) -> Tensor:
+        """Return (N,) int64: the stage at which the option is done if it starts now."""
+        return self._round(state) + self.last
 
     def act(self, state: State) -> Tensor:
         """Return the actions (N, 6) of the option's policy."""
-        return self.policy(state.with_(stage=(state.stage - self.first).clamp(min=0)))
+        return self.policy(state.with_(stage=(state.stage - self._round(state) - self.first).clamp(min=0)))
+
+    def _round(self, state: State) -> Tensor:
+        if not self.round_stages:
+            return torch.zeros_like(state.stage)
+        return state.stage - state.stage % self.round_stages
+
+
+@dataclass(frozen=True)
+class Pause:
+    """An option that takes the task no further: it lasts `limit_steps`, or until `done`."""
+
+    name: str
+    policy: Act
+    limit_steps: int
+    done: Quantity | None = None
+    ball: None = None
+
+    def can_start(self, state: State) -> Tensor:
+        """Return (N,) bool: not where it is done already."""
+        return torch.ones_like(state.stage, dtype=torch.bool) if self.done is None else ~self.done(state)
+
+    def ends(self, state: State) -> Tensor:
+        """Return (N,) int64, a stage that is never reached."""
+        return torch.full_like(state.stage, NEVER)
+
+    def act(self, state: State) -> Tensor:
+        """Return the actions (N, 6) of its policy."""
+        return self.policy(state.with_(stage=torch.zeros_like(state.stage)))
 
 
 def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:

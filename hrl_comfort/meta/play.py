@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from hrl_comfort.meta.controllers import Scripted
+from hrl_comfort.meta.controllers import Controller
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
 
@@ -24,7 +24,7 @@ class Moment:
     """(N,) bool: rows whose episode ended with it, by itself or given up by the controller."""
 
 
-def play(engine: Engine, controller: Scripted) -> Iterator[Moment]:
+def play(engine: Engine, controller: Controller) -> Iterator[Moment]:
     """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended."""
     state = engine.episodes.state
     assert state is not None

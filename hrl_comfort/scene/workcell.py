@@ -47,11 +47,17 @@ class Scene:
     ncontrol: int
     """Length of CONTROL_SPEC."""
     mocap: tuple[str, ...]
-    """Names of the mocap bodies, by mocap index: LIMBS, then PROPS."""
+    """Names of the mocap bodies, by mocap index: LIMBS, then PROPS, then two for each further ball."""
     floor_z: float
 
 
-def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
+def ball_props(index: int) -> NDArray[np.int64]:
+    """Return where among the props the orange and the pink body of the ball `index` stand, (2,)."""
+    first = 0 if index == 0 else len(PROPS) + 2 * (index - 1)
+    return np.array([first, first + 1])
+
+
+def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int = 1) -> Scene:
     """Compile the cell; `substeps` physics steps make one control step of 20 ms."""
     if robot.name not in ROBOTS:
         raise ConfigError(f"robot.name={robot.name!r} is not allowed; choose one of {', '.join(ROBOTS)}")
@@ -61,7 +67,8 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
     _add_surroundings(root.worldbody, cell, floor_z)
     root.attach(build_robot(ROBOTS[robot.name]))
     build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
-    _add_props(root.worldbody, cell)
+    more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
+    _add_props(root.worldbody, cell, PROPS + more)
     sizes = _add_sensors(root)
 
     xml, assets = root.to_xml_string(), root.get_assets()
@@ -79,7 +86,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int) -> Scene:
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=ncontrol,
-        mocap=MOCAP,
+        mocap=MOCAP + more,
         floor_z=floor_z,
     )
 
@@ -162,13 +169,13 @@ def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> 
         )
 
 
-def _add_props(world: mjcf.Element, cell: CellConfig) -> None:
+def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) -> None:
     """Add the balls and point markers: sites, which are seen but never touched."""
-    looks = {"orange_ball": (*_ORANGE, 1), "pink_ball": (*_PINK, 1), "first_point": (0.2, 0.8, 0.3, 0.4)}
-    for name in PROPS:
+    looks = {"orange": (*_ORANGE, 1), "pink": (*_PINK, 1), "first": (0.2, 0.8, 0.3, 0.4)}
+    for name in names:
         body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
-        size = cell.ball_radius_m * (1.0 if name.endswith("ball") else 1.5)
-        body.add("site", name=name, size=[size], rgba=looks.get(name, (0.2, 0.4, 0.9, 0.4)))
+        size = cell.ball_radius_m * (1.0 if "ball" in name else 1.5)
+        body.add("site", name=name, size=[size], rgba=looks.get(name.split("_")[0], (0.2, 0.4, 0.9, 0.4)))
 
 
 def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:

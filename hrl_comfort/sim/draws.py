@@ -23,17 +23,19 @@ POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
-LEVEL_STREAM, LATER_STREAM = 1, 2
-"""Of random numbers for levels, and for walks beyond `task.limit_steps`: streams of their own, so that with
-comfort or without, the rest of an episode is the same."""
+LEVEL_STREAM, LATER_STREAM, BALL_STREAM = 1, 2, 3
+"""Of random numbers for levels, for walks beyond `task.limit_steps`, and for balls: streams of their own, so
+that with comfort or without, with one ball or several, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
 class Draw:
     """One beginning of an episode; of a later attempt, only spawn, start and points are new."""
 
-    colour: int
-    """0 orange, 1 pink."""
+    balls: Array
+    """(B, 3) m, where they lie on the pick table."""
+    colours: NDArray[np.int64]
+    """(B,) 0 orange, 1 pink."""
     noise: Array
     """(horizon, NOISE) in [0, 1): what the walk uses at each control step."""
     level: Array
@@ -84,12 +86,24 @@ class Draws:
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, people.NOISE))
         level = self._generator(row, episode, LEVEL_STREAM).random(DRAWS)
+        balls, colours = self._balls(colour, self._generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
             bank = banks[colour % len(banks)]
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
-            yield Draw(colour, noise, level, motion_id, spawn_id, spawn, start, points)
+            yield Draw(balls, colours, noise, level, motion_id, spawn_id, spawn, start, points)
+
+    def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
+        """Return where the balls lie (B, 3), m, and their colours (B,): the first one's is given."""
+        task = self._config.task
+        count, slots = task.balls, np.array(task.ball_slots_m)
+        balls = np.tile(self.goals[0], (count, 1))
+        balls[:, :2] += slots[rng.permutation(len(slots))[:count]]
+        balls[:, :2] += task.ball_jitter_m * rng.uniform(-1, 1, (count, 2))
+        colours = rng.integers(2, size=count) if task.colour == "random" else np.full(count, colour)
+        colours[0] = colour
+        return balls, colours
 
     def keep_out(self, points: Array) -> people.KeepOut:
         """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""

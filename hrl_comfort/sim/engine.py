@@ -31,7 +31,7 @@ class Engine:
         evaluation: EvaluationSet | None = None,
         measure_arm: bool = False,
     ) -> None:
-        self.scene = build_scene(config.robot, config.cell, config.engine.substeps)
+        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm)
         self.rows = rows
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]

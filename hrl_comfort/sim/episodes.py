@@ -23,8 +23,8 @@ from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.comfort.sources import Moment, make_source
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig, RewardConfig
 from hrl_comfort.people import EvaluationSet
-from hrl_comfort.scene.human import limb_poses
-from hrl_comfort.scene.workcell import PROPS, Scene
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.arm_distance import ArmDistance
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.draws import ATTEMPTS, Draw, Draws
@@ -61,7 +61,7 @@ class Episodes:
         measure_arm: bool = False,
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
-        plain = subtask(config.task.name, config.task.observation)
+        plain = subtask(config.task.name, config.task.observation, config.task.balls)
         self.subtask: Subtask = with_comfort(plain, config.comfort, config.task.max_step_deg)
         weights = weights_of(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
@@ -70,7 +70,7 @@ class Episodes:
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
 
         self.draws = Draws(scene, config, self.subtask, seed, evaluation)
-        self._ball, self._drops = self.draws.goals[0], self.draws.goals[1:]
+        self._drops = self.draws.goals[1:]
         self._tcp_home: Array | None = None
 
         n = rows
@@ -79,7 +79,8 @@ class Episodes:
         self.source = make_source(config.comfort, n)
         arm = measure_arm or (config.comfort.distance == "arm" and config.comfort.source != "none")
         self._arm = ArmDistance(scene) if arm else None
-        self.colour = np.zeros(n, dtype=np.int64)
+        self.balls = np.zeros((n, config.task.balls, 3))
+        self.colours = np.zeros((n, config.task.balls), dtype=np.int64)
         self.spawn_id = np.zeros(n, dtype=np.int64)
         self.motion_id = np.full(n, -1, dtype=np.int64)
         self.points = np.zeros((n, 2, 3))
@@ -131,7 +132,7 @@ class Episodes:
         self.episode[:] = -1
 
     def _take(self, row: int, draw: Draw) -> None:
-        self.colour[row], self.noise[row] = draw.colour, draw.noise
+        self.balls[row], self.colours[row], self.noise[row] = draw.balls, draw.colours, draw.noise
         self.source.draws[row] = draw.level
         self.motion_id[row], self.spawn_id[row] = draw.motion_id, draw.spawn_id
         self.start[row], self.joint_target[row] = draw.start, draw.start[12:]
@@ -188,7 +189,9 @@ class Episodes:
         moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
         limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
         outcome = judge(self.subtask, self._weights, limit, self.state, moving)
-        self.state = outcome.state.with_(level=self._next_level(outcome))
+        before, level = self.state.stage, self._next_level(outcome)
+        self.state = outcome.state.with_(level=level)
+        self._sort(before)
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
@@ -198,7 +201,43 @@ class Episodes:
             self.walk = self.walk.put(rows, self._walks[count - 1].rows(rows))
         return outcome
 
+    def aim(self, rows: Tensor, ball: Tensor) -> None:
+        """Let `rows` (r,) pick the balls (r,) next.
+
+        Raises:
+          ValueError: a row holds a ball, or the ball has been placed.
+        """
+        assert self.state is not None
+        here = self.state.rows(rows)
+        names = [stage.name for stage in self.subtask.stages]
+        picking = torch.tensor([name == "pick" for name in [*names, ""]])[here.stage]
+        if bool((~picking | here.placed.gather(1, ball[:, None]).squeeze(1)).any()):
+            raise ValueError(f"balls {ball.tolist()} cannot be picked now in rows {rows.tolist()}")
+        index = torch.arange(len(rows))
+        colour = here.colours[index, ball]
+        drops = torch.from_numpy(self._drops)
+        aimed = here.with_(
+            target=ball, ball_pos=here.balls[index, ball], colour=colour, drop_pos=drops[colour]
+        )
+        self.state = self.state.put(rows, aimed)
+
     # ---- pieces ----------------------------------------------------------------------------------------
+
+    def _sort(self, before: Tensor) -> None:
+        """Note the balls that have been placed since the stages `before` (N,); aim at the next where due."""
+        assert self.state is not None
+        names = [stage.name for stage in self.subtask.stages]
+        ended = torch.tensor([[n == name for n in [*names, ""]] for name in ("place", "return")])[:, before]
+        placed, back = ended & (self.state.stage > before)
+        if bool(placed.any()):
+            rows = torch.nonzero(placed).squeeze(1)
+            done = self.state.placed.clone()
+            done[rows, self.state.target[rows]] = True
+            self.state = self.state.with_(placed=done)
+        left = ~self.state.placed
+        rows = torch.nonzero(back & left.any(dim=1)).squeeze(1)
+        if len(rows):
+            self.aim(rows, left[rows].int().argmax(dim=1))
 
     def _limbs(self, walks: list[people.Walk]) -> Array:
         """Return the limb poses (n, len(walks), 5, 7) of n people along their walks."""
@@ -217,31 +256,36 @@ class Episodes:
     def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""
         n, steps = targets.shape[:2]
-        props = np.zeros((n, steps, len(PROPS), 7))
+        props = np.zeros((n, steps, len(self.scene.mocap) - len(LIMBS), 7))
         props[..., 0], props[..., 3] = FAR_AWAY_M, 1.0
         if self.subtask.stages[0].name == "reach":
-            props[:, :, 2 : 2 + len(self.subtask.stages), :3] = self.points[rows][
-                :, None, : len(self.subtask.stages)
-            ]
+            count = len(self.subtask.stages)
+            props[:, :, 2 : 2 + count, :3] = self.points[rows][:, None, :count]
         else:
-            props[np.arange(n), :, self.colour[rows], :3] = self._ball_now(rows)[:, None]
+            balls = self._balls_now(rows)
+            for index in range(self.config.task.balls):
+                prop = ball_props(index)[self.colours[rows][:, index]]
+                props[np.arange(n), :, prop, :3] = balls[:, index, None]
         bodies = np.concatenate([limbs, props], axis=2)
         return np.concatenate(
             [targets, bodies[..., :3].reshape(n, steps, -1), bodies[..., 3:].reshape(n, steps, -1)], axis=-1
         )
 
-    def _ball_now(self, rows: Any) -> Array:
-        """Return where the ball is drawn (r, 3): on its table, on the gripper or at its drop point."""
-        n = len(self.start[rows])
-        ball = np.broadcast_to(self._ball, (n, 3)).copy()
+    def _balls_now(self, rows: Any) -> Array:
+        """Return where the balls are drawn (r, B, 3): on their table, on the gripper or at a drop point."""
+        balls = self.balls[rows].copy()
         if self.state is None:
-            return ball
+            return balls
         names = [stage.name for stage in self.subtask.stages]
         stage = self.state.stage.numpy()[rows]
         now = np.array([*names, {"pick": "place", "place": "return"}.get(names[-1], names[-1])])[stage]
-        ball[now == "place"] = self.state.tcp_pos.numpy()[rows][now == "place"]
-        ball[now == "return"] = self._drops[self.colour[rows]][now == "return"]
-        return ball
+        placed = self.state.placed.numpy()[rows].copy()
+        target = self.state.target.numpy()[rows]
+        placed[now == "return", target[now == "return"]] = True
+        balls[placed] = self._drops[self.colours[rows]][placed]
+        held = np.flatnonzero(now == "place")
+        balls[held, target[held]] = self.state.tcp_pos.numpy()[rows][held]
+        return balls
 
     def _next_level(self, outcome: Outcome) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
@@ -303,12 +347,16 @@ class Episodes:
             **moving,
             tcp_home=constant(self._home_tcp()),
             joint_home=constant(self.scene.home),
-            ball_pos=constant(self._ball),
-            drop_pos=torch.from_numpy(self._drops[self.colour[rows]]),
+            ball_pos=torch.from_numpy(self.balls[rows, 0]),
+            drop_pos=torch.from_numpy(self._drops[self.colours[rows, 0]]),
             orange_drop=constant(self._drops[0]),
             pink_drop=constant(self._drops[1]),
             points=torch.from_numpy(self.points[rows]),
-            colour=torch.from_numpy(self.colour[rows]),
+            colour=torch.from_numpy(self.colours[rows, 0]),
+            balls=torch.from_numpy(self.balls[rows]),
+            colours=torch.from_numpy(self.colours[rows]),
+            placed=torch.zeros(n, task.balls, dtype=torch.bool),
+            target=torch.zeros(n, dtype=torch.int64),
             level=torch.from_numpy(self.source.level[rows].copy()),
             stage=torch.zeros(n, dtype=torch.int64),
             take=torch.from_numpy(self.precision[rows].copy()),
@@ -335,8 +383,8 @@ class Episodes:
     # ---- saving ----------------------------------------------------------------------------------------
 
     _ARRAYS = (
-        "episode", "noise", "colour", "spawn_id", "motion_id", "points", "precision", "joint_target", "start",
-        "steps",
+        "episode", "noise", "balls", "colours", "spawn_id", "motion_id", "points", "precision",
+        "joint_target", "start", "steps",
     )  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:

@@ -13,16 +13,19 @@ from hrl_comfort.tasks.place import PLACE
 from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
 from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
+from hrl_comfort.tasks.sort import sort
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
-    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE)
+    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1))
 }
 
 
-def subtask(name: str, observation: str = "default") -> Subtask:
+def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
     """Return the registered subtask `name`, seen through the observation layout `observation`.
+
+    `balls` counts for `sort` alone.
 
     Raises:
       ConfigError: no such subtask or layout.
@@ -33,7 +36,7 @@ def subtask(name: str, observation: str = "default") -> Subtask:
         raise ConfigError(
             f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}"
         )
-    chosen = SUBTASKS[name]
+    chosen = sort(balls) if name == "sort" else SUBTASKS[name]
     if observation == "default":
         return chosen
     return replace(chosen, observations=LAYOUTS[observation](chosen.stages))

@@ -34,9 +34,9 @@ class State:
     human_seen: Tensor
     """(N, 2) m, where the policy is told the human is (clipping, masking)."""
     ball_pos: Tensor
-    """(N, 3) m, where the ball lies until it is picked."""
+    """(N, 3) m, where the ball aimed at lies until it is picked."""
     drop_pos: Tensor
-    """(N, 3) m, the drop point of the ball's colour."""
+    """(N, 3) m, the drop point of its colour."""
     orange_drop: Tensor
     """(N, 3) m."""
     pink_drop: Tensor
@@ -44,7 +44,15 @@ class State:
     points: Tensor
     """(N, 2, 3) m, first and second point of `reach` and `point_to_point`."""
     colour: Tensor
-    """(N,) int64, 0 orange, 1 pink."""
+    """(N,) int64, of the ball aimed at: 0 orange, 1 pink."""
+    balls: Tensor
+    """(N, B, 3) m, where each ball lies until it is picked."""
+    colours: Tensor
+    """(N, B) int64."""
+    placed: Tensor
+    """(N, B) bool, the balls that are at their drop point."""
+    target: Tensor
+    """(N,) int64, the ball aimed at."""
     stage: Tensor
     """(N,) int64, index of the stage in force in the subtask's `stages`."""
     take: Tensor

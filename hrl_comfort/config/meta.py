@@ -1,0 +1,65 @@
+"""What sequences the subtasks, and how it is taught."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hrl_comfort.config.checks import ConfigError, between, one_of
+
+CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
+
+
+@dataclass(frozen=True)
+class MetaConfig:
+    """What sequences the frozen subtask policies."""
+
+    name: str
+    options: list[str]
+    """Subtasks in the order in which the scripted controller runs them."""
+    time_limit_steps: int
+    """Control steps after which an option is preempted."""
+    retries: int
+    """Further tries of an option that was preempted; `sort` tries until the episode's time is up."""
+
+    def __post_init__(self) -> None:
+        one_of("meta.name", self.name, CONTROLLERS)
+        between("meta.time_limit_steps", self.time_limit_steps, 1, 100_000)
+        between("meta.retries", self.retries, 0, 100)
+
+
+@dataclass(frozen=True)
+class MetaAgentConfig:
+    """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
+
+    options: int
+    """Options, over all rows, to learn from."""
+    warmup_options: int
+    """Options chosen at random before the first update."""
+    updates_per_option: float
+    batch_size: int
+    buffer_size: int
+    learning_rate: float
+    tau: float
+    gamma: float
+    """Discount per control step; an option of k steps discounts by gamma**k."""
+    hidden: list[int]
+    exploration_start: float
+    exploration_end: float
+    """Probability of an option at random: from start to end over the first half of the training."""
+    log_every: int
+    """Options between two rows of metrics.csv."""
+
+    def __post_init__(self) -> None:
+        between("meta_agent.options", self.options, 1, 1e9)
+        between("meta_agent.warmup_options", self.warmup_options, 0, 1e9)
+        between("meta_agent.updates_per_option", self.updates_per_option, 0.0, 16.0)
+        between("meta_agent.batch_size", self.batch_size, 1, 65536)
+        between("meta_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
+        between("meta_agent.learning_rate", self.learning_rate, 0.0, 1.0)
+        between("meta_agent.tau", self.tau, 0.0, 1.0)
+        between("meta_agent.gamma", self.gamma, 0.0, 1.0)
+        if not self.hidden or any(not 1 <= h <= 8192 for h in self.hidden):
+            raise ConfigError(f"meta_agent.hidden={list(self.hidden)!r} must be layer widths from 1 to 8192")
+        between("meta_agent.exploration_start", self.exploration_start, 0.0, 1.0)
+        between("meta_agent.exploration_end", self.exploration_end, 0.0, 1.0)
+        between("meta_agent.log_every", self.log_every, 1, 1e9)

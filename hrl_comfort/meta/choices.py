@@ -1,0 +1,111 @@
+"""What a controller of `sort` may choose by: pure functions of state, mask and how the last options ended.
+
+Options are those of `sorting_options`: a pick for each ball, then place, return, wait and retreat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.config import ConfigError
+from hrl_comfort.meta.options import Ending
+from hrl_comfort.meta.running import ENDINGS
+from hrl_comfort.tasks import State
+
+PLACE, RETURN, WAIT, RETREAT = range(-4, 0)
+"""Where these options stand in the list, from its end."""
+NEAR_M = 0.55
+"""`cautious` waits while the person is within this of where the tool has to go next, m."""
+PATIENCE = 6
+"""Waits in a row after which `cautious` goes on."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a controller knows when an option of some of N rows has ended."""
+
+    state: State
+    mask: Tensor
+    """(N, K) bool, the options that can start."""
+    option: Tensor
+    """(N,) int64, the option that has ended; -1 at the start."""
+    ending: Tensor
+    """(N,) int64, an index of ENDINGS."""
+    waits: Tensor
+    """(N,) int64, waits in a row until now."""
+
+
+Choose = Callable[[Decision], Tensor]
+"""A decision -> the option (N,) int64 that begins, in the rows that decide."""
+
+
+def next_of(decision: Decision, score: Tensor) -> Tensor:
+    """Return the option (N,) that takes the task on; of the picks that can start, the one of highest score.
+
+    `score` is (N, B), one for each ball.
+    """
+    picks = decision.mask[:, :PLACE]
+    best = torch.where(picks, score, -torch.inf).argmax(dim=1)
+    count = decision.mask.shape[1]
+    place, back = decision.mask[:, PLACE], decision.mask[:, RETURN]
+    return torch.where(place, count + PLACE, torch.where(back, count + RETURN, best))
+
+
+def retreated(decision: Decision, chosen: Tensor) -> Tensor:
+    """Return `chosen` (N,), but retreat where an option has run out of time and the arm is not at home."""
+    count = decision.mask.shape[1]
+    stuck = decision.ending == ENDINGS.index(Ending.PREEMPTED)
+    stuck = stuck & (decision.option >= 0) & (decision.option < count + WAIT)
+    return torch.where(stuck & decision.mask[:, RETREAT], count + RETREAT, chosen)
+
+
+def nearest(decision: Decision) -> Tensor:
+    """Choose the nearest ball first; what has run out of time is tried again from home."""
+    state = decision.state
+    score = -(state.balls - state.tcp_pos[:, None]).norm(dim=-1)
+    return retreated(decision, next_of(decision, score))
+
+
+def cautious(decision: Decision) -> Tensor:
+    """Choose the ball whose way is farthest from the person; wait, a while, where they stand at the goal."""
+    state = decision.state
+    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
+    drop = drops.gather(1, state.colours[:, :, None].expand(-1, -1, 3))
+    person = state.human_pos[:, None]
+    score = torch.minimum(human_distance(state.balls, person), human_distance(drop, person))
+    chosen = next_of(decision, score)
+    count = decision.mask.shape[1]
+    ball = chosen.clamp(max=state.balls.shape[1] - 1)
+    goal = torch.where(
+        (chosen < count + PLACE)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos
+    )
+    near = human_distance(goal, state.human_pos) < NEAR_M
+    waits = near & (decision.waits < PATIENCE) & (chosen != count + RETURN)
+    return retreated(decision, torch.where(waits, count + WAIT, chosen))
+
+
+def at_random(seed: int) -> Choose:
+    """Choose any option that can start, each as likely."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def choose(decision: Decision) -> Tensor:
+        return torch.multinomial(decision.mask.double(), 1, generator=generator).squeeze(1)
+
+    return choose
+
+
+def make_choice(name: str, seed: int) -> Choose:
+    """Return how the controller `name` chooses.
+
+    Raises:
+      ConfigError: there is no such controller.
+    """
+    known: dict[str, Choose] = {"scripted": nearest, "cautious": cautious, "random": at_random(seed)}
+    if name not in known:
+        raise ConfigError(f"meta={name} does not sort; choose one of {', '.join(known)} or learned")
+    return known[name]

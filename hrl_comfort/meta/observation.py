@@ -1,0 +1,42 @@
+"""What a learned controller of `sort` sees: a pure function of State, lengths in metres."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.tasks import State
+from hrl_comfort.tasks.observations import human, joint_error, tool
+
+ROUND = 3
+"""Stages of one ball's round: pick, place, return."""
+
+
+def meta_observation(state: State, levels: int) -> Tensor:
+    """Return (N, 16 + 9 B).
+
+    Person (2), tool (3), joints from home (6), stage of the round (3), level and whether there is one (2); of
+    each ball where it lies (3), where it belongs (2), how far the person is from both (2), whether it is
+    placed and whether it is the one aimed at (2).
+    """
+    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
+    drop = drops.gather(1, state.colours[:, :, None].expand(-1, -1, 3))
+    person = human(state)[:, None]
+    index = torch.arange(state.balls.shape[1])
+    balls = torch.cat(
+        [
+            state.balls,
+            drop[..., :2],
+            human_distance(state.balls, person)[..., None],
+            human_distance(drop, person)[..., None],
+            state.placed[..., None].double(),
+            (state.target[:, None] == index)[..., None].double(),
+        ],
+        dim=-1,
+    )
+    stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
+    leveled = ~state.level.isnan()
+    ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
+    parts = [human(state), tool(state), joint_error(state), stage, ease[:, None], leveled[:, None].double()]
+    return torch.cat([*parts, balls.flatten(1)], dim=-1).float()

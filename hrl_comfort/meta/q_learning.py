@@ -1,0 +1,118 @@
+"""A controller that learns which option to run: double DQN over the semi-MDP of options (TorchRL's DQNLoss).
+
+An option of k control steps is discounted by gamma**k, which TorchRL takes from `steps_to_next_obs`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.modules import MLP, QValueActor
+from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.config import ConfigError
+from hrl_comfort.config.meta import MetaAgentConfig
+from hrl_comfort.meta.choices import Choose, Decision
+from hrl_comfort.meta.observation import meta_observation
+
+
+def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
+    """Return the network of option values; options that the mask rules out are never the best."""
+    return QValueActor(
+        MLP(observation_dim, options, num_cells=hidden, activation_class=torch.nn.ReLU),
+        in_keys=["observation"],
+        spec=Categorical(options),
+        action_mask_key="action_mask",
+    )
+
+
+class QLearner:
+    """Double DQN with a soft target and uniform exploration among the options that can start."""
+
+    def __init__(self, config: MetaAgentConfig, observation_dim: int, options: int, seed: int) -> None:
+        torch.manual_seed(seed)
+        self.config, self.observation_dim, self.count = config, observation_dim, options
+        self.network = make_network(observation_dim, options, list(config.hidden))
+        self.loss = DQNLoss(
+            self.network,
+            loss_function="smooth_l1",
+            delay_value=True,
+            double_dqn=True,
+            action_space="categorical",
+        )
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
+        self.target = SoftUpdate(self.loss, tau=config.tau)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.buffer_size), batch_size=config.batch_size
+        )
+
+    @torch.no_grad()
+    def choose(self, observation: Tensor, mask: Tensor, exploration: float) -> Tensor:
+        """Return options (N,): the best by value, or with probability `exploration` any that can start."""
+        best = greedy(self.network, observation, mask)
+        anything = torch.multinomial(mask.float(), 1).squeeze(1)
+        return torch.where(torch.rand(len(best)) < exploration, anything, best)
+
+    def remember(self, transitions: TensorDictBase) -> None:
+        """Keep transitions (F,) of `OptionEnv.transitions`."""
+        if len(transitions):
+            self.buffer.extend(transitions)
+
+    def update(self) -> float:
+        """Do one update and return its loss."""
+        found = self.loss(self.buffer.sample())["loss"]
+        self.optimiser.zero_grad()
+        found.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
+        self.optimiser.step()
+        self.target.step()
+        return float(found.detach())
+
+    def save(self, path: Path, spec: dict[str, Any]) -> None:
+        """Write the network and what is needed to use it."""
+        shape = {
+            "observation_dim": self.observation_dim,
+            "options": self.count,
+            "hidden": list(self.config.hidden),
+        }
+        checkpoint.save(path, {"network": self.network.state_dict(), "spec": {**spec, **shape}})
+
+
+def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
+    """Return the options (N,) of greatest value among those that `mask` (N, K) allows."""
+    td = TensorDict({"observation": observation, "action_mask": mask}, batch_size=[len(observation)])
+    chosen: Tensor = network(td)["action"]
+    return chosen
+
+
+def load_choice(source: str, levels: int, options: int) -> Choose:
+    """Return how a trained controller chooses; `source` is its run folder or meta.pt.
+
+    Raises:
+      ConfigError: there is none, or it was trained for other options.
+    """
+    path = Path(source) / "meta.pt" if Path(source).is_dir() else Path(source)
+    state = checkpoint.load(path)
+    if "network" not in state or "spec" not in state:
+        raise ConfigError(f"policies.meta={source!r} is not a trained controller; its folder holds meta.pt")
+    spec = state["spec"]
+    if spec["options"] != options or spec["levels"] != levels:
+        raise ConfigError(
+            f"policies.meta={source!r} chooses among {spec['options']} options at {spec['levels']} levels; "
+            f"here there are {options} at {levels}"
+        )
+    network = make_network(spec["observation_dim"], options, spec["hidden"])
+    network.load_state_dict(state["network"])
+
+    @torch.no_grad()
+    def choose(decision: Decision) -> Tensor:
+        return greedy(network, meta_observation(decision.state, levels), decision.mask)
+
+    return choose

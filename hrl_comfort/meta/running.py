@@ -1,0 +1,100 @@
+"""Which option runs in which cell, since when, and how it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.adapt import limit_steps
+from hrl_comfort.meta.options import Ending, Option, Pause
+from hrl_comfort.sim.episodes import Episodes
+from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.tasks import State
+
+ENDINGS = tuple(Ending)
+"""What the numbers of `Ended.ending` stand for."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What became of the options of N rows in one decision."""
+
+    rows: Tensor
+    """(N,) bool, the option has ended."""
+    ending: Tensor
+    """(N,) int64, an index of ENDINGS; 0 where it has not ended."""
+
+
+class Running:
+    """The options in force in N cells; an option runs for `limit` control steps at most.
+
+    Where `comfort` lets an episode last longer at lower levels, an option may too.
+    """
+
+    def __init__(self, options: list[Option | Pause], limit: int, episodes: Episodes) -> None:
+        self.options, self.limit, self._episodes = options, limit, episodes
+        self.option = torch.zeros(episodes.rows, dtype=torch.int64)
+        self.started = torch.zeros(episodes.rows, dtype=torch.int64)
+        self._until = torch.zeros(episodes.rows, dtype=torch.int64)
+
+    def available(self, state: State) -> Tensor:
+        """Return (N, K) bool: options that can start now; where none can, each may (the episode is over)."""
+        mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
+        return mask | ~mask.any(dim=-1, keepdim=True)
+
+    def begin(self, rows: Tensor, chosen: Tensor) -> State:
+        """Start the options `chosen` (N,) in `rows` (N,) bool; return the state, aimed at the balls chosen.
+
+        Raises:
+          ValueError: one of them cannot start now.
+        """
+        state = self._episodes.state
+        assert state is not None
+        allowed = self.available(state).gather(1, chosen[:, None]).squeeze(1)
+        if bool((rows & ~allowed).any()):
+            row = int(torch.nonzero(rows & ~allowed)[0])
+            raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
+        self.option = torch.where(rows, chosen, self.option)
+        self.started = torch.where(rows, state.steps, self.started)
+        for index, option in enumerate(self.options):
+            here = torch.nonzero(rows & (chosen == index)).squeeze(-1)
+            if not len(here):
+                continue
+            self._until[here] = option.ends(state.rows(here))
+            if option.ball is not None and bool(option.can_start(state.rows(here)).all()):
+                self._episodes.aim(here, torch.full_like(here, option.ball))
+        assert self._episodes.state is not None
+        return self._episodes.state
+
+    def act(self, state: State) -> Tensor:
+        """Return the actions (N, 6) of the options in force."""
+        action = torch.zeros_like(state.joint_pos)
+        for index, option in enumerate(self.options):
+            rows = torch.nonzero(self.option == index).squeeze(-1)
+            if len(rows):
+                action[rows] = option.act(state.rows(rows)).to(action.dtype)
+        return action
+
+    def ended(self, outcome: Outcome) -> Ended:
+        """Return which options have ended with a decision, and how.
+
+        A pause that has lasted its time has succeeded; any other option is preempted then.
+        """
+        state = outcome.state
+        lasted = state.steps - self.started
+        over = lasted >= limit_steps(outcome.level, self.limit, self._episodes.config.comfort)
+        succeeded = state.stage >= self._until
+        for index, option in enumerate(self.options):
+            if isinstance(option, Pause):
+                done = lasted >= option.limit_steps
+                if option.done is not None:
+                    done = done | option.done(state)
+                succeeded = succeeded | (done & (self.option == index))
+        failed = outcome.terminated & ~outcome.success
+        ended = succeeded | failed | outcome.truncated | over
+        ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
+        ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
+        ending[failed] = ENDINGS.index(Ending.FAILURE)
+        return Ended(ended, torch.where(ended, ending, 0))

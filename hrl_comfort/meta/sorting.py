@@ -1,0 +1,95 @@
+"""The options of `sort`, and the controller that lets a choice decide whenever one of them has ended."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.meta.choices import WAIT, Choose, Decision
+from hrl_comfort.meta.controllers import OptionRun
+from hrl_comfort.meta.options import Option, Pause, make_policy
+from hrl_comfort.meta.running import ENDINGS, Running
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.expert import Expert
+from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.tasks import State, subtask
+from hrl_comfort.tasks.return_home import GO_HOME
+
+SKILLS = ("pick", "place", "return")
+WAIT_STEPS = 25
+"""Control steps that a wait lasts: half a second."""
+
+
+def sorting_options(
+    policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
+) -> list[Option | Pause]:
+    """Return a pick for each ball, place, return, wait and retreat; policies by subtask name."""
+    act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
+    picks = [
+        Option(f"pick_{k + 1}", subtask("pick"), act["pick"], 0, 3, ball=k) for k in range(config.task.balls)
+    ]
+    rest = [Option(name, subtask(name), act[name], first, 3) for first, name in ((1, "place"), (2, "return"))]
+    home = Expert(scene, config, subtask("return"))
+    return [
+        *picks,
+        *rest,
+        Pause("wait", lambda state: torch.zeros_like(state.joint_pos), WAIT_STEPS),
+        Pause("retreat", home.act, config.task.limit_steps, GO_HOME.done),
+    ]
+
+
+class Sorting:
+    """Runs options until they end, and lets `choose` say what comes next."""
+
+    def __init__(self, running: Running, choose: Choose) -> None:
+        self.running, self._choose = running, choose
+        self.runs: list[OptionRun] = []
+
+    def begin(self, rows: int) -> None:
+        """Start afresh with N rows."""
+        self._deciding = torch.ones(rows, dtype=torch.bool)
+        self._over = torch.zeros(rows, dtype=torch.bool)
+        self._last = torch.full((rows,), -1, dtype=torch.int64)
+        self._ending = torch.zeros(rows, dtype=torch.int64)
+        self._waits = torch.zeros(rows, dtype=torch.int64)
+        self._attempt = torch.zeros(rows, dtype=torch.int64)
+        self.runs = []
+
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 6); rows whose option has ended choose anew, those that are over stand still."""
+        rows = self._deciding & ~self._over
+        if bool(rows.any()):
+            decision = Decision(state, self.running.available(state), self._last, self._ending, self._waits)
+            chosen = torch.where(rows, self._choose(decision), self.running.option)
+            self._attempt = torch.where(
+                rows, torch.where(chosen == self._last, self._attempt + 1, 1), self._attempt
+            )
+            state = self.running.begin(rows, chosen)
+        return torch.where(self._over[:, None], 0.0, self.running.act(state))
+
+    def observe(self, outcome: Outcome) -> Tensor:
+        """Note what a decision led to and return (N,) bool: rows given up, none."""
+        ended = self.running.ended(outcome)
+        rows = ended.rows & ~self._over
+        wait = len(self.running.options) + WAIT
+        for row in torch.nonzero(rows).squeeze(-1).tolist():
+            index = int(self.running.option[row])
+            self.runs.append(
+                OptionRun(
+                    row,
+                    self.running.options[index].name,
+                    int(self._attempt[row]),
+                    int(self.running.started[row]),
+                    int(outcome.state.steps[row]),
+                    ENDINGS[int(ended.ending[row])].value,
+                )
+            )
+        self._waits = torch.where(
+            rows, torch.where(self.running.option == wait, self._waits + 1, 0), self._waits
+        )
+        self._last = torch.where(rows, self.running.option, self._last)
+        self._ending = torch.where(rows, ended.ending, self._ending)
+        self._deciding = rows
+        self._over = self._over | outcome.done
+        return torch.zeros_like(self._over)

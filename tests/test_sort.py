@@ -1,0 +1,201 @@
+"""Several balls: where they lie, how they are aimed at, and who decides which comes next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.compose import compose, environment
+from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
+from hrl_comfort.experiments.measure import measure
+from hrl_comfort.experiments.train_meta import train_meta
+from hrl_comfort.meta.choices import PLACE, RETREAT, RETURN, WAIT, Decision, at_random, cautious, nearest
+from hrl_comfort.meta.observation import meta_observation
+from hrl_comfort.meta.options import Ending
+from hrl_comfort.meta.play import play
+from hrl_comfort.meta.q_learning import load_choice
+from hrl_comfort.meta.running import ENDINGS, Running
+from hrl_comfort.meta.sorting import Sorting, sorting_options
+from hrl_comfort.sim.engine import Engine
+
+EXPERTS = {"pick": "expert", "place": "expert", "return": "expert"}
+STILL = {"pick": "random", "place": "random", "return": "random"}
+
+
+def config(*overrides: str) -> EnvConfig:
+    return environment(compose("train", ["task=sort", *overrides]))
+
+
+def sorting(engine: Engine, choose, policies=EXPERTS, limit: int = 500) -> Sorting:
+    options = sorting_options(policies, engine.scene, engine.episodes.config, 0)
+    return Sorting(Running(options, limit, engine.episodes), choose)
+
+
+@pytest.mark.parametrize("balls", [2, 4, 6])
+def test_balls_lie_on_their_table_and_never_overlap(balls: int) -> None:
+    env = config(f"task.balls={balls}")
+    state = Engine(env, 40, 0).reset()
+    offset = state.balls - torch.tensor(env.cell.ball_m, dtype=torch.float64)
+    assert (offset[..., :2].abs() <= env.cell.table_half_width_m).all() and (offset[..., 2] == 0).all()
+    apart = (state.balls[:, :, None] - state.balls[:, None]).norm(dim=-1) + 9 * torch.eye(balls)
+    assert (apart >= 2 * env.cell.ball_radius_m - 1e-9).all()
+    assert state.colours.unique().tolist() == [0, 1]
+
+
+def test_more_balls_leave_the_rest_of_an_episode_as_it_is() -> None:
+    few, many = (Engine(config(f"task.balls={n}"), 8, 0).reset() for n in (2, 4))
+    for name in ("human_pos", "joint_pos"):
+        assert torch.equal(getattr(few, name), getattr(many, name))
+    assert torch.equal(few.colours[:, 0], many.colours[:, 0])
+
+
+def test_too_many_balls_for_the_table_or_the_task_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"task.balls=7 must be from 1 to 6"):
+        config("task.balls=7")
+    with pytest.raises(ConfigError, match=r"task.balls=2.*choose sort"):
+        compose("train", ["task=cycle", "task.balls=2", "task.ball_slots_m=[[0.0,0.0],[0.0,0.07]]"])
+
+
+def test_aiming_moves_the_goal_and_is_refused_while_a_ball_is_held() -> None:
+    engine = Engine(config("human=none"), 3, 0)
+    engine.reset()
+    engine.episodes.aim(torch.tensor([1]), torch.tensor([2]))
+    state = engine.episodes.state
+    assert state.target.tolist() == [0, 2, 0]
+    assert torch.equal(state.ball_pos[1], state.balls[1, 2])
+    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
+    assert torch.equal(state.drop_pos[1], drops[1, state.colours[1, 2]])
+    engine.episodes.state = state.with_(stage=torch.tensor([0, 1, 0]))
+    with pytest.raises(ValueError, match="cannot be picked"):
+        engine.episodes.aim(torch.tensor([1]), torch.tensor([0]))
+
+
+@pytest.mark.parametrize("choose", [nearest, cautious])
+def test_experts_sort_every_ball_once(choose) -> None:
+    engine = Engine(config("task.balls=3", "human=none"), 2, 0)
+    controller = sorting(engine, choose)
+    engine.reset()
+    moments = list(play(engine, controller))
+    assert moments[-1].outcome.state.placed.all() and moments[-1].outcome.success.all()
+    for row in range(2):
+        runs = [run for run in controller.runs if run.row == row]
+        assert sorted(run.option for run in runs if run.option.startswith("pick")) == [
+            "pick_1",
+            "pick_2",
+            "pick_3",
+        ]
+        assert [run.option for run in runs][1::3] == ["place"] * 3
+        assert all(run.ending == "success" for run in runs)
+
+
+def decision(engine: Engine, running: Running, **changes) -> Decision:
+    state, n = engine.episodes.state, engine.rows
+    plain = Decision(
+        state,
+        running.available(state),
+        torch.full((n,), -1),
+        torch.zeros(n, dtype=torch.int64),
+        torch.zeros(n, dtype=torch.int64),
+    )
+    return replace(plain, **changes)
+
+
+@pytest.fixture(scope="module")
+def begun() -> tuple[Engine, Running]:
+    engine = Engine(config(), 8, 0)
+    engine.reset()
+    options = sorting_options(STILL, engine.scene, engine.episodes.config, 0)
+    return engine, Running(options, 500, engine.episodes)
+
+
+def test_only_options_that_can_start_are_offered(begun) -> None:
+    engine, running = begun
+    mask = running.available(engine.episodes.state)
+    assert mask[:, :4].all() and mask[:, WAIT].all()
+    assert not (mask[:, PLACE] | mask[:, RETURN] | mask[:, RETREAT]).any()
+    state = engine.episodes.state
+    placed = state.placed.clone()
+    placed[:, 1] = True
+    assert not running.available(state.with_(placed=placed))[:, 1].any()
+
+
+def test_a_random_controller_chooses_what_can_start(begun) -> None:
+    choose, asked = at_random(3), decision(*begun)
+    for _ in range(20):
+        assert asked.mask.gather(1, choose(asked)[:, None]).all()
+
+
+def test_nearest_takes_the_nearest_ball(begun) -> None:
+    asked = decision(*begun)
+    away = (asked.state.balls - asked.state.tcp_pos[:, None]).norm(dim=-1)
+    assert torch.equal(nearest(asked), away.argmin(dim=1))
+
+
+def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(begun) -> None:
+    asked = decision(*begun)
+    here = asked.state.with_(human_pos=asked.state.balls[:, 0, :2])
+    wait = asked.mask.shape[1] + WAIT
+    assert (cautious(replace(asked, state=here)) == wait).all()
+    assert (cautious(replace(asked, state=here, waits=torch.full((8,), 6))) != wait).all()
+
+
+def test_what_runs_out_of_time_is_tried_again_from_home(begun) -> None:
+    asked = decision(*begun)
+    away = replace(asked, mask=asked.mask | torch.eye(8, dtype=torch.bool)[RETREAT])
+    count = asked.mask.shape[1]
+    stuck = replace(
+        away,
+        option=torch.zeros(8, dtype=torch.int64),
+        ending=torch.full((8,), ENDINGS.index(Ending.PREEMPTED)),
+    )
+    assert (nearest(stuck) == count + RETREAT).all()
+    assert (nearest(replace(stuck, option=torch.full((8,), count + RETREAT))) < 4).all()
+
+
+def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(begun) -> None:
+    state = begun[0].episodes.state
+    for level in (float("nan"), 3.0):
+        seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10)
+        assert seen.shape == (8, 16 + 9 * 4) and bool(seen.isfinite().all())
+
+
+def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
+    folder = tmp_path / "meta"
+    overrides = [
+        "task.balls=2", "human=none", "engine.rows=4", "meta_agent.options=24", "meta_agent.warmup_options=8",
+        "meta_agent.batch_size=8", "meta_agent.log_every=12", f"output={folder}",
+        *(f"policies.{name}=expert" for name in EXPERTS),
+    ]  # fmt: skip
+    trained = compose("train_meta", overrides)
+    assert isinstance(trained, MetaTrainConfig)
+    train_meta(trained)
+    rows = (folder / "metrics.csv").read_text().splitlines()
+    assert rows[0].startswith("options,updates,episodes") and len(rows) >= 3
+    with pytest.raises(ConfigError, match="among 6 options"):
+        load_choice(str(folder), 10, 8)
+    result = measure(
+        compose(
+            "evaluate",
+            [
+                "task=sort", "task.balls=2", "human=none", "meta=learned", "episodes=2",
+                "task.limit_steps=400",
+                "comfort=sort", f"policies.meta={folder}", *(f"policies.{name}=expert" for name in EXPERTS),
+            ],
+        )
+    )  # fmt: skip
+    assert len(result.episodes) == 2 and np.isfinite([e.return_ for e in result.episodes]).all()
+
+
+def test_a_controller_that_does_not_sort_is_refused() -> None:
+    with pytest.raises(ConfigError, match="train meta takes task=sort"):
+        compose("train_meta", ["task=cycle"])
+    with pytest.raises(ConfigError, match="is for task=sort"):
+        measure(
+            compose(
+                "evaluate",
+                ["task=cycle", "meta=cautious", "episodes=1", *(f"policies.{n}=expert" for n in EXPERTS)],
+            )
+        )
