@@ -114,6 +114,8 @@ class EvaluateConfig:
     """Columns of episodes.csv that split summary.json further."""
     record: bool
     """Write paths.csv."""
+    disturbance: str
+    """What goes wrong on purpose, once an episode: `none`, `drop` or `block` (`sim.disturbance`)."""
     endings: str | None
     """Instead, write how the joints were when episodes drawn as in training succeeded to this .npz: angles,
     velocities and servo targets, the starts of the next subtask."""
@@ -121,6 +123,7 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         one_of("checkpoints", self.checkpoints, ("none", "all"))
+        one_of("disturbance", self.disturbance, ("none", "drop", "block"))
         if not self.output:
             raise ConfigError("output='' must be a folder")
         chained = self.meta.name != "none"

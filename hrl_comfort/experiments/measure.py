@@ -158,7 +158,7 @@ class Chunk:
         self.label = policy or config.policy or f"meta={config.meta.name}"
         rows = len(entries.episode)
         env = environment(config)
-        self.engine = Engine(env, rows, 0, entries, measure_arm=True)
+        self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
         self.controller = make_controller(config, policy, self.engine)
         self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
 

@@ -97,6 +97,11 @@ class Scripted:
                 self._option[row] += 1
                 self._attempt[row] = 0
                 self._over[row] = bool(outcome.done[row])
+            elif int(state.stage[row]) < option.first:
+                self._end(row, now, Ending.PREEMPTED)  # the ball is lost: back to whoever takes it
+                stages = [o.last for o in self.options]
+                self._option[row] = next(i for i, last in enumerate(stages) if int(state.stage[row]) < last)
+                self._attempt[row] = 0
             elif now - int(self._started[row]) >= int(limit[row]):
                 self._end(row, now, Ending.PREEMPTED)
                 self._attempt[row] += 1

@@ -38,6 +38,7 @@ class Running:
         self.option = torch.zeros(episodes.rows, dtype=torch.int64)
         self.started = torch.zeros(episodes.rows, dtype=torch.int64)
         self._until = torch.zeros(episodes.rows, dtype=torch.int64)
+        self._from = torch.zeros(episodes.rows, dtype=torch.int64)
 
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start now; where none can, each may (the episode is over)."""
@@ -58,6 +59,7 @@ class Running:
             raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
         self.option = torch.where(rows, chosen, self.option)
         self.started = torch.where(rows, state.steps, self.started)
+        self._from = torch.where(rows, state.stage, self._from)
         for index, option in enumerate(self.options):
             here = torch.nonzero(rows & (chosen == index)).squeeze(-1)
             if not len(here):
@@ -80,7 +82,8 @@ class Running:
     def ended(self, outcome: Outcome) -> Ended:
         """Return which options have ended with a decision, and how.
 
-        A pause that has lasted its time has succeeded; any other option is preempted then.
+        A pause that has lasted its time has succeeded; any other option is preempted then, or when the task
+        is back at an earlier stage: the ball is lost.
         """
         state = outcome.state
         lasted = state.steps - self.started
@@ -93,7 +96,7 @@ class Running:
                     done = done | option.done(state)
                 succeeded = succeeded | (done & (self.option == index))
         failed = outcome.terminated & ~outcome.success
-        ended = succeeded | failed | outcome.truncated | over
+        ended = succeeded | failed | outcome.truncated | over | (state.stage < self._from)
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)

@@ -23,9 +23,9 @@ POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
-LEVEL_STREAM, LATER_STREAM, BALL_STREAM = 1, 2, 3
-"""Of random numbers for levels, for walks beyond `task.limit_steps`, and for balls: streams of their own, so
-that with comfort or without, with one ball or several, the rest of an episode is the same."""
+LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM = 1, 2, 3, 4
+"""Of random numbers for levels, for walks beyond `task.limit_steps`, for balls and for disturbances: streams
+of their own, so that with them or without, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class Draws:
 
         In the second half, starts are those of inverse kinematics: none of the recorded ones was free.
         """
-        rng = self._generator(row, episode)
+        rng = self.generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
         if self._evaluation is None:
-            later = self._generator(row, episode, LATER_STREAM)
+            later = self.generator(row, episode, LATER_STREAM)
             noise = rng.random((self._plain_horizon, people.NOISE))
             more = later.random((self.horizon - self._plain_horizon, people.NOISE))
             motion_id, noise = -1, np.concatenate([noise, more])
@@ -85,8 +85,8 @@ class Draws:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, people.NOISE))
-        level = self._generator(row, episode, LEVEL_STREAM).random(DRAWS)
-        balls, colours = self._balls(colour, self._generator(row, episode, BALL_STREAM))
+        level = self.generator(row, episode, LEVEL_STREAM).random(DRAWS)
+        balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
             bank = banks[colour % len(banks)]
@@ -115,7 +115,8 @@ class Draws:
         centres = np.concatenate([goals, np.zeros((n, 1, 2))], axis=1)
         return people.KeepOut(centres, self._config.human.keep_out_m)
 
-    def _generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
+    def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
+        """Return the random numbers of an episode; another stream, other numbers."""
         key = [(self.seed << 32) + row, (stream << 48) + episode]
         if self._evaluation is not None:
             entry = row % len(self._evaluation.episode)

@@ -30,9 +30,10 @@ class Engine:
         seed: int,
         evaluation: EvaluationSet | None = None,
         measure_arm: bool = False,
+        disturbance: str = "none",
     ) -> None:
         self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
-        self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm)
+        self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance)
         self.rows = rows
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
         self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)

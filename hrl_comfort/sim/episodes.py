@@ -27,7 +27,8 @@ from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.arm_distance import ArmDistance
 from hrl_comfort.sim.cartesian import CartesianHand
-from hrl_comfort.sim.draws import ATTEMPTS, Draw, Draws
+from hrl_comfort.sim.disturbance import Disturbance, blocking_place
+from hrl_comfort.sim.draws import ATTEMPTS, DISTURBANCE_STREAM, Draw, Draws
 from hrl_comfort.sim.outcome import Outcome, judge
 from hrl_comfort.tasks import State, Subtask, subtask
 
@@ -48,7 +49,8 @@ class Episodes:
     """The episodes of `rows` cells.
 
     With an `evaluation` set, row r runs the set's entry r (modulo its length): its spawn, motion and seed.
-    `measure_arm` fills `State.arm_distance` even where no reward asks for it.
+    `measure_arm` fills `State.arm_distance` even where no reward asks for it; `disturbance` is one of
+    `sim.disturbance`.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Episodes:
         seed: int,
         evaluation: EvaluationSet | None = None,
         measure_arm: bool = False,
+        disturbance: str = "none",
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         plain = subtask(config.task.name, config.task.observation, config.task.balls)
@@ -72,6 +75,7 @@ class Episodes:
         self.draws = Draws(scene, config, self.subtask, seed, evaluation)
         self._drops = self.draws.goals[1:]
         self._tcp_home: Array | None = None
+        self._disturbance = Disturbance(disturbance, rows)
 
         n = rows
         self.episode = np.full(n, -1, dtype=np.int64)
@@ -110,6 +114,7 @@ class Episodes:
         for _ in range(ATTEMPTS):
             for row in pending:
                 self._take(row, next(attempts[row]))
+                self._disturb(int(row))
             self.source.begin(pending)
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
@@ -138,6 +143,13 @@ class Episodes:
         self.start[row], self.joint_target[row] = draw.start, draw.start[12:]
         self.points[row], self.walk.spawn[row] = draw.points, draw.spawn
 
+    def _disturb(self, row: int) -> None:
+        rng = self.draws.generator(row, int(self.episode[row]), DISTURBANCE_STREAM)
+        self._disturbance.begin(row, rng)
+        if self._disturbance.kind == "block":
+            drop = self._drops[self.colours[row, 0], :2]
+            self.walk.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
+
     # ---- one decision ----------------------------------------------------------------------------------
 
     def plan(self, action: Array) -> Array:
@@ -162,7 +174,10 @@ class Episodes:
         for k in range(steps):
             index = np.minimum(self.steps + k, self.noise.shape[1] - 1)
             noise = self.noise[np.arange(n), index]
+            standing = np.flatnonzero(self._disturbance.stands(self.steps + k))
+            stood = self.walk.rows(standing)
             self.walk = people.advance(self.config.human, self.walk, noise, tcp, keep_out)
+            self.walk = self.walk.put(standing, stood) if len(standing) else self.walk
             walks.append(self.walk)
         human = np.stack([walk.position for walk in walks], axis=1)
         yaw = np.stack([walk.yaw for walk in walks], axis=1)
@@ -192,6 +207,7 @@ class Episodes:
         before, level = self.state.stage, self._next_level(outcome)
         self.state = outcome.state.with_(level=level)
         self._sort(before)
+        self._lose()
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
@@ -222,6 +238,15 @@ class Episodes:
         self.state = self.state.put(rows, aimed)
 
     # ---- pieces ----------------------------------------------------------------------------------------
+
+    def _lose(self) -> None:
+        """Let the ball fall where it is knocked out of the gripper: it has to be picked again."""
+        assert self.state is not None
+        names = [stage.name for stage in self.subtask.stages]
+        held = torch.tensor([name == "place" for name in [*names, ""]])[self.state.stage]
+        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
+        if bool(lost.any()):
+            self.state = self.state.with_(stage=self.state.stage - lost.long())
 
     def _sort(self, before: Tensor) -> None:
         """Note the balls that have been placed since the stages `before` (N,); aim at the next where due."""

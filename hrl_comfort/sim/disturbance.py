@@ -1,0 +1,50 @@
+"""What goes wrong on purpose in an evaluation, once an episode.
+
+`drop`: the first ball taken is knocked out of the gripper and lies where it lay. `block`: a person stands at
+the table where the first ball belongs, and wanders off after a while.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import ConfigError
+
+Array = NDArray[np.float64]
+DISTURBANCES = ("none", "drop", "block")
+HELD = (1, 4)
+"""`drop`: the ball is lost after so many decisions, drawn for each episode."""
+BLOCK_STEPS = 400
+"""`block`: control steps, 8 s, for which the person stands there."""
+
+
+class Disturbance:
+    """Of the episodes of `rows` cells; `kind` is one of DISTURBANCES."""
+
+    def __init__(self, kind: str, rows: int) -> None:
+        if kind not in DISTURBANCES:
+            raise ConfigError(f"disturbance={kind!r} is not allowed; choose one of {', '.join(DISTURBANCES)}")
+        self.kind = kind
+        self._left = np.zeros(rows, dtype=np.int64)
+
+    def begin(self, row: int, rng: np.random.Generator) -> None:
+        """Draw when the ball will be lost in the episode that begins in `row`."""
+        self._left[row] = rng.integers(HELD[0], HELD[1] + 1)
+
+    def drops(self, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return (N,) whether the ball is lost after a decision at whose end it is held (N,)."""
+        if self.kind != "drop":
+            return np.zeros_like(held)
+        self._left[held] -= 1
+        return held & (self._left == 0)
+
+    def stands(self, steps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (N,) whether the person stands still at control steps (N,)."""
+        return (steps < BLOCK_STEPS) & (self.kind == "block")
+
+
+def blocking_place(drop: Array, keep_out_m: float) -> Array:
+    """Return where (2,) m somebody stands who blocks the table at drop (2,) m: behind it for the robot."""
+    away: Array = drop * (1 + (keep_out_m + 1e-6) / np.linalg.norm(drop))
+    return away

@@ -1,0 +1,59 @@
+"""What goes wrong on purpose, and that controllers get over it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from hrl_comfort.compose import compose, environment
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.experiments.measure import Result, measure
+from hrl_comfort.sim.disturbance import BLOCK_STEPS
+from hrl_comfort.sim.engine import Engine
+
+
+def measured(*overrides: str) -> Result:
+    config = compose("evaluate", ["meta=scripted", "human=none", "episodes=4", *overrides])
+    assert isinstance(config, EvaluateConfig)
+    return measure(replace(config, policies=dict.fromkeys(config.meta.options, "expert")))
+
+
+@pytest.mark.parametrize("overrides", [("task=cycle",), ("task=sort", "task.balls=2")])
+def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None:
+    calm, disturbed = (measured(*overrides, f"disturbance={kind}") for kind in ("none", "drop"))
+    assert all(episode.success for episode in disturbed.episodes)
+    for before, after in zip(calm.episodes, disturbed.episodes, strict=True):
+        runs = [run for run in disturbed.options if run["episode"] == after.episode]
+        assert sum(run["ending"] == "preempted" for run in runs) == 1
+        assert after.steps > before.steps
+
+
+def test_one_network_for_the_whole_task_loses_its_ball_too() -> None:
+    config = compose("evaluate", ["task=pick_place", "policy=expert", "human=none", "episodes=4"])
+    calm, disturbed = (measure(replace(config, disturbance=kind)) for kind in ("none", "drop"))
+    assert all(episode.success for episode in disturbed.episodes)
+    assert all(b.steps > a.steps for a, b in zip(calm.episodes, disturbed.episodes, strict=True))
+
+
+def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
+    config = environment(compose("train", ["task=cycle", "human=random_walk"]))
+    engine = Engine(config, 6, 0, disturbance="block")
+    state = engine.reset()
+    apart = (state.human_pos - state.drop_pos[:, :2]).norm(dim=-1)
+    torch.testing.assert_close(apart, torch.full_like(apart, config.human.keep_out_m), atol=1e-4, rtol=0)
+    stand = torch.zeros_like(state.joint_pos).numpy()
+    here, left = state.human_pos, torch.zeros(6, dtype=torch.bool)
+    for _ in range(BLOCK_STEPS // 5 + 4):
+        outcome = engine.step(stand)
+        standing = outcome.state.steps <= BLOCK_STEPS
+        moved = (outcome.state.human_pos - here).norm(dim=-1) > 1e-9
+        assert not (moved & standing).any()
+        left |= moved
+    assert left.all()
+
+
+def test_an_unknown_disturbance_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"disturbance='flood'.*drop"):
+        compose("evaluate", ["disturbance=flood"])
