@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|speed|fixed|forms|field|figures|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -104,19 +104,35 @@ comfort_10cm() { # on to 10 cm
 }
 
 comfort_cycle() { # pick, place and return with levels, each begun where the one before it ends, and their chain
-    ten_cm=(task.precision.take_m=0.10 task.precision.leave_m=0.10)
+    anywhere=(task.precision.take_m=0.10 task.precision.leave_m=0.10 task.ball_jitter_m=0.075)
     for seed in ${SEEDS:-0}; do
         to=comfort/seed$seed start=ik seeds=("train_seed=$seed" "episode_seed=$seed")
         for task in pick place return; do
             train $to/${task}_first experiment=comfort_gentle task=$task curriculum=adaptive agent.decisions=100000 \
-                "${ten_cm[@]}" "${seeds[@]}" "task.start=$start"
+                "${anywhere[@]}" "${seeds[@]}" "task.start=$start"
             train $to/$task experiment=comfort_nearer task=$task agent.decisions=80000 \
-                "${ten_cm[@]}" "${seeds[@]}" "task.start=$start" "initial_policy=$ref/$to/${task}_first"
+                "${anywhere[@]}" "${seeds[@]}" "task.start=$start" "initial_policy=$ref/$to/${task}_first"
             endings $to/$task
             start=$ref/$to/$task/endings.npz
         done
-        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' \
-            "policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return"
+        skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
+        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}"
+    done
+}
+
+sort() { # several balls: four controllers above the skills of comfort_cycle, and what goes wrong on purpose
+    for seed in ${SEEDS:-0 1 2}; do
+        to=comfort/seed$seed
+        skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
+        meta=(task=sort comfort=sort reward=sort "${skills[@]}")
+        if [ ! -f "$ref/sort/seed$seed/meta.pt" ]; then
+            "${hrl[@]}" train meta "output=$ref/sort/seed$seed" "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
+        fi
+        for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done
+        measure sort/seed$seed/learned "${meta[@]}" meta=learned "policies.meta=$ref/sort/seed$seed"
+        for kind in drop block; do
+            measure sort/seed$seed/${kind} "${meta[@]}" meta=cautious disturbance=$kind
+        done
     done
 }
 
