@@ -175,7 +175,9 @@ figures() { # from the evaluations of comfort and rivals; what is recorded for a
     figure levels kind=levels "evaluations=['$ref/comfort/seed*/eval']"
     figure levels_10cm kind=levels "evaluations=['$ref/comfort/seed*/eval_10cm']"
     figure field kind=levels "evaluations=[$ref/comfort/field]"
-    figure plane kind=plane "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/field']" 'labels=[one policy,field]'
+    figure plane kind=plane 'labels=[one policy,a policy a level,field]' \
+        "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/fixed/*/eval','$ref/comfort/field']"
+    figure speed kind=speed "evaluations=['$ref/comfort/speed/seed*/eval']"
     record recorded/levels 100 $one 'levels=[1,4,7,10]'
     figure paths kind=paths "evaluations=[$ref/comfort/recorded/levels]"
     for human in random_walk arc approach; do record recorded/$human 20 $one human=$human 'levels=[5]'; done

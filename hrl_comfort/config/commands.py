@@ -166,7 +166,7 @@ class ReportConfig:
     video: bool
 
 
-FIGURES = ("levels", "speed", "plane", "paths", "people", "jump")
+FIGURES = ("levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain")
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,8 @@ class FigureConfig:
     levels: list[int]
     """`paths`: levels to draw; `people`: the one level to draw."""
     episodes: list[int]
-    """`paths`, `people`: one or two; none: the first orange and the first pink one that succeed in all."""
+    """`paths`, `people`: one or two; none: the first orange and the first pink one that succeed in all.
+    `timeline`: any; none: the first eight."""
     jump_s: float | None
     """`jump`: when the level changes, seconds from the start of the episode."""
 
@@ -199,7 +200,7 @@ class FigureConfig:
             raise ConfigError(f"output={self.output!r} must end in .png")
         if self.labels and len(self.labels) != len(self.evaluations):
             raise ConfigError(f"labels={list(self.labels)} must be as many as evaluations, or none")
-        if len(self.episodes) > 2:
+        if len(self.episodes) > 2 and self.kind != "timeline":
             raise ConfigError(f"episodes={list(self.episodes)} must be one or two, a panel each")
         if self.kind == "people" and len(self.levels) > 1:
             raise ConfigError(f"levels={list(self.levels)} must be one level: kind=people compares motions")

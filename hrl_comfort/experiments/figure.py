@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump
+from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump, option_figures
 from hrl_comfort.experiments.comfort_statistics import Limit, Paired, common, paired, summarise
 from hrl_comfort.experiments.comfort_table import markdown
 from hrl_comfort.experiments.figures import STYLE
 from hrl_comfort.experiments.run_folder import Run, read_run
+from hrl_comfort.experiments.statistics import Row
 from hrl_comfort.files import write_atomically, write_text
 
 DPI = 200
@@ -135,6 +136,33 @@ def _jump(config: FigureConfig, groups: Groups) -> Drawn:
     return level_jump.jump(data), level_jump.numbers(data)
 
 
+def _options(run: Run) -> list[Row]:
+    if not run.options:
+        raise ConfigError(
+            f"{run.folder} holds no options.csv; evaluate with a controller, meta=scripted, say"
+        )
+    return run.options
+
+
+def _timeline(config: FigureConfig, groups: Groups) -> Drawn:
+    runs = _everything(groups)
+    if len(runs) != 1:
+        raise ConfigError(f"evaluations={list(config.evaluations)} must be one: kind=timeline draws one")
+    name = config.labels[0] if config.labels else runs[0].folder.name
+    return option_figures.timeline(name, _options(runs[0]), config.episodes), {}
+
+
+def _chain(config: FigureConfig, groups: Groups) -> Drawn:
+    found = {}
+    for label, runs in groups.items():
+        # Episodes of several evaluations are told apart by which of them they belong to.
+        rows = [(f"{i}:", run) for i, run in enumerate(runs)]
+        episodes = [{**row, "episode": i + row["episode"]} for i, run in rows for row in run.episodes or []]
+        options = [{**row, "episode": i + row["episode"]} for i, run in rows for row in _options(run)]
+        found[label] = option_figures.chain_lengths(episodes, options)
+    return option_figures.chain(found), dict(found)
+
+
 KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "levels": _levels,
     "speed": _speed,
@@ -142,4 +170,6 @@ KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "paths": _paths,
     "people": _people,
     "jump": _jump,
+    "timeline": _timeline,
+    "chain": _chain,
 }

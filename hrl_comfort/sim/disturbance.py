@@ -13,8 +13,8 @@ from hrl_comfort.config import ConfigError
 
 Array = NDArray[np.float64]
 DISTURBANCES = ("none", "drop", "block")
-HELD = (1, 4)
-"""`drop`: the ball is lost after so many decisions, drawn for each episode."""
+HELD = (2, 5)
+"""`drop`: the ball is lost after so many decisions, drawn for each episode; the first is that of taking it."""
 BLOCK_STEPS = 400
 """`block`: control steps, 8 s, for which the person stands there."""
 

@@ -1,0 +1,62 @@
+"""Figures of what controllers do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.compose import compose
+from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.experiments.figure import figure
+from hrl_comfort.experiments.option_figures import chain_lengths
+
+
+def run(episode: int, option: str, ending: str, start: int = 0, end: int = 10) -> dict[str, str]:
+    return {
+        "episode": str(episode), "option": option, "attempt": "1", "start_step": str(start),
+        "end_step": str(end), "ending": ending,
+    }  # fmt: skip
+
+
+OPTIONS = [
+    run(0, "pick_1", "success"),
+    run(0, "wait", "success"),
+    run(0, "place", "preempted"),
+    run(0, "place", "success"),
+    run(1, "pick_2", "success"),
+    run(1, "place", "failure"),
+]
+EPISODES = [{"episode": "0"}, {"episode": "1"}, {"episode": "2"}]
+
+
+def test_chain_lengths_count_what_takes_the_task_further() -> None:
+    found = chain_lengths(EPISODES, OPTIONS)
+    assert [(at["options"], at["success"]) for at in found] == [(1, 2 / 3), (2, 1 / 3)]
+    assert all(at["ci95"][0] < at["success"] < at["ci95"][1] for at in found)
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cycle")
+    experts = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = ["task=cycle", "meta=scripted", "human=none", "episodes=3", *experts, f"output={folder}"]
+    assert main(["evaluate", *words]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["timeline", "chain"])
+def test_figures_of_options_are_drawn_from_an_evaluation(kind: str, evaluation: Path, tmp_path: Path) -> None:
+    output = tmp_path / f"{kind}.png"
+    config = compose("figure", [f"kind={kind}", f"evaluations=[{evaluation}]", f"output={output}"])
+    assert isinstance(config, FigureConfig)
+    figure(config)
+    assert output.stat().st_size > 5000
+    assert output.with_suffix(".json").exists() is (kind == "chain")
+
+
+def test_an_evaluation_without_options_or_episode_is_refused(evaluation: Path, tmp_path: Path) -> None:
+    words = ["kind=timeline", f"evaluations=[{evaluation}]", f"output={tmp_path}/t.png", "episodes=[999]"]
+    with pytest.raises(ConfigError, match="no episode 999"):
+        figure(compose("figure", words))
