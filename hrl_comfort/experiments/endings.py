@@ -10,7 +10,8 @@ from rich.console import Console
 
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ENDINGS_SEED, ConfigError, EvaluateConfig
-from hrl_comfort.experiments.measure import CHUNK, COLOURS, make_controller
+from hrl_comfort.experiments.controllers import make_controller
+from hrl_comfort.experiments.measure import CHUNK, COLOURS
 from hrl_comfort.files import write_atomically
 from hrl_comfort.meta.play import play
 from hrl_comfort.sim.engine import Engine

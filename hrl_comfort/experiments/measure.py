@@ -18,20 +18,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from hrl_comfort.comfort.adapt import limit_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.config import EvaluateConfig, TrainConfig
+from hrl_comfort.experiments.controllers import make_controller
 from hrl_comfort.experiments.statistics import write_summary
 from hrl_comfort.files import write_text
-from hrl_comfort.meta.choices import make_choice
-from hrl_comfort.meta.controllers import Controller, OptionRun, Scripted, chain, single
-from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
+from hrl_comfort.meta.controllers import OptionRun
 from hrl_comfort.meta.play import play
-from hrl_comfort.meta.q_learning import load_choice
-from hrl_comfort.meta.running import Running
-from hrl_comfort.meta.sorting import SKILLS, Sorting, sorting_options
 from hrl_comfort.people import EvaluationSet, load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
-from hrl_comfort.tasks import State, subtask
+from hrl_comfort.tasks import State
 
 Floats = NDArray[np.float64]
 
@@ -294,47 +290,6 @@ PATH_COLUMNS = [
 def rounded(value: float) -> float:
     """Return a number as tables hold it: to a micrometre, or the like."""
     return round(float(value), 6)
-
-
-def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Controller:
-    """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
-    env, scene, task = environment(config), engine.scene, engine.episodes.subtask
-    if config.meta.name == "none":
-        source = policy or config.policy
-        if source is None:
-            raise ConfigError(
-                f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
-            )
-        act = make_policy(source, task, scene, env, config.episode_seed)
-        return single(task, Option(task.name, task, act), config.task.limit_steps, config.comfort)
-    missing = [name for name in config.meta.options if name not in config.policies]
-    if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
-    if config.task.name == "sort":
-        if list(config.meta.options) != list(SKILLS):
-            raise ConfigError(f"meta.options={list(config.meta.options)} do not sort; choose division=three")
-        running = Running(
-            sorting_options(config.policies, scene, env, config.episode_seed),
-            config.meta.time_limit_steps,
-            engine.episodes,
-        )
-        if config.meta.name == "learned":
-            if "meta" not in config.policies:
-                raise ConfigError("policies.meta is not given; meta=learned needs it")
-            choose = load_choice(config.policies["meta"], config.comfort.levels, len(running.options))
-        else:
-            choose = make_choice(config.meta.name, config.episode_seed)
-        return Sorting(running, choose)
-    if config.meta.name != "scripted":
-        raise ConfigError(
-            f"meta={config.meta.name} is for task=sort; task={config.task.name} takes meta=scripted"
-        )
-    options = []
-    for name in config.meta.options:
-        part = subtask(name)
-        act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
-        options.append(Option(name, part, act))
-    return Scripted(config.meta, task, chain(options), config.comfort)
 
 
 def train_seed(source: str | None) -> int | None:

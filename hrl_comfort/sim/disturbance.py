@@ -14,7 +14,7 @@ from hrl_comfort.config import ConfigError
 Array = NDArray[np.float64]
 DISTURBANCES = ("none", "drop", "block")
 HELD = (2, 5)
-"""`drop`: the ball is lost after so many decisions, drawn for each episode; the first is that of taking it."""
+"""`drop`: the ball is lost after so many decisions, drawn for each episode; taking it is the first."""
 BLOCK_STEPS = 400
 """`block`: control steps, 8 s, for which the person stands there."""
 
