@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|divisions|handover|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -186,6 +186,34 @@ figures() { # from the evaluations of comfort and rivals; what is recorded for a
     record recorded/calm 1000 $ten comfort.source=fixed comfort.level=10
     record recorded/jump 1000 $ten comfort.source=schedule 'comfort.schedule_s=[0,0.2]' 'comfort.schedule_levels=[10,1]'
     figure jump kind=jump jump_s=0.2 "evaluations=[$ref/comfort/recorded/calm,$ref/comfort/recorded/jump]"
+}
+
+divisions() { # the cycle with three, two and one network: 620,000 decisions each way
+    train division/pick_place experiment=reference task=pick_place agent.decisions=420000
+    endings division/pick_place
+    train division/return experiment=reference task=return agent.decisions=200000 \
+        "task.start=$ref/division/pick_place/endings.npz"
+    train division/cycle experiment=reference task=cycle agent.decisions=620000
+    measure division/three task=cycle meta=scripted \
+        "policies.pick=$ref/pick" "policies.place=$ref/place" "policies.return=$ref/return"
+    measure division/two task=cycle meta=scripted division=two \
+        "policies.pick_place=$ref/division/pick_place" "policies.return=$ref/division/return"
+    measure division/one task=cycle meta=scripted division=one "policies.cycle=$ref/division/cycle"
+}
+
+handover() { # place and return trained from made-up starts, and then on from how the policy before them ends
+    place=$ref/handover/place_alone back=$ref/handover/return_alone
+    train handover/place_alone experiment=reference task=place agent.decisions=200000
+    train handover/return_alone experiment=reference task=return agent.decisions=150000
+    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/handover/before" \
+        "policies.pick=$ref/pick" "policies.place=$place" "policies.return=$back"
+    train handover/place experiment=reference task=place agent.decisions=100000 "initial_policy=$place" \
+        curriculum=off "task.start=$ref/pick/endings.npz"
+    endings handover/place
+    train handover/return experiment=reference task=return agent.decisions=100000 "initial_policy=$back" \
+        curriculum=off "task.start=$ref/handover/place/endings.npz"
+    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/handover/after" \
+        "policies.pick=$ref/pick" "policies.place=$ref/handover/place" "policies.return=$ref/handover/return"
 }
 
 expert() { # the scripted expert: every task can be done
