@@ -116,7 +116,8 @@ comfort_cycle() { # pick, place and return with levels, each begun where the one
             start=$ref/$to/$task/endings.npz
         done
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}"
+        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}" \
+            task.ball_jitter_m=0.075
     done
 }
 
@@ -125,7 +126,8 @@ sort() { # several balls: four controllers above the skills of comfort_cycle, an
         to=comfort/seed$seed
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
         meta=(task=sort comfort=sort reward=sort "${skills[@]}")
-        if [ ! -f "$ref/sort/seed$seed/meta.pt" ]; then
+        if ! grep -qs '"finished": true' "$ref/sort/seed$seed/provenance.json"; then
+            rm -rf "$ref/sort/seed$seed" # a controller takes minutes: one that was stopped begins anew
             "${hrl[@]}" train meta "output=$ref/sort/seed$seed" "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
         fi
         for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done

@@ -77,7 +77,7 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
     """
     known = check_overrides(root, overrides)
     try:
-        if root == "evaluate":
+        if root in ("evaluate", "train_meta"):
             known = [*_as_trained(known), *known]
         with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
             return _freeze(ROOTS[root], hydra_compose(root, known))
@@ -191,7 +191,9 @@ def _as_trained(overrides: list[str]) -> list[str]:
     Where a group is chosen in `overrides`, what any of its files states is left to that choice.
     """
     parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(overrides)}
-    sources = [value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")]
+    given = {key: value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")}
+    # What a controller was trained in is what it is judged in, whatever its skills once saw.
+    sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta")]
     folder = next((found for source in sources if (found := run_folder(str(source)))), None)
     if folder is None:
         return []

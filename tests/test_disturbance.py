@@ -55,6 +55,19 @@ def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
     assert left.all()
 
 
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["task=place", "disturbance=drop"], "needs a ball that is picked and then placed"),
+        (["task=cycle", "disturbance=block", "human=none"], "needs a person"),
+        (["task=cycle", "disturbance=drop", "endings=e.npz"], "does not go with endings="),
+    ],
+)
+def test_a_disturbance_that_cannot_happen_is_refused(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        compose("evaluate", overrides)
+
+
 def test_an_unknown_disturbance_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"disturbance='flood'.*drop"):
         compose("evaluate", ["disturbance=flood"])

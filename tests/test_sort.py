@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
+from hrl_comfort.experiments.run_folder import find_runs
 from hrl_comfort.experiments.train_meta import train_meta
 from hrl_comfort.meta.choices import PLACE, RETREAT, RETURN, WAIT, Decision, at_random, cautious, nearest
 from hrl_comfort.meta.observation import meta_observation
 from hrl_comfort.meta.options import Ending
 from hrl_comfort.meta.play import play
-from hrl_comfort.meta.q_learning import load_choice
+from hrl_comfort.meta.q_learning import QLearner, load_choice
 from hrl_comfort.meta.running import ENDINGS, Running
 from hrl_comfort.meta.sorting import Sorting, sorting_options
 from hrl_comfort.sim.engine import Engine
@@ -172,8 +174,11 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     trained = compose("train_meta", overrides)
     assert isinstance(trained, MetaTrainConfig)
     train_meta(trained)
-    rows = (folder / "metrics.csv").read_text().splitlines()
+    rows = (folder / "meta_metrics.csv").read_text().splitlines()
     assert rows[0].startswith("options,updates,episodes") and len(rows) >= 3
+    with pytest.raises(ConfigError, match="already holds a controller"):
+        train_meta(trained)
+    assert [found.name for found in find_runs(tmp_path)] == ["meta"]  # a report of its parent still works
     with pytest.raises(ConfigError, match="among 6 options"):
         load_choice(str(folder), 10, 8)
     result = measure(
@@ -187,6 +192,68 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
         )
     )  # fmt: skip
     assert len(result.episodes) == 2 and np.isfinite([e.return_ for e in result.episodes]).all()
+
+
+def test_a_wait_ends_with_the_episode_that_succeeds_meanwhile(begun) -> None:
+    engine, running = begun
+    state = engine.episodes.state
+    running.begin(torch.ones(8, dtype=torch.bool), torch.full((8,), len(running.options) + WAIT))
+    outcome = engine.step(torch.zeros(8, 6).numpy())
+    won = replace(
+        outcome, success=torch.ones(8, dtype=torch.bool), terminated=torch.ones(8, dtype=torch.bool)
+    )
+    ended = running.ended(won)
+    assert ended.rows.all() and (ended.ending == ENDINGS.index(Ending.SUCCESS)).all()
+    engine.episodes.state = state
+
+
+def test_balls_that_could_overlap_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"ball_jitter_m=0.03 lets balls come within"):
+        Engine(config("task.ball_jitter_m=0.03"), 2, 0)
+
+
+def test_a_controller_learns_to_take_the_option_that_pays() -> None:
+    """Two options, one pays 1 and one 0, at once and for good; a third that would pay 9 cannot start."""
+    agent = compose("train_meta", ["meta_agent.batch_size=32", "meta_agent.learning_rate=0.01"]).meta_agent
+    learner = QLearner(agent, 2, 3, 0)
+    mask = torch.tensor([[True, True, False]]).expand(64, 3)
+    action = torch.arange(64) % 2
+    after = {
+        "observation": torch.ones(64, 2), "action_mask": mask, "reward": (action == 0).float()[:, None],
+        "done": torch.ones(64, 1, dtype=torch.bool), "terminated": torch.ones(64, 1, dtype=torch.bool),
+        "truncated": torch.zeros(64, 1, dtype=torch.bool),
+    }  # fmt: skip
+    now = {"observation": torch.ones(64, 2), "action_mask": mask, "action": action}
+    steps = {"steps_to_next_obs": torch.full((64, 1), 20)}
+    learner.remember(
+        TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[64])}, batch_size=[64])
+    )
+    for _ in range(200):
+        learner.update()
+    values = learner.network(TensorDict({"observation": torch.ones(1, 2), "action_mask": mask[:1]}, [1]))
+    assert values["action_value"][0, :2].tolist() == pytest.approx([1.0, 0.0], abs=0.05)
+    assert learner.choose(torch.ones(1, 2), mask[:1], 0.0).tolist() == [0]
+
+
+def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:
+    """One state, one option of 10 control steps that pays 1: V = 1 / (1 - gamma**10)."""
+    changes = ["batch_size=32", "learning_rate=0.01", "gamma=0.95", "tau=0.1", "hidden=[16]"]
+    agent = compose("train_meta", [f"meta_agent.{change}" for change in changes]).meta_agent
+    learner = QLearner(agent, 1, 2, 0)
+    one, mask = torch.ones(32, 1), torch.tensor([[True, False]]).expand(32, 2)
+    no = torch.zeros(32, 1, dtype=torch.bool)
+    after = {
+        "observation": one, "action_mask": mask, "reward": one, "done": no, "terminated": no, "truncated": no,
+    }  # fmt: skip
+    now = {"observation": one, "action_mask": mask, "action": torch.zeros(32, dtype=torch.int64)}
+    steps = {"steps_to_next_obs": torch.full((32, 1), 10)}
+    learner.remember(
+        TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[32])}, batch_size=[32])
+    )
+    for _ in range(600):
+        learner.update()
+    values = learner.network(TensorDict({"observation": one[:1], "action_mask": mask[:1]}, [1]))
+    assert values["action_value"][0, 0].item() == pytest.approx(1 / (1 - 0.95**10), rel=0.05)
 
 
 def test_a_controller_that_does_not_sort_is_refused() -> None:

@@ -82,10 +82,16 @@ class MetaTrainConfig:
             raise ConfigError(
                 f"task.name={self.task.name!r} leaves nothing to choose; train meta takes task=sort"
             )
+        if list(self.meta.options) != ["pick", "place", "return"]:
+            raise ConfigError(f"meta.options={list(self.meta.options)} do not sort; choose division=three")
         if self.meta.name != "learned":
             raise ConfigError(f"meta.name={self.meta.name!r} learns nothing; choose meta=learned")
         between("train_seed", self.train_seed, 0, 2**63 - 1)
         between("episode_seed", self.episode_seed, 0, ENDINGS_SEED - 1)
+
+
+HOLDING = ("pick_place", "cycle", "sort")
+"""Tasks in which a ball is picked and then placed."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +130,8 @@ class EvaluateConfig:
     def __post_init__(self) -> None:
         one_of("checkpoints", self.checkpoints, ("none", "all"))
         one_of("disturbance", self.disturbance, ("none", "drop", "block"))
+        if self.disturbance != "none":
+            self._check_disturbance()
         if not self.output:
             raise ConfigError("output='' must be a folder")
         chained = self.meta.name != "none"
@@ -139,6 +147,19 @@ class EvaluateConfig:
             self._check_levels()
         between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
         between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
+
+    def _check_disturbance(self) -> None:
+        if self.disturbance == "drop" and self.task.name not in HOLDING:
+            raise ConfigError(
+                f"disturbance=drop needs a ball that is picked and then placed; task.name={self.task.name!r} "
+                f"is not one of {', '.join(HOLDING)}"
+            )
+        if self.disturbance == "block" and self.human.motion in ("none", "playback"):
+            raise ConfigError(
+                f"disturbance=block needs a person who can stand; not human={self.human.motion}"
+            )
+        if self.endings is not None:
+            raise ConfigError(f"disturbance={self.disturbance} does not go with endings=")
 
     def _check_levels(self) -> None:
         levels, source = list(self.levels), self.comfort.source

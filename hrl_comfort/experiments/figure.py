@@ -137,6 +137,8 @@ def _jump(config: FigureConfig, groups: Groups) -> Drawn:
 
 
 def _options(run: Run) -> list[Row]:
+    if run.config.get("levels"):
+        raise ConfigError(f"{run.folder} is of several levels; options are drawn of one (comfort.level=)")
     if not run.options:
         raise ConfigError(
             f"{run.folder} holds no options.csv; evaluate with a controller, meta=scripted, say"

@@ -24,6 +24,7 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, MetaConfig, TrainCon
 from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.experiments.measure import measure, write_table
 from hrl_comfort.experiments.statistics import wilson_interval
+from hrl_comfort.meta.options import SCRIPTED
 from hrl_comfort.people import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
@@ -48,6 +49,14 @@ def handover(config: EvaluateConfig) -> Path:
     missing = [name for name in names if name not in config.policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
+    scripted = [name for name in names if config.policies[name] in SCRIPTED]
+    if scripted:
+        name = scripted[0]
+        raise ConfigError(f"policies.{name}={config.policies[name]} was not trained: it has no own starts")
+    if config.levels:
+        raise ConfigError(f"levels={list(config.levels)} does not go with handover; choose comfort.level=")
+    if config.disturbance != "none":
+        raise ConfigError(f"disturbance={config.disturbance} does not go with handover")
     output = Path(config.output)
     matrix: list[list[Any]] = []
     seams: list[list[Any]] = []
@@ -120,10 +129,10 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
-    task = subtask(config.task.name, config.task.observation)
+    task = subtask(config.task.name, policy.spec["meta"]["observation"])
     if policy.spec["meta"].get("levels") is not None:
         task = with_level(task, config.comfort.levels)
-    entries = load_evaluation_set().part(0, config.episodes)
+    entries = load_evaluation_set().reseeded(config.episode_seed).part(0, config.episodes)
     engine = Engine(environment(config), len(entries.episode), 0, entries)
     state = engine.reset()
     engine.close()

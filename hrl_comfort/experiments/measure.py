@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from hrl_comfort.comfort.adapt import limit_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.config import EvaluateConfig, TrainConfig
+from hrl_comfort.config import EvaluateConfig, MetaTrainConfig, TrainConfig
 from hrl_comfort.experiments.controllers import make_controller
 from hrl_comfort.experiments.statistics import write_summary
 from hrl_comfort.files import write_text
@@ -156,7 +156,8 @@ class Chunk:
         env = environment(config)
         self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
         self.controller = make_controller(config, policy, self.engine)
-        self.train_seed = train_seed(policy or config.policy or next(iter(config.policies.values()), None))
+        acting = policy or config.policy or config.policies.get("meta")
+        self.train_seed = train_seed(acting or next(iter(config.policies.values()), None))
 
     def run(self, advance: Callable[[int], None]) -> None:
         """Run every row to the end of its episode."""
@@ -230,7 +231,7 @@ class Chunk:
         config, state, entries = self.config, outcome.state, self.entries
         success = bool(outcome.success[row])
         hit = bool(state.human_collision[row])
-        colour = COLOURS[int(state.colour[row])]
+        colour = COLOURS[int(state.colours[row, 0])]
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
         episodes = self.engine.episodes
         return Episode(
@@ -298,4 +299,4 @@ def train_seed(source: str | None) -> int | None:
     if folder is None:
         return None
     trained = load_config(folder)
-    return trained.train_seed if isinstance(trained, TrainConfig) else None
+    return trained.train_seed if isinstance(trained, TrainConfig | MetaTrainConfig) else None

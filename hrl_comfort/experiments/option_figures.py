@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from hrl_comfort.experiments.figures import BLACK, BLUE, CYCLE, GREEN, ORANGE, P
 from hrl_comfort.experiments.statistics import Row, number, wilson_interval
 
 COLOURS = {"pick": BLUE, "place": ORANGE, "return": GREEN, "wait": SKY, "retreat": PURPLE}
+PICK = re.compile(r"pick_(\d+)")
 SHOWN = 8
 """Episodes of a timeline, where none are named."""
 
@@ -35,16 +37,18 @@ def timeline(name: str, options: Sequence[Row], episodes: Sequence[int]) -> Figu
         axis = figure.subplots()
         for line, episode in enumerate(chosen):
             for run in runs[episode]:
-                kind = run["option"].split("_")[0] if run["option"] not in COLOURS else run["option"]
+                picked = PICK.fullmatch(run["option"])
+                kind = "pick" if picked else run["option"]
                 start, end = (CONTROL_STEP_S * number(run[key]) for key in ("start_step", "end_step"))
                 colour = kinds.setdefault(kind, COLOURS.get(kind, VERMILLION))
                 hatch = "" if run["ending"] == "success" else "////"
                 axis.barh(
                     line, end - start, left=start, color=colour, edgecolor="white", hatch=hatch, height=0.8
                 )
-                ball = run["option"].removeprefix("pick_")
-                if ball != run["option"]:
-                    axis.text((start + end) / 2, line, ball, ha="center", va="center", color="white", size=7)
+                if picked:
+                    axis.text(
+                        (start + end) / 2, line, picked[1], ha="center", va="center", color="white", size=7
+                    )
         axis.set(xlabel="time (s)", ylabel="episode", title=name)
         axis.set_yticks(range(len(chosen)), [str(episode) for episode in chosen])
         axis.invert_yaxis()
@@ -63,12 +67,17 @@ def timeline(name: str, options: Sequence[Row], episodes: Sequence[int]) -> Figu
 def chain_lengths(episodes: Sequence[Row], options: Sequence[Row]) -> list[dict[str, Any]]:
     """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
 
-    Waits and retreats take the task no further and do not count.
+    Waits and retreats take the task no further and do not count, nor does a pick whose ball was lost.
     """
     done = {row["episode"]: 0 for row in episodes}
+    held: set[str] = set()
     for run in options:
-        if run["ending"] == "success" and run["option"] not in ("wait", "retreat"):
-            done[run["episode"]] += 1
+        episode, picks = run["episode"], run["option"] == "pick" or PICK.fullmatch(run["option"])
+        if run["ending"] != "success" or run["option"] in ("wait", "retreat"):
+            continue
+        if not (picks and episode in held):  # else the ball was lost, and is picked again
+            done[episode] += 1
+        held = held | {episode} if picks else held - {episode}
     lengths = np.array(list(done.values()))
     found = []
     for length in range(1, int(lengths.max(initial=0)) + 1):
@@ -84,6 +93,8 @@ def chain(groups: Mapping[str, list[dict[str, Any]]]) -> Figure:
         figure = Figure(figsize=(4.8, 3.0))
         axis = figure.subplots()
         for (label, found), colour in zip(groups.items(), (*CYCLE, BLACK) * len(groups), strict=False):
+            if not found:
+                raise ConfigError(f"{label}: no option succeeded in any episode, so there is nothing to draw")
             length = np.array([at["options"] for at in found])
             share = 100 * np.array([at["success"] for at in found])
             low, high = 100 * np.array([at["ci95"] for at in found]).T

@@ -207,6 +207,9 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     episode = (successes or list(recorded))[0]
     row = rows.get(episode, {})
     task, colour = row.get("task") or run.config["task"]["name"], row.get("colour") or "orange"
+    task_config = run.config["task"]
+    if task_config.get("balls", 1) > 1 or task_config.get("ball_jitter_m", 0.0) > 0:
+        return "", f"No video: {run.name} has its balls in other places than the picture knows of."
     try:
         robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
         video.write_video(file, video.frames(recorded[episode], robot, cell, task, colour))

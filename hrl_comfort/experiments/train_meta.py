@@ -20,11 +20,12 @@ from hrl_comfort.meta.option_env import OptionEnv
 from hrl_comfort.meta.q_learning import QLearner
 from hrl_comfort.meta.sorting import sorting_options
 
+METRICS = "meta_metrics.csv"
 COLUMNS = ("options", "updates", "episodes", "success", "placed", "return", "steps", "exploration", "loss")
 
 
 def train_meta(config: MetaTrainConfig) -> Path:
-    """Train as `config` says and return the run folder: config.yaml, metrics.csv, provenance.json, meta.pt.
+    """Train as `config` says; return the run folder: config.yaml, meta_metrics.csv, provenance.json, meta.pt.
 
     Raises:
       ConfigError: a choice is not allowed, a policy is missing, or the folder is taken.
@@ -69,7 +70,8 @@ class MetaTraining:
         """Train to the end."""
         agent, began, logged = self.config.meta_agent, time.monotonic(), 0
         save_config(self.config, self.folder / "config.yaml")
-        with (self.folder / "metrics.csv").open("w", newline="") as file:
+        self._provenance(began, finished=False)
+        with (self.folder / METRICS).open("w", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(COLUMNS)
             now = self.env.reset()
@@ -83,10 +85,13 @@ class MetaTraining:
                         file.flush()
                         self._save()
                     show(min(self.options, agent.options), [e[0] > 0 for e in self.finished[-100:]], 0.0)
+        self._provenance(began, finished=True)
+
+    def _provenance(self, began: float, finished: bool) -> None:
         write_provenance(
             self.folder,
             {"train_seed": self.config.train_seed, "episode_seed": self.config.episode_seed},
-            finished=True,
+            finished=finished,
             options=self.options,
             updates=self.updates,
             wall_seconds=round(time.monotonic() - began, 1),

@@ -43,9 +43,11 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        begun = (folder / "checkpoints").exists() or (folder / "policy.pt").exists()
+        begun = any((folder / name).exists() for name in ("checkpoints", "policy.pt"))
         if not resume and begun and (folder / "config.yaml").exists():
             raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")
+        if not resume and (folder / "meta.pt").exists():
+            raise ConfigError(f"output={folder} already holds a controller; choose another")
         yield
     finally:
         os.close(descriptor)

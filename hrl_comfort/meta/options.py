@@ -130,7 +130,7 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
         theirs = meta[key.removeprefix("task.")]
         if theirs != ours:
             raise ConfigError(f"{key}={ours}, but policy={source!r} was trained with {key}={theirs}")
-    seen = subtask(task.name, meta["observation"])
+    seen = subtask(task.name, meta["observation"], config.task.balls)
     levels = meta.get("levels")  # policies of version 0.1 do not say: they know of no level
     if levels is not None:
         if config.comfort.source == "none":

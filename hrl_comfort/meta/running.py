@@ -70,11 +70,12 @@ class Running:
         assert self._episodes.state is not None
         return self._episodes.state
 
-    def act(self, state: State) -> Tensor:
-        """Return the actions (N, 6) of the options in force."""
+    def act(self, state: State, acting: Tensor | None = None) -> Tensor:
+        """Return the actions (N, 6) of the options in force; rows not `acting` (N,) bool stand still."""
         action = torch.zeros_like(state.joint_pos)
         for index, option in enumerate(self.options):
-            rows = torch.nonzero(self.option == index).squeeze(-1)
+            chosen = self.option == index
+            rows = torch.nonzero(chosen if acting is None else chosen & acting).squeeze(-1)
             if len(rows):
                 action[rows] = option.act(state.rows(rows)).to(action.dtype)
         return action
@@ -96,7 +97,8 @@ class Running:
                     done = done | option.done(state)
                 succeeded = succeeded | (done & (self.option == index))
         failed = outcome.terminated & ~outcome.success
-        ended = succeeded | failed | outcome.truncated | over | (state.stage < self._from)
+        succeeded = succeeded | outcome.success  # of the whole episode, whatever was running
+        ended = succeeded | outcome.done | over | (state.stage < self._from)
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.meta.choices import WAIT, Choose, Decision
 from hrl_comfort.meta.controllers import OptionRun
 from hrl_comfort.meta.options import Option, Pause, make_policy
@@ -24,7 +24,16 @@ WAIT_STEPS = 25
 def sorting_options(
     policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
 ) -> list[Option | Pause]:
-    """Return a pick for each ball, place, return, wait and retreat; policies by subtask name."""
+    """Return a pick for each ball, place, return, wait and retreat; policies by subtask name.
+
+    Raises:
+      ConfigError: a policy is missing, or does not fit.
+    """
+    missing = [name for name in SKILLS if name not in policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(SKILLS)}")
+    if config.task.action != "joint":
+        raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
     act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
     picks = [
         Option(f"pick_{k + 1}", subtask("pick"), act["pick"], 0, 3, ball=k) for k in range(config.task.balls)
@@ -66,7 +75,7 @@ class Sorting:
                 rows, torch.where(chosen == self._last, self._attempt + 1, 1), self._attempt
             )
             state = self.running.begin(rows, chosen)
-        return torch.where(self._over[:, None], 0.0, self.running.act(state))
+        return self.running.act(state, ~self._over)
 
     def observe(self, outcome: Outcome) -> Tensor:
         """Note what a decision led to and return (N,) bool: rows given up, none."""

@@ -58,6 +58,7 @@ class Draws:
     def __init__(
         self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
     ) -> None:
+        _check_slots(config)
         self.seed = seed
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
         self._on_points = len(task.stages) if task.stages[0].name == "reach" else 0
@@ -155,3 +156,21 @@ class Draws:
     def _spare_starts(self) -> list[Array]:
         made = replace(self._config, task=replace(self._config.task, start="ik"))
         return start_states(self._scene, made, self._task.start)
+
+
+def _check_slots(config: EnvConfig) -> None:
+    """Raise ConfigError where balls could overlap."""
+    slots, jitter, width = (
+        np.array(config.task.ball_slots_m),
+        config.task.ball_jitter_m,
+        2 * config.cell.ball_radius_m,
+    )
+    if config.task.balls == 1:
+        return
+    gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
+    apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
+    if apart < width - 1e-9:
+        raise ConfigError(
+            f"task.ball_jitter_m={jitter} lets balls come within {apart:.3f} m of each other; "
+            f"task.ball_slots_m must leave their width, {width:.3f} m"
+        )
