@@ -252,15 +252,16 @@ class Episodes:
         """Note the balls that have been placed since the stages `before` (N,); aim at the next where due."""
         assert self.state is not None
         names = [stage.name for stage in self.subtask.stages]
-        ended = torch.tensor([[n == name for n in [*names, ""]] for name in ("place", "return")])[:, before]
-        placed, back = ended & (self.state.stage > before)
+        placing, picking = torch.tensor([[n == name for n in [*names, ""]] for name in ("place", "pick")])
+        further = self.state.stage > before
+        placed, due = placing[before] & further, picking[self.state.stage] & further
         if bool(placed.any()):
             rows = torch.nonzero(placed).squeeze(1)
             done = self.state.placed.clone()
             done[rows, self.state.target[rows]] = True
             self.state = self.state.with_(placed=done)
         left = ~self.state.placed
-        rows = torch.nonzero(back & left.any(dim=1)).squeeze(1)
+        rows = torch.nonzero(due & left.any(dim=1)).squeeze(1)
         if len(rows):
             self.aim(rows, left[rows].int().argmax(dim=1))
 
