@@ -28,7 +28,7 @@ OPTIONS = [
     run(1, "pick_2", "success"),
     run(1, "place", "failure"),
 ]
-EPISODES = [{"episode": "0"}, {"episode": "1"}, {"episode": "2"}]
+EPISODES = ["0", "1", "2"]
 
 
 def test_chain_lengths_count_what_takes_the_task_further() -> None:

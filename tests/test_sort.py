@@ -23,6 +23,7 @@ from hrl_comfort.meta.running import ENDINGS, Running
 from hrl_comfort.meta.sorting import Sorting, sorting_options
 from hrl_comfort.sim.engine import Engine
 
+META = compose("evaluate", ["task=sort", "meta=scripted"]).meta
 EXPERTS = {"pick": "expert", "place": "expert", "return": "expert"}
 STILL = {"pick": "random", "place": "random", "return": "random"}
 
@@ -32,7 +33,7 @@ def config(*overrides: str) -> EnvConfig:
 
 
 def sorting(engine: Engine, choose, policies=EXPERTS, limit: int = 500) -> Sorting:
-    options = sorting_options(policies, engine.scene, engine.episodes.config, 0)
+    options = sorting_options(META, policies, engine.scene, engine.episodes.config, 0)
     return Sorting(Running(options, limit, engine.episodes), choose)
 
 
@@ -109,7 +110,7 @@ def decision(engine: Engine, running: Running, **changes) -> Decision:
 def begun() -> tuple[Engine, Running]:
     engine = Engine(config(), 8, 0)
     engine.reset()
-    options = sorting_options(STILL, engine.scene, engine.episodes.config, 0)
+    options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
     return engine, Running(options, 500, engine.episodes)
 
 

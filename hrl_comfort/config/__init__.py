@@ -10,6 +10,7 @@ from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.commands import (
+    DISTURBANCES,
     FIGURES,
     EnvConfig,
     EvaluateConfig,
@@ -32,6 +33,7 @@ from hrl_comfort.config.task import PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [
     "CONTROL_STEP_S",
+    "DISTURBANCES",
     "ENDINGS_SEED",
     "EVALUATION_EPISODES",
     "FAR_AWAY_M",

@@ -21,6 +21,12 @@ def between(key: str, value: float, low: float, high: float) -> None:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 
+def widths(key: str, value: list[int]) -> None:
+    """Raise ConfigError unless `value` is widths of hidden layers."""
+    if not value or any(not 1 <= width <= 8192 for width in value):
+        raise ConfigError(f"{key}={list(value)!r} must be layer widths from 1 to 8192")
+
+
 def point(key: str, value: list[float], size: int) -> None:
     """Raise ConfigError unless `value` is `size` finite numbers."""
     if len(value) != size or not all(math.isfinite(v) for v in value):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config.checks import ConfigError, between, one_of
+from hrl_comfort.config.checks import between, one_of, widths
 
 CURRICULA = ("off", "linear", "adaptive")
 
@@ -73,8 +73,7 @@ class AgentConfig:
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("agent.tau", self.tau, 0.0, 1.0)
         between("agent.gamma", self.gamma, 0.0, 1.0)
-        if not self.hidden or any(not 1 <= h <= 8192 for h in self.hidden):
-            raise ConfigError(f"agent.hidden={list(self.hidden)!r} must be layer widths from 1 to 8192")
+        widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
         between("agent.log_every", self.log_every, 1, 1e9)

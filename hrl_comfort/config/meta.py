@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config.checks import ConfigError, between, one_of
+from hrl_comfort.config.checks import between, one_of, widths
 
 CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
 
@@ -58,8 +58,7 @@ class MetaAgentConfig:
         between("meta_agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("meta_agent.tau", self.tau, 0.0, 1.0)
         between("meta_agent.gamma", self.gamma, 0.0, 1.0)
-        if not self.hidden or any(not 1 <= h <= 8192 for h in self.hidden):
-            raise ConfigError(f"meta_agent.hidden={list(self.hidden)!r} must be layer widths from 1 to 8192")
+        widths("meta_agent.hidden", self.hidden)
         between("meta_agent.exploration_start", self.exploration_start, 0.0, 1.0)
         between("meta_agent.exploration_end", self.exploration_end, 0.0, 1.0)
         between("meta_agent.log_every", self.log_every, 1, 1e9)

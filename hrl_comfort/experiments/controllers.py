@@ -9,7 +9,7 @@ from hrl_comfort.meta.controllers import Controller, Scripted, chain, single
 from hrl_comfort.meta.options import SCRIPTED, Option, make_policy
 from hrl_comfort.meta.q_learning import load_choice
 from hrl_comfort.meta.running import Running
-from hrl_comfort.meta.sorting import SKILLS, Sorting, sorting_options
+from hrl_comfort.meta.sorting import Sorting, sorting_options
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 
@@ -25,11 +25,11 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
             )
         act = make_policy(source, task, scene, env, config.episode_seed)
         return single(task, Option(task.name, task, act), config.task.limit_steps, config.comfort)
+    if config.task.name == "sort":
+        return _sorting(config, engine)
     missing = [name for name in config.meta.options if name not in config.policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
-    if config.task.name == "sort":
-        return _sorting(config, engine)
     if config.meta.name != "scripted":
         raise ConfigError(
             f"meta={config.meta.name} is for task=sort; task={config.task.name} takes meta=scripted"
@@ -44,10 +44,8 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
 
 def _sorting(config: EvaluateConfig, engine: Engine) -> Controller:
     """Return what sorts, choosing as `config.meta` says."""
-    if list(config.meta.options) != list(SKILLS):
-        raise ConfigError(f"meta.options={list(config.meta.options)} do not sort; choose division=three")
     running = Running(
-        sorting_options(config.policies, engine.scene, environment(config), config.episode_seed),
+        sorting_options(config.meta, config.policies, engine.scene, environment(config), config.episode_seed),
         config.meta.time_limit_steps,
         engine.episodes,
     )

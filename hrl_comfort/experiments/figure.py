@@ -17,7 +17,7 @@ from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump, option_figures
 from hrl_comfort.experiments.comfort_statistics import Limit, Paired, common, paired, summarise
 from hrl_comfort.experiments.comfort_table import markdown
-from hrl_comfort.experiments.figures import STYLE
+from hrl_comfort.experiments.figures import SHOWN_TIMELINES, STYLE, option_timeline
 from hrl_comfort.experiments.run_folder import Run, read_run
 from hrl_comfort.experiments.statistics import Row
 from hrl_comfort.files import write_atomically, write_text
@@ -150,8 +150,13 @@ def _timeline(config: FigureConfig, groups: Groups) -> Drawn:
     runs = _everything(groups)
     if len(runs) != 1:
         raise ConfigError(f"evaluations={list(config.evaluations)} must be one: kind=timeline draws one")
-    name = config.labels[0] if config.labels else runs[0].folder.name
-    return option_figures.timeline(name, _options(runs[0]), config.episodes), {}
+    options = _options(runs[0])
+    there = list(dict.fromkeys(row["episode"] for row in options))
+    chosen = [str(episode) for episode in config.episodes] or there[:SHOWN_TIMELINES]
+    missing = [episode for episode in chosen if episode not in there]
+    if missing:
+        raise ConfigError(f"episodes={list(config.episodes)}: options.csv has no episode {missing[0]}")
+    return option_timeline(options, chosen), {}
 
 
 def _chain(config: FigureConfig, groups: Groups) -> Drawn:
@@ -159,7 +164,7 @@ def _chain(config: FigureConfig, groups: Groups) -> Drawn:
     for label, runs in groups.items():
         # Episodes of several evaluations are told apart by which of them they belong to.
         rows = [(f"{i}:", run) for i, run in enumerate(runs)]
-        episodes = [{**row, "episode": i + row["episode"]} for i, run in rows for row in run.episodes or []]
+        episodes = [i + row["episode"] for i, run in rows for row in run.episodes or []]
         options = [{**row, "episode": i + row["episode"]} for i, run in rows for row in _options(run)]
         found[label] = option_figures.chain_lengths(episodes, options)
     return option_figures.chain(found), dict(found)

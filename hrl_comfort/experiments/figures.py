@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -33,6 +34,10 @@ GOALS = {
     "pink_drop_m": ("pink drop", PURPLE),
 }
 """Keys of the cell's configuration that are goals: their labels and colours."""
+SHOWN_TIMELINES = 12
+"""Episodes of an option timeline, where none are named."""
+PICK = re.compile(r"pick_(\d+)")
+"""An option that picks one of several balls."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "font.family": "sans-serif",
@@ -253,8 +258,12 @@ def paths(
         return figure
 
 
+def _kind(option: str) -> str:
+    return "pick" if PICK.fullmatch(option) else option
+
+
 def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
-    """Which option ran when, and how it ended; a bar an episode.
+    """Which option ran when, and how it ended; a bar an episode. A pick of one of several balls says which.
 
     Args:
       rows: rows of options.csv.
@@ -263,7 +272,7 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 1.3 + 0.24 * len(episodes)))
         axis = figure.subplots()
-        names = list(dict.fromkeys(row["option"] for row in rows))
+        names = list(dict.fromkeys(_kind(row["option"]) for row in rows))
         colours = dict(zip(names, CYCLE * (1 + len(names) // len(CYCLE)), strict=False))
         marks = {"failure": "X", "preempted": "D"}
         for row in rows:
@@ -271,8 +280,10 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
                 continue
             y = episodes.index(row["episode"])
             start, end = (int(float(row[key])) * CONTROL_STEP_S for key in ("start_step", "end_step"))
-            colour = colours[row["option"]]
+            colour = colours[_kind(row["option"])]
             axis.barh(y, end - start, left=start, height=0.68, color=colour, edgecolor="white", linewidth=1)
+            if picked := PICK.fullmatch(row["option"]):
+                axis.text((start + end) / 2, y, picked[1], ha="center", va="center", color="white", size=7)
             if row["ending"] in marks:
                 look = {"color": BLACK, "markeredgecolor": "white", "markersize": 9, "clip_on": False}
                 axis.plot(end, y, marks[row["ending"]], **look)

@@ -23,6 +23,7 @@ from hrl_comfort.compose import environment, load_config, run_folder
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaConfig, TrainConfig
 from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.experiments.measure import measure, write_table
+from hrl_comfort.experiments.option_figures import chain_lengths
 from hrl_comfort.experiments.statistics import wilson_interval
 from hrl_comfort.meta.options import SCRIPTED
 from hrl_comfort.people import load_evaluation_set
@@ -73,7 +74,9 @@ def handover(config: EvaluateConfig) -> Path:
             seams += [[after, kind, *row] for row in far_observations(part)]
     write_table(output / "handover.csv", HANDOVER, matrix)
     write_table(output / "seams.csv", SEAMS, seams)
-    write_table(output / "chain.csv", CHAIN, chain_lengths(config, names))
+    whole = measure(config)
+    ran = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
+    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in ran))
     for after, kind, episodes, success, low, high in matrix:
         what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
         Console().print(what, soft_wrap=True)
@@ -81,7 +84,7 @@ def handover(config: EvaluateConfig) -> Path:
 
 
 HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]
-CHAIN = ["options", "episodes", "success", "success_low", "success_high"]
+CHAIN = ["options", "success", "success_low", "success_high"]
 SEAMS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
 
 
@@ -104,22 +107,6 @@ def _endings(config: EvaluateConfig, output: Path, name: str, kind: str, start: 
     part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
     record_endings(replace(part, endings=path, episodes=ENDINGS))
     return path
-
-
-def chain_lengths(config: EvaluateConfig, names: list[str]) -> list[list[Any]]:
-    """Return, for 1, 2, ... options in a row, in how many episodes of the chain all of them succeeded."""
-    result = measure(config)
-    done = np.zeros(len(result.episodes), dtype=np.int64)
-    index = {episode.episode: i for i, episode in enumerate(result.episodes)}
-    for run in result.options:
-        if run["ending"] == "success":
-            i = index[run["episode"]]
-            done[i] = max(done[i], 1 + names.index(run["option"]))
-    rows = []
-    for length in range(1, len(names) + 1):
-        wins = int((done >= length).sum())
-        rows.append([length, len(done), wins / len(done), *wilson_interval(wins, len(done))])
-    return rows
 
 
 def far_observations(config: EvaluateConfig) -> list[list[Any]]:

@@ -32,7 +32,6 @@ from hrl_comfort.experiments.statistics import KEYS, Floats, Row
 from hrl_comfort.files import write_text
 
 SHOWN_PATHS = 4
-SHOWN_TIMELINES = 12
 SEARCHED_PATHS = 20
 SHOWN_FAILURES = 40
 
@@ -146,7 +145,7 @@ def _timelines(runs: Sequence[Run]) -> list[tuple[Picture, list[list[str]]]]:
         if len({row["option"] for row in run.options or []}) < 2:
             continue  # a lone policy is no chain
         assert run.options is not None
-        shown = list(dict.fromkeys(row["episode"] for row in run.options))[:SHOWN_TIMELINES]
+        shown = list(dict.fromkeys(row["episode"] for row in run.options))[: figures.SHOWN_TIMELINES]
         picture = Picture(
             figures.data_uri(figures.option_timeline(run.options, shown)),
             f"{run.name}: the options of the first {len(shown)} episodes, as the meta-controller ran them.",

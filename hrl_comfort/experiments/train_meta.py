@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from hrl_comfort.compose import environment, save_config
-from hrl_comfort.config import ConfigError, MetaTrainConfig
+from hrl_comfort.config import MetaTrainConfig
 from hrl_comfort.experiments.progress import training_line
 from hrl_comfort.experiments.training_log import claim, write_provenance
 from hrl_comfort.meta.observation import meta_observation
@@ -32,9 +32,6 @@ def train_meta(config: MetaTrainConfig) -> Path:
     """
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")
-    missing = [name for name in config.meta.options if name not in config.policies]
-    if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; train meta needs it")
     folder = Path(config.output)
     with claim(folder, resume=False):
         MetaTraining(config, folder).run()
@@ -49,7 +46,9 @@ class MetaTraining:
         env_config, levels = environment(config), config.comfort.levels
         self.env = OptionEnv(
             env_config,
-            lambda engine: sorting_options(config.policies, engine.scene, env_config, config.episode_seed),
+            lambda engine: sorting_options(
+                config.meta, config.policies, engine.scene, env_config, config.episode_seed
+            ),
             config.meta.time_limit_steps,
             config.engine.rows,
             config.episode_seed,
@@ -68,6 +67,7 @@ class MetaTraining:
 
     def run(self) -> None:
         """Train to the end."""
+        precision_m = self.config.task.precision.take_m
         agent, began, logged = self.config.meta_agent, time.monotonic(), 0
         save_config(self.config, self.folder / "config.yaml")
         self._provenance(began, finished=False)
@@ -84,7 +84,11 @@ class MetaTraining:
                         writer.writerow(self._row())
                         file.flush()
                         self._save()
-                    show(min(self.options, agent.options), [e[0] > 0 for e in self.finished[-100:]], 0.0)
+                    show(
+                        min(self.options, agent.options),
+                        [e[0] > 0 for e in self.finished[-100:]],
+                        precision_m,
+                    )
         self._provenance(began, finished=True)
 
     def _provenance(self, began: float, finished: bool) -> None:

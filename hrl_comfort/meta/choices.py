@@ -74,10 +74,8 @@ def nearest(decision: Decision) -> Tensor:
 def cautious(decision: Decision) -> Tensor:
     """Choose the ball whose way is farthest from the person; wait, a while, where they stand at the goal."""
     state = decision.state
-    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
-    drop = drops.gather(1, state.colours[:, :, None].expand(-1, -1, 3))
     person = state.human_pos[:, None]
-    score = torch.minimum(human_distance(state.balls, person), human_distance(drop, person))
+    score = torch.minimum(human_distance(state.balls, person), human_distance(state.drops, person))
     chosen = next_of(decision, score)
     count = decision.mask.shape[1]
     ball = chosen.clamp(max=state.balls.shape[1] - 1)

@@ -7,9 +7,10 @@ from torch import Tensor
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.tasks import State
+from hrl_comfort.tasks.cycle import STAGES
 from hrl_comfort.tasks.observations import human, joint_error, tool
 
-ROUND = 3
+ROUND = len(STAGES)
 """Stages of one ball's round: pick, place, return."""
 
 
@@ -20,8 +21,7 @@ def meta_observation(state: State, levels: int) -> Tensor:
     each ball where it lies (3), where it belongs (2), how far the person is from both (2), whether it is
     placed and whether it is the one aimed at (2).
     """
-    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
-    drop = drops.gather(1, state.colours[:, :, None].expand(-1, -1, 3))
+    drop = state.drops
     person = human(state)[:, None]
     index = torch.arange(state.balls.shape[1])
     balls = torch.cat(

@@ -65,7 +65,7 @@ class Running:
             if not len(here):
                 continue
             self._until[here] = option.ends(state.rows(here))
-            if option.ball is not None and bool(option.can_start(state.rows(here)).all()):
+            if option.ball is not None:
                 self._episodes.aim(here, torch.full_like(here, option.ball))
         assert self._episodes.state is not None
         return self._episodes.state

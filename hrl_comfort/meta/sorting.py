@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig, MetaConfig
 from hrl_comfort.meta.choices import WAIT, Choose, Decision
 from hrl_comfort.meta.controllers import OptionRun
+from hrl_comfort.meta.observation import ROUND
 from hrl_comfort.meta.options import Option, Pause, make_policy
 from hrl_comfort.meta.running import ENDINGS, Running
 from hrl_comfort.scene.workcell import Scene
@@ -22,13 +23,15 @@ WAIT_STEPS = 25
 
 
 def sorting_options(
-    policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
+    meta: MetaConfig, policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
 ) -> list[Option | Pause]:
     """Return a pick for each ball, place, return, wait and retreat; policies by subtask name.
 
     Raises:
-      ConfigError: a policy is missing, or does not fit.
+      ConfigError: the division is another, or a policy is missing or does not fit.
     """
+    if tuple(meta.options) != SKILLS:
+        raise ConfigError(f"meta.options={list(meta.options)} do not sort; choose division=three")
     missing = [name for name in SKILLS if name not in policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(SKILLS)}")
@@ -36,9 +39,12 @@ def sorting_options(
         raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
     act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
     picks = [
-        Option(f"pick_{k + 1}", subtask("pick"), act["pick"], 0, 3, ball=k) for k in range(config.task.balls)
+        Option(f"pick_{k + 1}", subtask("pick"), act["pick"], 0, ROUND, ball=k)
+        for k in range(config.task.balls)
     ]
-    rest = [Option(name, subtask(name), act[name], first, 3) for first, name in ((1, "place"), (2, "return"))]
+    rest = [
+        Option(name, subtask(name), act[name], first, ROUND) for first, name in ((1, "place"), (2, "return"))
+    ]
     home = Expert(scene, config, subtask("return"))
     return [
         *picks,

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import ConfigError
+from hrl_comfort.config import DISTURBANCES
+from hrl_comfort.config.checks import one_of
 
 Array = NDArray[np.float64]
-DISTURBANCES = ("none", "drop", "block")
 HELD = (2, 5)
 """`drop`: the ball is lost after so many decisions, drawn for each episode; taking it is the first."""
 BLOCK_STEPS = 400
@@ -23,8 +23,7 @@ class Disturbance:
     """Of the episodes of `rows` cells; `kind` is one of DISTURBANCES."""
 
     def __init__(self, kind: str, rows: int) -> None:
-        if kind not in DISTURBANCES:
-            raise ConfigError(f"disturbance={kind!r} is not allowed; choose one of {', '.join(DISTURBANCES)}")
+        one_of("disturbance", kind, DISTURBANCES)
         self.kind = kind
         self._left = np.zeros(rows, dtype=np.int64)
 

@@ -26,6 +26,7 @@ from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.arm_distance import ArmDistance
+from hrl_comfort.sim.balls import aimed, drawn, in_stage, noted
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.draws import ATTEMPTS, DISTURBANCE_STREAM, Draw, Draws
@@ -205,9 +206,10 @@ class Episodes:
         limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
         outcome = judge(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
-        self.state = outcome.state.with_(level=level)
-        self._sort(before)
-        self._lose()
+        state = noted(outcome.state.with_(level=level), before, self.subtask)
+        held = in_stage("place", state.stage, self.subtask)
+        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
+        self.state = state.with_(stage=state.stage - lost.long())  # it has to be picked again
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
@@ -221,49 +223,12 @@ class Episodes:
         """Let `rows` (r,) pick the balls (r,) next.
 
         Raises:
-          ValueError: a row holds a ball, or the ball has been placed.
+          ValueError: a row is not to pick now, or the ball has been placed.
         """
         assert self.state is not None
-        here = self.state.rows(rows)
-        names = [stage.name for stage in self.subtask.stages]
-        picking = torch.tensor([name == "pick" for name in [*names, ""]])[here.stage]
-        if bool((~picking | here.placed.gather(1, ball[:, None]).squeeze(1)).any()):
-            raise ValueError(f"balls {ball.tolist()} cannot be picked now in rows {rows.tolist()}")
-        index = torch.arange(len(rows))
-        colour = here.colours[index, ball]
-        drops = torch.from_numpy(self._drops)
-        aimed = here.with_(
-            target=ball, ball_pos=here.balls[index, ball], colour=colour, drop_pos=drops[colour]
-        )
-        self.state = self.state.put(rows, aimed)
+        self.state = aimed(self.state, rows, ball, self.subtask)
 
     # ---- pieces ----------------------------------------------------------------------------------------
-
-    def _lose(self) -> None:
-        """Let the ball fall where it is knocked out of the gripper: it has to be picked again."""
-        assert self.state is not None
-        names = [stage.name for stage in self.subtask.stages]
-        held = torch.tensor([name == "place" for name in [*names, ""]])[self.state.stage]
-        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
-        if bool(lost.any()):
-            self.state = self.state.with_(stage=self.state.stage - lost.long())
-
-    def _sort(self, before: Tensor) -> None:
-        """Note the balls that have been placed since the stages `before` (N,); aim at the next where due."""
-        assert self.state is not None
-        names = [stage.name for stage in self.subtask.stages]
-        placing, picking = torch.tensor([[n == name for n in [*names, ""]] for name in ("place", "pick")])
-        further = self.state.stage > before
-        placed, due = placing[before] & further, picking[self.state.stage] & further
-        if bool(placed.any()):
-            rows = torch.nonzero(placed).squeeze(1)
-            done = self.state.placed.clone()
-            done[rows, self.state.target[rows]] = True
-            self.state = self.state.with_(placed=done)
-        left = ~self.state.placed
-        rows = torch.nonzero(due & left.any(dim=1)).squeeze(1)
-        if len(rows):
-            self.aim(rows, left[rows].int().argmax(dim=1))
 
     def _limbs(self, walks: list[people.Walk]) -> Array:
         """Return the limb poses (n, len(walks), 5, 7) of n people along their walks."""
@@ -288,7 +253,7 @@ class Episodes:
             count = len(self.subtask.stages)
             props[:, :, 2 : 2 + count, :3] = self.points[rows][:, None, :count]
         else:
-            balls = self._balls_now(rows)
+            balls = self.balls[rows] if self.state is None else drawn(self.state, self.subtask).numpy()[rows]
             for index in range(self.config.task.balls):
                 prop = ball_props(index)[self.colours[rows][:, index]]
                 props[np.arange(n), :, prop, :3] = balls[:, index, None]
@@ -296,22 +261,6 @@ class Episodes:
         return np.concatenate(
             [targets, bodies[..., :3].reshape(n, steps, -1), bodies[..., 3:].reshape(n, steps, -1)], axis=-1
         )
-
-    def _balls_now(self, rows: Any) -> Array:
-        """Return where the balls are drawn (r, B, 3): on their table, on the gripper or at a drop point."""
-        balls = self.balls[rows].copy()
-        if self.state is None:
-            return balls
-        names = [stage.name for stage in self.subtask.stages]
-        stage = self.state.stage.numpy()[rows]
-        now = np.array([*names, {"pick": "place", "place": "return"}.get(names[-1], names[-1])])[stage]
-        placed = self.state.placed.numpy()[rows].copy()
-        target = self.state.target.numpy()[rows]
-        placed[now == "return", target[now == "return"]] = True
-        balls[placed] = self._drops[self.colours[rows]][placed]
-        held = np.flatnonzero(now == "place")
-        balls[held, target[held]] = self.state.tcp_pos.numpy()[rows][held]
-        return balls
 
     def _next_level(self, outcome: Outcome) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+import torch
 from torch import Tensor
 
 
@@ -73,6 +74,12 @@ class State:
     """(N,) bool."""
     steps: Tensor
     """(N,) int64, control steps since the episode began."""
+
+    @property
+    def drops(self) -> Tensor:
+        """(N, B, 3) m, the drop point of each ball's colour."""
+        points = torch.stack([self.orange_drop, self.pink_drop], dim=1)
+        return points.gather(1, self.colours[..., None].expand(-1, -1, 3))
 
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""

@@ -1,0 +1,61 @@
+"""Balls through an episode: which one is aimed at, held, placed or lost, and where each is drawn.
+
+All are functions of State; which stages pick and which place is the subtask's to say.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.tasks import State, Subtask
+
+
+def in_stage(name: str, stage: Tensor, task: Subtask) -> Tensor:
+    """Return (N,) whether the stage (N,) has this name; when all are done it has none."""
+    return torch.tensor([*(item.name == name for item in task.stages), False])[stage]
+
+
+def aimed(state: State, rows: Tensor, ball: Tensor, task: Subtask) -> State:
+    """Return the state in which `rows` (r,) pick the balls (r,) next.
+
+    Raises:
+      ValueError: a row is not to pick now, or the ball has been placed.
+    """
+    here, index = state.rows(rows), torch.arange(len(rows))
+    if bool((~in_stage("pick", here.stage, task) | here.placed[index, ball]).any()):
+        raise ValueError(f"balls {ball.tolist()} cannot be picked now in rows {rows.tolist()}")
+    chosen = here.with_(
+        target=ball,
+        ball_pos=here.balls[index, ball],
+        colour=here.colours[index, ball],
+        drop_pos=here.drops[index, ball],
+    )
+    return state.put(rows, chosen)
+
+
+def noted(state: State, before: Tensor, task: Subtask) -> State:
+    """Return the state with what was placed since the stages `before` (N,), aimed at the next ball if due."""
+    further = state.stage > before
+    rows = torch.nonzero(in_stage("place", before, task) & further).squeeze(1)
+    if len(rows):
+        placed = state.placed.clone()
+        placed[rows, state.target[rows]] = True
+        state = state.with_(placed=placed)
+    left = ~state.placed
+    due = in_stage("pick", state.stage, task) & further & left.any(dim=1)
+    rows = torch.nonzero(due).squeeze(1)
+    return aimed(state, rows, left[rows].int().argmax(dim=1), task) if len(rows) else state
+
+
+def drawn(state: State, task: Subtask) -> Tensor:
+    """Return where the balls are drawn (N, B, 3): on their table, on the gripper or at a drop point."""
+    last = len(task.stages) - 1
+    over = state.stage > last
+    index = state.stage.clamp(max=last)
+    # A lone pick ends with the ball on the gripper; whatever else is over has left it at its drop point.
+    held = in_stage("place", state.stage, task) | (over & in_stage("pick", index, task))
+    left = in_stage("return", state.stage, task) | (over & ~in_stage("pick", index, task))
+    own = torch.nn.functional.one_hot(state.target, state.balls.shape[1]).bool()
+    balls = torch.where((state.placed | (own & left[:, None]))[..., None], state.drops, state.balls)
+    return torch.where((own & held[:, None])[..., None], state.tcp_pos[:, None], balls)
