@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|divisions|handover|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|figures_10cm|divisions|handover|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -20,6 +20,12 @@ measure() { # folder, overrides
 }
 measure_levels() { # folder, overrides; the same episodes at each of ten levels
     measure "$1" 'levels=[1,2,3,4,5,6,7,8,9,10]' "${@:2}"
+}
+figure() { # name, overrides
+    "${hrl[@]}" figure "output=$ref/comfort/$1.png" "${@:2}"
+}
+record() { # folder, episodes, policy, overrides
+    "${hrl[@]}" evaluate "output=$ref/comfort/$1" record=true episodes="$2" "policy=$3" "${@:4}"
 }
 endings() { # how a policy leaves the arm, over episodes drawn as in training: the evaluation set stays held out
     [ -f "$ref/$1/endings.npz" ] || "${hrl[@]}" evaluate "policy=$ref/$1" episodes=2000 "endings=$ref/$1/endings.npz"
@@ -144,14 +150,19 @@ speed() { # speed alone, from the policy that knows the task
             "initial_policy=$ref/comfort/seed$seed/pick_place_first"
         measure_levels comfort/speed/seed$seed/eval "policy=$ref/comfort/speed/seed$seed"
     done
+    figure speed kind=speed "evaluations=['$ref/comfort/speed/seed*/eval']"
 }
 
-fixed() { # a policy a level
+fixed() { # a policy a level, and the plane of all rivals
     for level in ${LEVELS:-1 2 3 4 5 6 7 8 9 10}; do
         train comfort/fixed/level_$level experiment=comfort_fixed "comfort.level=$level" \
             "initial_policy=$ref/comfort/seed0/pick_place_second"
         measure comfort/fixed/level_$level/eval "policy=$ref/comfort/fixed/level_$level" "levels=[$level]"
     done
+    if [ -z "${LEVELS:-}" ]; then
+        figure rivals kind=plane 'labels=[one policy,a policy a level,field]' \
+            "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/fixed/*/eval','$ref/comfort/field']"
+    fi
 }
 
 forms() { # what each form comes to, from the policy that knows the task: the same weight, decisions and rewards
@@ -169,22 +180,21 @@ field() { # the rival that learns nothing
         task.precision.take_m=0.30 task.precision.leave_m=0.30
 }
 
-figures() { # from the evaluations of comfort and rivals; what is recorded for a picture is not kept
-    figure() { "${hrl[@]}" figure "output=$ref/comfort/$1.png" "${@:2}"; }
-    record() { "${hrl[@]}" evaluate "output=$ref/comfort/$1" record=true episodes="$2" "policy=$3" "${@:4}"; }
+figures() { # from the evaluations of comfort and field; what is recorded for a picture is not kept
     one=$ref/comfort/seed0/pick_place
-    ten="$one"_10cm
     figure levels kind=levels "evaluations=['$ref/comfort/seed*/eval']"
-    figure levels_10cm kind=levels "evaluations=['$ref/comfort/seed*/eval_10cm']"
     figure field kind=levels "evaluations=[$ref/comfort/field]"
-    figure plane kind=plane 'labels=[one policy,a policy a level,field]' \
-        "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/fixed/*/eval','$ref/comfort/field']"
-    figure speed kind=speed "evaluations=['$ref/comfort/speed/seed*/eval']"
+    figure plane kind=plane "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/field']" 'labels=[one policy,field]'
     record recorded/levels 100 $one 'levels=[1,4,7,10]'
     figure paths kind=paths "evaluations=[$ref/comfort/recorded/levels]"
     for human in random_walk arc approach; do record recorded/$human 20 $one human=$human 'levels=[5]'; done
     figure people kind=people 'levels=[5]' \
         "evaluations=[$ref/comfort/recorded/random_walk,$ref/comfort/recorded/arc,$ref/comfort/recorded/approach]"
+}
+
+figures_10cm() { # from the evaluations of comfort_10cm
+    ten=$ref/comfort/seed0/pick_place_10cm
+    figure levels_10cm kind=levels "evaluations=['$ref/comfort/seed*/eval_10cm']"
     record recorded/calm 1000 $ten comfort.source=fixed comfort.level=10
     record recorded/jump 1000 $ten comfort.source=schedule 'comfort.schedule_s=[0,0.2]' 'comfort.schedule_levels=[10,1]'
     figure jump kind=jump jump_s=0.2 "evaluations=[$ref/comfort/recorded/calm,$ref/comfort/recorded/jump]"

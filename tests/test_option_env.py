@@ -170,3 +170,28 @@ def test_two_states_reach_the_value_that_has_a_closed_form() -> None:
         (2 + GAMMA**5 * 1) / (1 - GAMMA**8),
     ]
     assert table.values.tolist() == pytest.approx(closed, rel=1e-4)
+
+
+def test_rows_in_mid_option_keep_their_return_and_origin_while_others_begin_anew() -> None:
+    env = OptionEnv(config(), experts, 500, 6, 0, 1.0)
+    td = env.reset()
+    begun, seen = td["observation"].clone(), torch.zeros(6)
+    earned, steps = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.int64)
+    kept = {"reward": torch.zeros(6, dtype=torch.float64), "steps": torch.zeros(6, dtype=torch.int64)}
+    while not (seen > 0).all():
+        deciding = td["deciding"].squeeze(-1)
+        begun[deciding] = td["observation"][deciding]
+        stepped, td = env.step_and_maybe_reset(td.set("action", choose(env, td)))
+        after = stepped["next"]
+        rows = torch.nonzero(after["deciding"].squeeze(-1)).squeeze(-1)
+        found = env.transitions(after)
+        assert torch.equal(found["observation"], begun[rows])
+        earned += env.earned
+        kept["reward"][rows] += found["next", "reward"].squeeze(-1).double()
+        kept["steps"][rows] += found["steps_to_next_obs"].squeeze(-1)
+        for row in torch.nonzero(after["done"].squeeze(-1)).squeeze(-1).tolist():
+            steps[row] += env.last_state.steps[row]
+            # With gamma 1 the options of an episode earn and last what the episode does.
+            torch.testing.assert_close(kept["reward"][row], earned[row], rtol=1e-5, atol=1e-4)
+            assert kept["steps"][row] == steps[row]
+            seen[row] += 1
