@@ -15,7 +15,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss
 
 from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser, TwinCritics
-from hrl_comfort.agents.sac import TERMS, Batch, Sac, TrainingDiverged, sac_losses
+from hrl_comfort.agents.sac import TERMS, Batch, Sac, TrainingDiverged, imitation_loss, sac_losses
 from hrl_comfort.compose import compose
 from hrl_comfort.config import AgentConfig
 
@@ -145,6 +145,62 @@ def test_discount_is_gamma_to_the_steps_taken_and_zero_only_where_terminated():
     zeros = torch.zeros(3, D)
     learner.remember(zeros, torch.zeros(3, A), torch.zeros(3), zeros, terminated, torch.tensor([5, 5, 2]))
     torch.testing.assert_close(learner.buffer.storage[:3]["discount"], torch.tensor([0.9**5, 0.0, 0.81]))
+
+
+class PreferFirst(nn.Module):
+    """Critics that value an action by its first number alone."""
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return action[:, 0].expand(2, -1)
+
+
+def test_a_guide_is_imitated_only_where_the_critics_prefer_it():
+    actor, critics = Actor(D, A, [16]), PreferFirst()
+    observation = torch.randn(2, D)
+    mode = actor.mode(observation).detach()
+    action = mode + torch.tensor([[0.1, 0.2, 0.0], [-0.1, 0.2, 0.0]])
+    loss = imitation_loss(observation, action, critics(observation, action), actor, critics)
+    torch.testing.assert_close(loss, torch.tensor(0.1**2 + 0.2**2))
+
+
+def beside_a_valley(imitation: float) -> float:
+    """Return where an actor ends that stands at -0.9, when -1 is worth 1, +1 is worth 2, between is little.
+
+    One action in eight is a guide's, at +1; the others are drawn evenly, so that the critics know the valley.
+    """
+    torch.manual_seed(0)
+    learner = Sac(
+        agent(
+            imitation=imitation,
+            learning_rate=3e-3,
+            entropy_coefficient=1e-3,
+            target_entropy=-4.0,
+            critic_first_updates=300,
+            buffer_size=2048,
+            batch_size=64,
+        ),
+        D,
+        1,
+    )
+    with torch.no_grad():
+        learner.actor.body[-1].weight.mul_(0.1)
+        learner.actor.body[-1].bias.copy_(torch.tensor([-1.5, -2.0]))
+    guided = torch.arange(16) < 2
+    for _ in range(600):
+        observation = torch.randn(16, D)
+        action = torch.rand(16, 1) * 2 - 1
+        action[guided] = 1.0
+        reward = torch.maximum(1 - 2 * (action + 1), 2 - 2 * (1 - action))[:, 0]
+        over = torch.ones(16, dtype=torch.bool)
+        learner.remember(observation, action, reward, observation, over, torch.ones(16), guided)
+        if len(learner.buffer) >= 64:
+            learner.update()
+    return float(learner.actor.mode(learner.normaliser(torch.randn(64, D))).detach().mean())
+
+
+def test_a_guide_takes_the_actor_over_a_valley_that_gradients_do_not():
+    assert beside_a_valley(imitation=0.0) < -0.5
+    assert beside_a_valley(imitation=10.0) > 0.5
 
 
 def test_update_moves_every_parameter_and_targets_follow_by_tau():

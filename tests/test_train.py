@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,10 +18,10 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_policy
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.compose import load_config
-from hrl_comfort.config import ConfigError
-from hrl_comfort.experiments.train import Training, train
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.experiments.train import Guide, Training, train, train_cell
 from hrl_comfort.experiments.training_log import claim
-from tests.point_env import PointEnv, Stopped, make_point_env, small_config
+from tests.point_env import LIMIT, PointEnv, Stopped, make_point_env, small_config
 
 
 def rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
@@ -34,9 +35,12 @@ def run(tmp_path_factory) -> Path:
     return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_point_env)
 
 
-def interrupted(folder: Path, calls: int) -> Path:
+def interrupted(folder: Path, calls: int, *overrides: str, guide: Any = None) -> Path:
+    def stopped(config: TrainConfig) -> PointEnv:
+        return PointEnv(config.engine.rows, config.episode_seed, stop_after=calls)
+
     with pytest.raises(Stopped):
-        train(small_config(folder), lambda c: PointEnv(c.engine.rows, c.episode_seed, stop_after=calls))
+        train(small_config(folder, *overrides), stopped, guide)
     return folder
 
 
@@ -178,6 +182,64 @@ def test_training_on_from_networks_of_another_shape_is_refused(run, tmp_path):
     config = small_config(tmp_path / "on", "agent.hidden=[16,16]", initial_policy=str(run))
     with pytest.raises(ConfigError, match=r"hidden=\[32, 32\], this training \[16, 16\]"):
         train(config, make_point_env)
+
+
+def homeward(config: TrainConfig, env: PointEnv) -> Guide:
+    """A guide that goes straight to the origin."""
+    return lambda: -env.point[: config.agent.guided_rows].clamp(-1, 1)
+
+
+GUIDED = ("agent.guide=field", "agent.guided_rows=2")
+
+
+def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
+    config = small_config(tmp_path, *GUIDED)
+    env = make_point_env(config)
+    training = Training(config, env, tmp_path, homeward(config, env))
+    expected = homeward(config, env)()
+    training.decide()
+    stored = training.learner.buffer.storage[:8]
+    assert torch.equal(stored["action"][:2], expected)
+    assert stored["guided"].tolist() == [True, True, *[False] * 6]
+
+
+def test_guided_episodes_count_in_no_success(tmp_path):
+    config = small_config(tmp_path, *GUIDED, "curriculum=off", "task.precision.take_m=0.3")
+    env = make_point_env(config)
+    training = Training(config, env, tmp_path, lambda: torch.zeros(2, 2))
+    ended = 0
+    for _ in range(LIMIT):
+        env.point[2:] = 0.0  # whoever is not guided is there at once
+        finished = training.decide()
+        assert all(success for _, success in finished)
+        ended += len(finished)
+    assert ended == 6 * LIMIT
+
+
+def test_a_guided_training_stopped_half_way_and_resumed_is_bit_for_bit_the_same(tmp_path):
+    whole = train(small_config(tmp_path / "whole", *GUIDED), make_point_env, homeward)
+    half = interrupted(tmp_path / "half", 120, *GUIDED, guide=homeward)
+    train(small_config(half, resume=str(half)), make_point_env, homeward)
+    assert (half / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+def test_a_guide_without_rows_and_rows_without_a_guide_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"agent\.guided_rows=0 does not go with agent\.guide=field"):
+        small_config(tmp_path, "agent.guide=field")
+    with pytest.raises(ConfigError, match=r"agent\.guided_rows=2 does not go with agent\.guide=None"):
+        small_config(tmp_path, "agent.guided_rows=2")
+    with pytest.raises(ConfigError, match=r"agent\.guided_rows=8 is outside its range \[0, 7\]"):
+        small_config(tmp_path, "agent.guide=field", "agent.guided_rows=8")
+    with pytest.raises(ConfigError, match="this environment knows no guide"):
+        train(small_config(tmp_path / "run", *GUIDED), make_point_env)
+
+
+@pytest.mark.parametrize("guide", ["field", "expert", "random"])
+def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
+    choices = (f"agent.guide={guide}", "agent.guided_rows=2", "engine.rows=4", "agent.decisions=8")
+    config = small_config(tmp_path / "run", "task=pick_place", "comfort=conditioned", *choices)
+    folder = train_cell(config)
+    assert json.loads((folder / "provenance.json").read_text())["decisions"] == 8
 
 
 def test_best_prefers_the_tighter_precision_then_the_higher_success(tmp_path):

@@ -69,6 +69,22 @@ def sac_losses(
     return critic_loss, actor_loss, alpha_loss, entropy, value.detach().mean()
 
 
+def imitation_loss(
+    observation: Tensor, action: Tensor, value: Tensor, actor: Actor, critics: TwinCritics
+) -> Tensor:
+    """Return the squared distance of the actor's mode from actions of a guide, where those are better.
+
+    Behaviour cloning behind a filter (Nair et al. 2018, arXiv:1709.10089, section IV-C): only where the less
+    sanguine critic values the guide's action above the actor's own. Gradients of the critics know the way
+    uphill from where the actor is; this takes it over a valley. Normalised observations (B, D), actions
+    (B, A), their values (2, B); a scalar, the sum over the B.
+    """
+    mode = actor.mode(observation)
+    with torch.no_grad():
+        better = value.amin(0) > critics(observation, mode).amin(0)
+    return ((mode - action).square().sum(-1) * better).sum()
+
+
 class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
@@ -113,12 +129,15 @@ class Sac:
         next_observation: Tensor,
         terminated: Tensor,
         steps: Tensor,
+        guided: Tensor | None = None,
     ) -> None:
         """Store N transitions: (N, D), (N, A), (N,) reward, (N, D), (N,) bool, (N,) control steps taken.
 
-        A truncated episode goes on bootstrapping; only a terminated one does not.
+        A truncated episode goes on bootstrapping; only a terminated one does not. `guided` (N,) bool: the
+        action is a guide's; none is, if not given.
         """
         self.normaliser.update(observation)
+        guided = torch.zeros_like(terminated) if guided is None else guided
         discount = torch.where(terminated, 0.0, self.config.gamma ** steps.float())
         self.buffer.extend(
             TensorDict(
@@ -128,6 +147,7 @@ class Sac:
                     "reward": reward.float(),
                     "next_observation": next_observation,
                     "discount": discount,
+                    "guided": guided,
                 },
                 batch_size=[len(observation)],
             )
@@ -165,13 +185,26 @@ class Sac:
             if not math.isfinite(value):
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         self.optimiser.zero_grad(set_to_none=True)
-        critics_alone = self.updates < self.config.critic_first_updates
-        (critic_loss if critics_alone else critic_loss + actor_loss + alpha_loss).backward()
+        loss = critic_loss
+        if self.updates >= self.config.critic_first_updates:
+            loss = loss + actor_loss + alpha_loss + self._imitation(batch, sample["guided"])
+        loss.backward()
         self.optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
         self.updates += 1
         return terms
+
+    def _imitation(self, batch: Batch, guided: Tensor) -> Tensor | float:
+        """Return the weighted `imitation_loss` of the guided transitions, per transition of the batch."""
+        rows = guided.nonzero()[:, 0]
+        if not len(rows):
+            return 0.0
+        observation, action = batch.observation[rows], batch.action[rows]
+        with torch.no_grad():
+            value = self.critics(observation, action)
+        loss = imitation_loss(observation, action, value, self.actor, self.critics)
+        return self.config.imitation * loss / len(guided)
 
     def networks_state(self) -> dict[str, Any]:
         """Return the learnt tensors: what a policy file keeps.

@@ -57,6 +57,7 @@ class TrainConfig:
         if not self.output:
             raise ConfigError("output='' must be a folder")
         between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
+        between("agent.guided_rows", self.agent.guided_rows, 0, self.engine.rows - 1)
         _check_seeds(self.train_seed, self.episode_seed)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config.checks import between, one_of, widths
+from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
 CURRICULA = ("off", "linear", "adaptive")
 
@@ -57,6 +57,13 @@ class AgentConfig:
     """Initial value; it is learned from there."""
     target_entropy: float
     normalise: bool
+    guide: str | None
+    """Who acts in `guided_rows`: `field`, `expert` or a policy. What it does is remembered as what is done
+    otherwise: a way that exploration does not find."""
+    guided_rows: int
+    """Of `engine.rows`; they count in no success share and in no row of metrics.csv."""
+    imitation: float
+    """Weight of the actor's squared distance from the guide's action, where the critics prefer that."""
     log_every: int
     """Decisions between two rows of metrics.csv."""
     checkpoint_every: int
@@ -76,6 +83,12 @@ class AgentConfig:
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
+        between("agent.guided_rows", self.guided_rows, 0, 4096)
+        if (self.guide is None) != (self.guided_rows == 0):
+            raise ConfigError(
+                f"agent.guided_rows={self.guided_rows} does not go with agent.guide={self.guide}"
+            )
+        between("agent.imitation", self.imitation, 0.0, 1e6)
         between("agent.log_every", self.log_every, 1, 1e9)
         between("agent.checkpoint_every", self.checkpoint_every, 1, 1e9)
         between("agent.keep_checkpoints", self.keep_checkpoints, 1, 1000)

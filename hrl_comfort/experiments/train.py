@@ -24,6 +24,8 @@ from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.curriculum import Curriculum
 from hrl_comfort.experiments.progress import training_line
 from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
+from hrl_comfort.meta.options import make_policy
+from hrl_comfort.tasks import subtask
 
 FEWEST_EPISODES = 20
 """Episodes between two checkpoints below which neither can be called the best."""
@@ -31,11 +33,19 @@ SAME_PRECISION_M = 0.005
 """Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
 
 
-def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Path:
+Guide = Callable[[], Tensor]
+"""() -> actions (guided rows, A) in [-1, 1] that a guide takes now."""
+
+
+def train(
+    config: TrainConfig,
+    make_env: Callable[[TrainConfig], EnvBase],
+    make_guide: Callable[[TrainConfig, Any], Guide] | None = None,
+) -> Path:
     """Train as `config` says and return the run folder.
 
     With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
-    it had never stopped. `make_env` gets the configuration in force.
+    it had never stopped. `make_env` gets the configuration in force, `make_guide` also the environment.
 
     Raises:
         ConfigError: a choice is not allowed, or the folder is taken.
@@ -46,10 +56,12 @@ def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Pa
     folder = Path(config.resume or config.output)
     with claim(folder, resume=config.resume is not None):
         if config.resume is None:
-            Training(config, make_env(config), folder).run()
+            env = make_env(config)
+            Training(config, env, folder, _guide(config, env, make_guide)).run()
         else:
             config = _config_of(folder)
-            training = Training(config, make_env(config), folder, resumes=True)
+            env = make_env(config)
+            training = Training(config, env, folder, _guide(config, env, make_guide), resumes=True)
             saved = checkpoint.load_resumable(folder / "checkpoints")
             try:
                 training.load_state_dict(saved)
@@ -60,6 +72,16 @@ def train(config: TrainConfig, make_env: Callable[[TrainConfig], EnvBase]) -> Pa
                 ) from error
             training.run()
     return folder
+
+
+def _guide(
+    config: TrainConfig, env: EnvBase, make_guide: Callable[[TrainConfig, Any], Guide] | None
+) -> Guide | None:
+    if config.agent.guide is None:
+        return None
+    if make_guide is None:
+        raise ConfigError(f"agent.guide={config.agent.guide}: this environment knows no guide")
+    return make_guide(config, env)
 
 
 def _config_of(folder: Path) -> TrainConfig:
@@ -74,9 +96,17 @@ def _config_of(folder: Path) -> TrainConfig:
 class Training:
     """One training in progress: everything that a resumable checkpoint holds."""
 
-    def __init__(self, config: TrainConfig, env: EnvBase, folder: Path, resumes: bool = False) -> None:
-        self.config, self.env, self.folder = config, env, folder
+    def __init__(
+        self,
+        config: TrainConfig,
+        env: EnvBase,
+        folder: Path,
+        guide: Guide | None = None,
+        resumes: bool = False,
+    ) -> None:
+        self.config, self.env, self.folder, self.guide = config, env, folder, guide
         self.rows = env.batch_size[0]
+        self.guided = torch.arange(self.rows) < config.agent.guided_rows
         self.reward_names: tuple[str, ...] = env.reward_names
         torch.manual_seed(config.train_seed)
         agent = config.agent
@@ -145,6 +175,8 @@ class Training:
             action = torch.rand(self.rows, self.learner.action_dim) * 2 - 1
         else:
             action = self.learner.act(observation)
+        if self.guide is not None:
+            action[self.guided] = self.guide().to(action.dtype)
         stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
         after = stepped["next"]
         self.learner.remember(
@@ -154,6 +186,7 @@ class Training:
             after["observation"],
             after["terminated"][:, 0],
             after["decision_steps"][:, 0],
+            self.guided,
         )
         self.decisions += self.rows
         finished = self._end_episodes(after)
@@ -166,7 +199,7 @@ class Training:
         self.terms += after["reward_terms"].double()
         rows = after["done"][:, 0].nonzero()[:, 0]
         finished = []
-        for row in rows.tolist():
+        for row in rows[~self.guided[rows]].tolist():
             outcome = {
                 "success": float(after["success"][row]),
                 "return": float(self.returns[row]),
@@ -291,4 +324,22 @@ def train_cell(config: TrainConfig) -> Path:
     def make_env(chosen: TrainConfig) -> EnvBase:
         return CellEnv(environment(chosen), chosen.engine.rows, chosen.episode_seed)
 
-    return train(config, make_env)
+    return train(config, make_env, guide_of)
+
+
+def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
+    """Return what acts in the guided rows of `env`.
+
+    Raises:
+        ConfigError: there is no such policy, or it does not go with this training.
+    """
+    assert config.agent.guide is not None
+    episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
+    task = subtask(config.task.name, config.task.observation, config.task.balls)
+    act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
+
+    def guide() -> Tensor:
+        assert episodes.state is not None
+        return act(episodes.state.rows(rows))
+
+    return guide
