@@ -90,6 +90,14 @@ def test_without_a_level_field_acts_as_at_the_middle_of_the_range() -> None:
     assert not torch.allclose(levels[1.0], levels[10.0])
 
 
+def test_where_speed_counts_the_field_goes_no_faster_than_is_at_ease() -> None:
+    config = configured("task=pick_place", *COARSE, *at_level(3), "comfort.beta=1")
+    engine = Engine(config, EPISODES, SEED)
+    action = Field(engine.scene, config, engine.episodes.subtask).act(engine.reset())
+    engine.close()
+    assert 0.2 < float(action.abs().max()) <= 3 / config.comfort.levels + 1e-9
+
+
 def test_field_pushes_from_the_person_only_within_its_radius() -> None:
     config = configured("task=pick")
     engine = Engine(config, 1, SEED)

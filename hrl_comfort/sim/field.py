@@ -6,7 +6,8 @@ from the textbook keep it from stopping halfway: the push fades towards the goal
 beside (Ge and Cui, IEEE Trans. Robotics and Automation 16(5), 2000, 10.1109/70.880813); what draws the tool
 at the person is turned round them; and the way to the goal leads round the robot's base, on the side where
 the push is less, drawn in and raised. A quadratic program turns tool velocity to joint velocity and keeps
-the links off person, cell and each other. Nothing is remembered.
+the links off person, cell and each other. Where speed counts (`comfort.beta`), the joints go no faster than
+is at ease. Nothing is remembered.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.comfort.terms import SMALLEST_M, threshold_levels
+from hrl_comfort.comfort.terms import SMALLEST_M, increment_threshold, threshold_levels
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.robots import JOINTS
@@ -96,6 +97,7 @@ class Field:
         goals = self._goal(state.with_(stage=index)).numpy()
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
         radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
+        pace = self._pace(level).numpy()
         people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
         limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
         before = state.joint_target.numpy()
@@ -103,8 +105,15 @@ class Field:
         for row in range(len(joints)):
             self._stand(limbs[row])
             for _ in range(self._solves):
-                joints[row] = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
+                ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
+                joints[row] += pace[row] * (ahead - joints[row])
         return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
+
+    def _pace(self, level: Tensor) -> Tensor:
+        """Return (N,) the share of full speed that is at ease at level (N,)."""
+        if not self._comfort.beta:
+            return torch.ones_like(level)
+        return increment_threshold(level, 1.0, self._comfort)
 
     def _stand(self, limbs: Array) -> None:
         """Put the person's limbs (5, 7) into the model; they are taken to hang still."""
