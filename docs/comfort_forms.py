@@ -14,14 +14,14 @@ import torch
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-from hrl_comfort.comfort.terms import THRESHOLDS, distance_term
+from hrl_comfort.comfort.terms import FORMS, THRESHOLDS, distance_term
 from hrl_comfort.compose import compose
 
 LEVELS = (1, 4, 7, 10)
 STYLES = dict(zip(LEVELS, ("-", "--", "-.", ":"), strict=True))
 COLOURS = dict(zip(LEVELS, ("#440154", "#31688e", "#35b779", "#d9a400"), strict=True))
 """Dark to light, as in viridis; the style of the line tells them apart too."""
-THRESHOLD = {"reference": "reference", "bounded": "levels"}
+THRESHOLD = {"reference": "reference", "bounded": "levels", "eased": "levels"}
 """What goes with a form; the others take `range`, which fits the paper's example."""
 
 
@@ -29,9 +29,8 @@ def draw(output: Path) -> None:
     """Draw a panel a form, all with the same axes."""
     config = compose("train", ["comfort=conditioned"]).comfort
     distance = torch.linspace(0.005, 1.5, 300, dtype=torch.float64)
-    figure, axes = plt.subplots(2, 3, figsize=(9, 5.4), sharex=True, sharey=True, layout="constrained")
-    *panels, legend = axes.flat
-    for axis, form in zip(panels, ("paper", "reference", "linear", "logarithmic", "bounded"), strict=True):
+    figure, axes = plt.subplots(2, 3, figsize=(9, 5.7), sharex=True, sharey=True, layout="constrained")
+    for axis, form in zip(axes.flat, FORMS, strict=True):
         chosen = replace(config, form=form, threshold=THRESHOLD.get(form, "range"))
         axis.axhline(0, color="0.6", linewidth=0.8)
         for level in LEVELS:
@@ -47,8 +46,7 @@ def draw(output: Path) -> None:
         axis.tick_params(labelbottom=True, labelleft=True)
     handles = [plt.Line2D([], [], linestyle=STYLES[k], color=COLOURS[k], label=f"level {k}") for k in LEVELS]
     handles.append(plt.Line2D([], [], linestyle="", marker="o", color="0.3", label="threshold θ"))
-    legend.axis("off")
-    legend.legend(handles=handles, loc="center", frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False)
     figure.supxlabel("distance d (m)")
     figure.supylabel("$F_{conf1}$ (reward per control step, before comfort.scale)", fontsize=10)
     figure.savefig(output, dpi=110)

@@ -110,14 +110,12 @@ comfort_10cm() { # on to 10 cm
 }
 
 comfort_cycle() { # pick, place and return with levels, each begun where the one before it ends, and their chain
-    anywhere=(task.precision.take_m=0.10 task.precision.leave_m=0.10 task.ball_jitter_m=0.075)
-    for seed in ${SEEDS:-0}; do
+    for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed start=ik seeds=("train_seed=$seed" "episode_seed=$seed")
         for task in pick place return; do
-            train $to/${task}_first experiment=comfort_gentle task=$task curriculum=adaptive agent.decisions=100000 \
-                "${anywhere[@]}" "${seeds[@]}" "task.start=$start"
-            train $to/$task experiment=comfort_nearer task=$task agent.decisions=80000 \
-                "${anywhere[@]}" "${seeds[@]}" "task.start=$start" "initial_policy=$ref/$to/${task}_first"
+            train $to/${task}_first experiment=comfort_skill_first task=$task "${seeds[@]}" "task.start=$start"
+            train $to/$task experiment=comfort_skill task=$task "${seeds[@]}" "task.start=$start" \
+                "initial_policy=$ref/$to/${task}_first"
             endings $to/$task
             start=$ref/$to/$task/endings.npz
         done

@@ -140,7 +140,7 @@ def multirun(verb: str, overrides: list[str]) -> None:
         raise ConfigError("resume does not go with -m: give one run at a time")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
-    rest = [*check_overrides(verb, rest, sweep=True), *(f"hydra.sweep.dir={folder}" for folder in outputs)]
+    rest = [*check_overrides(verb, rest, sweep=True), *(line for each in outputs for line in _folders(each))]
     version.setbase("1.3")
     try:
         hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
@@ -157,6 +157,16 @@ def multirun(verb: str, overrides: list[str]) -> None:
         print(f"done: {words}: {where}" if problem is None else f"failed: {words}: {problem}")
     if failed:
         raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
+
+
+def _folders(output: str) -> list[str]:
+    """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
+    output = output.strip("'\"")
+    head, sign, tail = output.partition("${")
+    if not sign:
+        return [f"hydra.sweep.dir='{output}'"]
+    above, _, name = head.rpartition("/")
+    return [f"hydra.sweep.dir='{above or '.'}'", f"hydra.sweep.subdir='{name}{sign}{tail}'"]
 
 
 def _job(verb: str, _: object) -> str | None:

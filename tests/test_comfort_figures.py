@@ -136,16 +136,19 @@ def test_the_plane_has_a_series_a_label(tmp_path):
         tmp_path / "f.png", "plane", [one, tmp_path / "ten" / "*"], "labels=[one policy,ten policies]"
     )
     found = json.loads(file.with_suffix(".json").read_text())
-    assert {label: each["levels"] for label, each in found.items()} == {
+    assert {label: each["each"]["levels"] for label, each in found.items()} == {
         "one policy": [1, 4, 7, 10],
         "ten policies": [1, 10],
     }
+    # Episode 0 fails: it is in no pair, but it counts in the rates.
+    assert found["one policy"]["each"]["spawns"]["all"]["levels"][0]["rates"]["success"]["mean"] < 1
+    assert [at["level"] for at in found["ten policies"]["in_common"]] == [1, 10]
 
 
 def test_evaluations_of_one_label_are_one_series(tmp_path):
     folders = [evaluation(tmp_path / str(level), levels=(level,), record=False) for level in (1, 10)]
     file = draw(tmp_path / "f.png", "plane", folders, "labels=[ten,ten]")
-    assert json.loads(file.with_suffix(".json").read_text())["ten"]["levels"] == [1, 10]
+    assert json.loads(file.with_suffix(".json").read_text())["ten"]["each"]["levels"] == [1, 10]
 
 
 def test_paths_at_four_levels_are_drawn_for_an_orange_and_a_pink_ball(tmp_path, monkeypatch):

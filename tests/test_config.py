@@ -274,6 +274,20 @@ def test_a_sweep_gives_each_job_its_folder_and_reports_the_failing_one(tmp_path,
     assert [(tmp_path / job / "done.txt").read_text() for job in ("0", "2")] == ["a", "b"]
 
 
+def test_a_sweep_names_its_folders_as_asked(tmp_path, monkeypatch, capsys):
+    def run(overrides: list[str]) -> None:
+        (Path(compose("evaluate", overrides).output) / "done.txt").write_text("done")
+
+    monkeypatch.setitem(commands.RUN, "evaluate", run)
+    where = f"output={tmp_path}/sweep/level_${{comfort.level}}"
+    words = ["comfort=conditioned", "comfort.source=fixed", "comfort.level=range(1,3)", "policy=a"]
+    assert commands.main(["evaluate", "-m", *words, where, "hydra.launcher.n_jobs=1"]) == 0
+    assert sorted(path.parent.name for path in (tmp_path / "sweep").glob("*/done.txt")) == [
+        "level_1",
+        "level_2",
+    ]
+
+
 def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):
     assert (
         commands.main(

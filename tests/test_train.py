@@ -234,7 +234,26 @@ def test_a_guide_without_rows_and_rows_without_a_guide_are_refused(tmp_path):
         train(small_config(tmp_path / "run", *GUIDED), make_point_env)
 
 
-@pytest.mark.parametrize("guide", ["field", "expert", "random"])
+@pytest.mark.parametrize(
+    ("guide", "problem"),
+    [
+        ("random", "agent.guide=random shows nothing"),
+        ("nobody", "agent.guide=nobody: policy='nobody' is not there"),
+        (
+            "runs/reference/pick",
+            "agent.guide=runs/reference/pick: .* was trained for 'pick', not for 'pick_place'",
+        ),
+    ],
+)
+def test_a_guide_that_cannot_guide_is_named(tmp_path, guide, problem):
+    config = small_config(
+        tmp_path / "run", "task=pick_place", f"agent.guide={guide}", "agent.guided_rows=2", "engine.rows=4"
+    )
+    with pytest.raises(ConfigError, match=problem):
+        train_cell(config)
+
+
+@pytest.mark.parametrize("guide", ["field", "expert"])
 def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
     choices = (f"agent.guide={guide}", "agent.guided_rows=2", "engine.rows=4", "agent.decisions=8")
     config = small_config(tmp_path / "run", "task=pick_place", "comfort=conditioned", *choices)

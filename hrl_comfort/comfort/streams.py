@@ -62,7 +62,9 @@ class Signal:
         """Return where a value lies between low (0) and high (1); None, with a warning, if it is no good."""
         stream = self._config.stream
         try:
-            share = (float(raw) - stream.low) / (stream.high - stream.low)
+            # Python reads 1_0 as ten; no sender means that.
+            value = math.nan if "_" in str(raw) else float(raw)
+            share = (value - stream.low) / (stream.high - stream.low)
         except (TypeError, ValueError):
             share = math.nan
         if not math.isfinite(share):
@@ -98,11 +100,11 @@ class Udp:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((stream.host, stream.port))
-        except OSError as error:
+        except (OSError, TypeError, ValueError) as error:  # a name that is none is one of the latter
             self._socket.close()
             raise ConfigError(
                 f"comfort.stream.port={stream.port} on comfort.stream.host={stream.host!r} cannot be "
-                f"listened to: {error.strerror or error}"
+                f"listened to: {getattr(error, 'strerror', None) or error}"
             ) from error
         self._socket.setblocking(False)
 

@@ -18,8 +18,8 @@ from hrl_comfort.config import ComfortConfig
 SMALLEST_M = 1e-10
 OFFSET = -0.1
 """What the paper's terms are shifted by, and its F_conf2 costs."""
-ROUNDING_DEG = 1e-9
-"""An increment so little above a threshold is at it: ramp and radians turn 2 degrees into a bit more."""
+ROUNDING_DEG = 1e-6
+"""An increment so little above a threshold is at it: ramp, radians and float32 turn 2 degrees into more."""
 
 
 # ---- thresholds ----------------------------------------------------------------------------------------
@@ -88,19 +88,34 @@ def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
     return -off.clamp(max=1.0).pow(config.power)
 
 
+def eased(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
+    """-(w |d - theta| / s)^power, s = d_max - d_min; w is 1 nearer than theta, beyond it (d_max - theta) / s.
+
+    The project's own: `bounded` for a robot that knows the task. Who is least at ease minds no robot that is
+    farther than need be; who is at ease is drawn to from wherever they are, where `bounded` levels out. With
+    `threshold=levels`, w beyond theta is (C_l - 1) / (N_c - 1). `haste` comes to it as to `bounded`.
+    """
+    span = config.max_m - config.min_m
+    weight = torch.where(distance < theta, 1.0, ((config.max_m - theta) / span).clamp(0.0, 1.0))
+    return -(weight * (distance - theta).abs() / span).pow(config.power)
+
+
 FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {
     "paper": paper,
     "reference": reference,
     "linear": linear,
     "logarithmic": logarithmic,
     "bounded": bounded,
+    "eased": eased,
 }
+HASTY = ("bounded", "eased")
+"""Forms to which `haste` comes."""
 
 
 def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Tensor:
     """F_conf1 (...,) of distance (...,) m at level (...,), in the form and with the threshold of `config`."""
     term = FORMS[config.form](distance, THRESHOLDS[config.threshold](level, config), config)
-    return term - config.haste * ease(level, config) if config.form == "bounded" else term
+    return term - config.haste * ease(level, config) if config.form in HASTY else term
 
 
 # ---- F_conf2, by joint increment -----------------------------------------------------------------------

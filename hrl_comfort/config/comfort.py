@@ -8,7 +8,7 @@ from itertools import pairwise
 from hrl_comfort.config.checks import ConfigError, between, one_of, point
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
-FORMS = ("paper", "reference", "linear", "logarithmic", "bounded")
+FORMS = ("paper", "reference", "linear", "logarithmic", "bounded", "eased")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
 SPEED_FORMS = ("paper", "hinge")

@@ -83,7 +83,9 @@ class AgentConfig:
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
-        between("agent.guided_rows", self.guided_rows, 0, 4096)
+        between("agent.guided_rows", self.guided_rows, 0, 65535)
+        if self.guide == "":
+            raise ConfigError("agent.guide='' names nobody; say agent.guide=null for none")
         if (self.guide is None) != (self.guided_rows == 0):
             raise ConfigError(
                 f"agent.guided_rows={self.guided_rows} does not go with agent.guide={self.guide}"

@@ -205,7 +205,9 @@ def change(data: Paired, name: str, over: str, start: int, end: int) -> dict[str
         found |= {"from": float(means[0]), "to": float(means[1])}
         found["percent"] = 100 * (found["to"] / found["from"] - 1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            found[key] = clusters.interval(100 * (draws[:, 1] / draws[:, 0] - 1))
+            changes = 100 * (draws[:, 1] / draws[:, 0] - 1)
+        # Of so little at the first level that some resamples have none, no interval can be told.
+        found[key] = clusters.interval(changes) if np.isfinite(changes).all() else None
     return found
 
 

@@ -22,7 +22,11 @@ TABLE: tuple[tuple[str, str, str, float, int], ...] = (
 
 
 def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
-    """Return a summary's levels as a Markdown table; its last line is the change from first to last level."""
+    """Return a summary's levels as a Markdown table.
+
+    Below the levels comes the change from first to last; where there are several training seeds, once more
+    with the interval that lets a spawn point do the same to all of them (`Clusters.two_way`).
+    """
     found = summary["spawns"][spawns]
 
     def cell(value: Mapping[str, Any] | None, key: str, scale: float, digits: int) -> str:
@@ -38,6 +42,10 @@ def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
         cells = (cell(at[part].get(name), "mean", scale, digits) for _, part, name, scale, digits in TABLE)
         lines.append([str(at["level"]), *cells])
     if (whole := found["first_to_last"]) is not None:
-        cells = (cell(whole.get(part, {}).get(name), "percent", 1, 1) for _, part, name, *_ in TABLE)
-        lines.append([f"{whole['from']} to {whole['to']}, change in %", *cells])
+        changes = [whole.get(part, {}).get(name) for _, part, name, *_ in TABLE]
+        what = f"{whole['from']} to {whole['to']}, change in %"
+        lines.append([what, *(cell(each, "percent", 1, 1) for each in changes)])
+        stricter = [each and {**each, "ci95": each["ci95_two_way"]} for each in changes]
+        if any(each and each["ci95"] != each["ci95_two_way"] for each in changes):
+            lines.append(["likewise, stricter interval", *(cell(each, "percent", 1, 1) for each in stricter)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -15,7 +15,14 @@ from rich.console import Console
 
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump, option_figures
-from hrl_comfort.experiments.comfort_statistics import Limit, Paired, common, paired, summarise
+from hrl_comfort.experiments.comfort_statistics import (
+    Limit,
+    Paired,
+    common,
+    of_spawns,
+    paired,
+    summarise,
+)
 from hrl_comfort.experiments.comfort_table import markdown
 from hrl_comfort.experiments.figures import SHOWN_TIMELINES, STYLE, option_timeline
 from hrl_comfort.experiments.run_folder import Run, read_run
@@ -102,10 +109,13 @@ def _speed(config: FigureConfig, groups: Groups) -> Drawn:
 
 
 def _plane(config: FigureConfig, groups: Groups) -> Drawn:
-    data = {label: _paired(runs) for label, runs in groups.items()}
-    if config.over == "pairs":
-        data = common(data)
-    numbers = {label: summarise(each) for label, each in data.items()}
+    whole = {label: _paired(runs) for label, runs in groups.items()}
+    data = common(whole) if config.over == "pairs" else whole
+    numbers: dict[str, dict[str, Any]] = {label: {"each": summarise(each)} for label, each in whole.items()}
+    if config.over == "pairs":  # rates of episodes chosen for their success would say nothing
+        for label, each in data.items():
+            levels = of_spawns(each)["levels"]
+            numbers[label]["in_common"] = [{"level": at["level"], **at["pairs"]} for at in levels]
     return comfort_figures.plane(data, config.over), numbers
 
 

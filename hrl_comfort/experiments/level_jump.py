@@ -91,6 +91,10 @@ def _check_levels(pair: Sequence[dict[str, Floats]], at: int) -> None:
     changed = np.flatnonzero(jumping != jumping[0])
     if (without != without[0]).any() or without[0] != jumping[0]:
         raise ConfigError("the first of evaluations= must keep one level, that from which the second jumps")
+    if not len(changed) and len(jumping) > at + LATEST_STEPS + 1:
+        raise ConfigError(
+            f"jump_s={at * CONTROL_STEP_S:g}: the level of the second evaluation does not change by then"
+        )
     if len(changed) and not at <= changed[0] <= at + LATEST_STEPS:
         raise ConfigError(
             f"jump_s={at * CONTROL_STEP_S:g}: the level of the second evaluation changes at "

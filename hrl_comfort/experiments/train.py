@@ -336,7 +336,12 @@ def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
     assert config.agent.guide is not None
     episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
     task = subtask(config.task.name, config.task.observation, config.task.balls)
-    act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
+    if config.agent.guide == "random":
+        raise ConfigError("agent.guide=random shows nothing; choose field, expert or a run folder")
+    try:
+        act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
+    except ConfigError as error:
+        raise ConfigError(f"agent.guide={config.agent.guide}: {error}") from error
 
     def guide() -> Tensor:
         assert episodes.state is not None

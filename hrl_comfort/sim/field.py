@@ -111,7 +111,7 @@ class Field:
 
     def _pace(self, level: Tensor) -> Tensor:
         """Return (N,) the share of full speed that is at ease at level (N,)."""
-        if not self._comfort.beta:
+        if self._comfort.source == "none" or not self._comfort.beta:
             return torch.ones_like(level)
         return increment_threshold(level, 1.0, self._comfort)
 
