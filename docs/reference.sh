@@ -89,13 +89,15 @@ curriculum_of() {
     done
 }
 
-comfort() { # one policy for ten levels, by training seed: the task first, then the levels in earnest, then nearer
+comfort() { # one policy for ten levels, by training seed: the task, the levels in earnest, shown ways round, farther apart
     for seed in ${SEEDS:-0 1 2 3 4}; do
         to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
         train $to/pick_place_first experiment=comfort_gentle "${seeds[@]}"
         train $to/pick_place_second experiment=comfort_conditioned "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_first"
-        train $to/pick_place experiment=comfort_nearer "${seeds[@]}" "initial_policy=$ref/$to/pick_place_second"
+        train $to/pick_place_third experiment=comfort_nearer "${seeds[@]}" \
+            "initial_policy=$ref/$to/pick_place_second"
+        train $to/pick_place experiment=comfort_nearest "${seeds[@]}" "initial_policy=$ref/$to/pick_place_third"
         measure_levels $to/eval "policy=$ref/$to/pick_place"
     done
 }
