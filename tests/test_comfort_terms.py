@@ -85,6 +85,18 @@ def test_released_form_matches_a_hand_computed_value() -> None:
     assert terms.distance_term(number(0.6), number(4), config).item() == pytest.approx(expected)
 
 
+def test_the_eased_form_minds_nobody_too_far_at_level_1_and_draws_from_afar_at_level_10() -> None:
+    config = comfort(form="eased", min_m=0.4, max_m=1.2, power=2, haste=0.1)
+    far = terms.distance_term(torch.tensor([1.3, 2.0], dtype=torch.float64), number(1), config)
+    assert far.tolist() == [0, 0]
+    drawn = terms.distance_term(torch.tensor([1.2, 2.0], dtype=torch.float64), number(10), config)
+    assert drawn.tolist() == pytest.approx([-1 - 0.1, -4 - 0.1])
+    near, bounded = number(0.7), replace(config, form="bounded")
+    for level in (1, 4):  # nearer than theta it is the bounded form
+        alike = [terms.distance_term(near, number(level), each).item() for each in (config, bounded)]
+        assert alike[0] == pytest.approx(alike[1])
+
+
 def test_thresholds_are_those_of_the_sources() -> None:
     config = comfort(min_m=0.2, max_m=1.2)
     at = {name: threshold(number(6), config).item() for name, threshold in terms.THRESHOLDS.items()}
