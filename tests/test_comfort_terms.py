@@ -85,16 +85,16 @@ def test_released_form_matches_a_hand_computed_value() -> None:
     assert terms.distance_term(number(0.6), number(4), config).item() == pytest.approx(expected)
 
 
-def test_the_eased_form_minds_nobody_too_far_at_level_1_and_draws_from_afar_at_level_10() -> None:
+def test_the_eased_form_minds_no_robot_too_far_at_level_1_and_else_is_the_bounded_one() -> None:
     config = comfort(form="eased", min_m=0.4, max_m=1.2, power=2, haste=0.1)
     far = terms.distance_term(torch.tensor([1.3, 2.0], dtype=torch.float64), number(1), config)
     assert far.tolist() == [0, 0]
-    drawn = terms.distance_term(torch.tensor([1.2, 2.0], dtype=torch.float64), number(10), config)
-    assert drawn.tolist() == pytest.approx([-1 - 0.1, -4 - 0.1])
-    near, bounded = number(0.7), replace(config, form="bounded")
-    for level in (1, 4):  # nearer than theta it is the bounded form
-        alike = [terms.distance_term(near, number(level), each).item() for each in (config, bounded)]
-        assert alike[0] == pytest.approx(alike[1])
+    half = terms.distance_term(number(1.2), number(5.5), config)
+    assert half.item() == pytest.approx(-((0.5 * 0.4 / 0.8) ** 2) - 0.05)
+    bounded = replace(config, form="bounded")
+    for distance, level in ((0.7, 1), (0.7, 4), (0.9, 10), (2.0, 10)):
+        alike = [terms.distance_term(number(distance), number(level), each) for each in (config, bounded)]
+        assert alike[0].item() == pytest.approx(alike[1].item())
 
 
 def test_thresholds_are_those_of_the_sources() -> None:

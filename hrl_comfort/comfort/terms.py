@@ -89,15 +89,15 @@ def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
 
 
 def eased(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
-    """-(w |d - theta| / s)^power, s = d_max - d_min; w is 1 nearer than theta, beyond it (d_max - theta) / s.
+    """`bounded` with |d - theta| beyond theta counted as w |d - theta|, w = (d_max - theta) / (d_max - d_min).
 
-    The project's own: `bounded` for a robot that knows the task. Who is least at ease minds no robot that is
-    farther than need be; who is at ease is drawn to from wherever they are, where `bounded` levels out. With
-    `threshold=levels`, w beyond theta is (C_l - 1) / (N_c - 1). `haste` comes to it as to `bounded`.
+    The project's own: who is least at ease minds no robot that is farther than need be. With
+    `threshold=levels`, w is (C_l - 1) / (N_c - 1). `haste` comes to it as to `bounded`.
     """
     span = config.max_m - config.min_m
     weight = torch.where(distance < theta, 1.0, ((config.max_m - theta) / span).clamp(0.0, 1.0))
-    return -(weight * (distance - theta).abs() / span).pow(config.power)
+    off = weight * (distance - theta).abs() / span
+    return -off.clamp(max=1.0).pow(config.power)
 
 
 FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {
