@@ -89,7 +89,7 @@ def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
 
 
 def eased(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
-    """`bounded` with |d - theta| beyond theta counted as w |d - theta|, w = (d_max - theta) / (d_max - d_min).
+    """`bounded`, but beyond theta |d - theta| counts w times, w = (d_max - theta) / (d_max - d_min).
 
     The project's own: who is least at ease minds no robot that is farther than need be. With
     `threshold=levels`, w is (C_l - 1) / (N_c - 1). `haste` comes to it as to `bounded`.
