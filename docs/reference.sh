@@ -156,7 +156,7 @@ speed() { # speed alone, from the policy that knows the task
 fixed() { # a policy a level, and the plane of all rivals
     for level in ${LEVELS:-1 2 3 4 5 6 7 8 9 10}; do
         train comfort/fixed/level_$level experiment=comfort_fixed "comfort.level=$level" \
-            "initial_policy=$ref/comfort/seed0/pick_place_second"
+            "initial_policy=$ref/comfort/seed0/pick_place_third"
         measure comfort/fixed/level_$level/eval "policy=$ref/comfort/fixed/level_$level" "levels=[$level]"
     done
     if [ -z "${LEVELS:-}" ]; then
@@ -165,10 +165,10 @@ fixed() { # a policy a level, and the plane of all rivals
     fi
 }
 
-forms() { # what each form comes to, from the policy that knows the task: the same weight, decisions and rewards
-    for form in ${FORMS:-paper reference linear logarithmic bounded}; do
+forms() { # what each form comes to, from the policy that knows the task, with the same decisions and other rewards
+    for form in ${FORMS:-paper reference linear logarithmic bounded eased}; do
         threshold=range scale=1
-        case $form in reference) threshold=reference ;; bounded) threshold=levels scale=3 ;; esac
+        case $form in reference) threshold=reference ;; bounded | eased) threshold=levels scale=3 ;; esac
         train comfort/forms/$form experiment=comfort_nearer agent.decisions=50000 "comfort.form=$form" \
             "comfort.threshold=$threshold" comfort.scale=$scale "initial_policy=$ref/comfort/seed0/pick_place_first"
         measure comfort/forms/$form/eval "policy=$ref/comfort/forms/$form" 'levels=[1,4,7,10]'
