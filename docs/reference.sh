@@ -102,11 +102,13 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
     done
 }
 
-comfort_10cm() { # on to 10 cm
+comfort_10cm() { # on to 10 cm: shown how, then alone
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed
-        train $to/pick_place_10cm experiment=comfort_10cm "train_seed=$seed" "episode_seed=$seed" \
-            "initial_policy=$ref/$to/pick_place"
+        seeds=("train_seed=$seed" "episode_seed=$seed")
+        train $to/pick_place_10cm_first experiment=comfort_10cm "${seeds[@]}" "initial_policy=$ref/$to/pick_place"
+        train $to/pick_place_10cm experiment=comfort_10cm_alone "${seeds[@]}" \
+            "initial_policy=$ref/$to/pick_place_10cm_first"
         measure_levels $to/eval_10cm "policy=$ref/$to/pick_place_10cm"
     done
 }
