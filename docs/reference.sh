@@ -161,10 +161,8 @@ fixed() { # a policy a level, and the plane of all rivals
             "initial_policy=$ref/comfort/seed0/pick_place_third"
         measure comfort/fixed/level_$level/eval "policy=$ref/comfort/fixed/level_$level" "levels=[$level]"
     done
-    if [ -z "${LEVELS:-}" ]; then
-        figure rivals kind=plane 'labels=[one policy,a policy a level,field]' \
-            "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/fixed/*/eval','$ref/comfort/field']"
-    fi
+    figure rivals kind=plane 'labels=[one policy,a policy a level,field]' \
+        "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/fixed/*/eval','$ref/comfort/field']"
 }
 
 forms() { # what each form comes to, from the policy that knows the task, with the same decisions and other rewards
