@@ -195,6 +195,7 @@ def test_the_jump_is_measured_one_second_later(tmp_path):
     assert min(size(file)) > 300
     found = json.loads(file.with_suffix(".json").read_text())
     assert (found["episodes_at_jump"], found["episodes"]) == (9, 9)
+    assert found["success"] == {"without": pytest.approx(8 / 9), "with": pytest.approx(8 / 9)}
     assert found["tools_apart_before_m"] == 0
     # The person stands some way to the side, so of the 10 cm that the tool has moved a little less counts.
     effect = found["human_distance_m"]
@@ -219,6 +220,8 @@ def test_a_jump_at_another_time_or_the_other_way_round_is_refused(tmp_path):
         draw(tmp_path / "f.png", "jump", [without, jumping], "jump_s=1")
     with pytest.raises(ConfigError, match="must keep one level"):
         draw(tmp_path / "f.png", "jump", [jumping, without], "jump_s=0.4")
+    with pytest.raises(ConfigError, match=r"jump_s=0.4: .*does not change by then"):
+        draw(tmp_path / "f.png", "jump", [without, evaluation(tmp_path / "calm", levels=(10,))], "jump_s=0.4")
 
 
 @pytest.mark.parametrize(

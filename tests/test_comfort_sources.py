@@ -150,7 +150,7 @@ def test_of_values_that_arrive_together_the_newest_counts_however_smooth() -> No
     assert smooth.level([9, 5, 0]) == round(1 + 9 * np.exp(-1))
 
 
-@pytest.mark.parametrize("bad", ["abc", "", "nan", "inf", "1e9", "-50", "\x00\ufffd"])
+@pytest.mark.parametrize("bad", ["abc", "", "nan", "inf", "1e9", "-50", "1_0", "\x00\ufffd"])
 def test_rubbish_keeps_the_last_good_level_and_warns_once(bad: str) -> None:
     stream = signal(Clock(), "comfort.stream.high=9")
     assert stream.level([7]) == 8

@@ -17,10 +17,12 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_policy
 from hrl_comfort.agents.sac import TERMS
-from hrl_comfort.compose import load_config
+from hrl_comfort.compose import environment, load_config
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.experiments.train import Guide, Training, train, train_cell
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.train import Guide, Training, guide_of, train, train_cell
 from hrl_comfort.experiments.training_log import claim
+from hrl_comfort.meta.options import make_policy
 from tests.point_env import LIMIT, PointEnv, Stopped, make_point_env, small_config
 
 
@@ -257,8 +259,14 @@ def test_a_guide_that_cannot_guide_is_named(tmp_path, guide, problem):
 def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
     choices = (f"agent.guide={guide}", "agent.guided_rows=2", "engine.rows=4", "agent.decisions=8")
     config = small_config(tmp_path / "run", "task=pick_place", "comfort=conditioned", *choices)
-    folder = train_cell(config)
-    assert json.loads((folder / "provenance.json").read_text())["decisions"] == 8
+    env = CellEnv(environment(config), 4, config.episode_seed)
+    env.reset()
+    episodes = env.engine.episodes
+    act = make_policy(guide, episodes.subtask, env.engine.scene, environment(config), 0)
+    expected = act(episodes.state.rows(torch.arange(2)))
+    assert expected.abs().max() > 0
+    torch.testing.assert_close(guide_of(config, env)(), expected)
+    train_cell(config)
 
 
 def test_best_prefers_the_tighter_precision_then_the_higher_success(tmp_path):

@@ -18,7 +18,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.experiments.clusters import Clusters
 from hrl_comfort.experiments.figures import BLUE, STYLE, VERMILLION
 from hrl_comfort.experiments.run_folder import Run, recorded_paths, row_of
-from hrl_comfort.experiments.statistics import Floats, Row
+from hrl_comfort.experiments.statistics import Floats, Row, column
 
 AFTER_S = 1.0
 """When the effect of the jump is read, from the jump on."""
@@ -39,6 +39,8 @@ class Jump:
     """(T,) s from the jump."""
     values: dict[str, Floats]
     """MEASURES to (2, n, T), without the jump and with it; NaN where one of the two does not run."""
+    success: tuple[float, float]
+    """Shares of the n episodes that succeed, without the jump and with it."""
     clusters: Clusters
     apart_before_m: float
     """Largest distance of the two evaluations' tools before the jump: 0 where they are the same policy."""
@@ -55,7 +57,8 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
     found = [_recorded(runs) for runs in (without, jumping)]
     both = [key for key in found[0] if key in found[1]]
     pairs = [(found[0][key][1], found[1][key][1]) for key in both]
-    rows = [found[0][key][0] for key, pair in zip(both, pairs, strict=True) if _last(pair) >= at]
+    kept = [key for key, pair in zip(both, pairs, strict=True) if _last(pair) >= at]
+    rows, jumped = ([each[key][0] for key in kept] for each in found)
     pairs = [pair for pair in pairs if _last(pair) >= at]
     if not pairs:
         raise ConfigError(f"jump_s={jump_s}: no episode of both evaluations lasts so long")
@@ -79,7 +82,8 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
     seeds = np.array([row.get("train_seed") or "" for row in rows])
     clusters = Clusters.nested(seeds, np.array([row.get("spawn_id") or "" for row in rows]))
     seconds = np.asarray((np.arange(length) - at) * CONTROL_STEP_S, dtype=np.float64)
-    return Jump(seconds, values, clusters, apart)
+    without_it, with_it = (float(np.mean(column(each, "success"))) for each in (rows, jumped))
+    return Jump(seconds, values, (without_it, with_it), clusters, apart)
 
 
 def _check_levels(pair: Sequence[dict[str, Floats]], at: int) -> None:
@@ -133,6 +137,7 @@ def numbers(data: Jump) -> dict[str, Any]:
         "after_s": AFTER_S,
         "episodes": 0,
         "episodes_at_jump": data.values["human_distance_m"].shape[1],
+        "success": dict(zip(("without", "with"), data.success, strict=True)),
         "tools_apart_before_m": data.apart_before_m,
         "interval": "95 %, bootstrap of training seeds and, within them, of spawn points",
     }

@@ -54,14 +54,12 @@ def train(
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")  # it reports on every buffer that it allocates
     folder = Path(config.resume or config.output)
-    with claim(folder, resume=config.resume is not None):
-        if config.resume is None:
-            env = make_env(config)
-            Training(config, env, folder, _guide(config, env, make_guide)).run()
-        else:
-            config = _config_of(folder)
-            env = make_env(config)
-            training = Training(config, env, folder, _guide(config, env, make_guide), resumes=True)
+    resumes = config.resume is not None
+    with claim(folder, resume=resumes):
+        config = _config_of(folder) if resumes else config
+        env = make_env(config)
+        training = Training(config, env, folder, _guide(config, env, make_guide), resumes)
+        if resumes:
             saved = checkpoint.load_resumable(folder / "checkpoints")
             try:
                 training.load_state_dict(saved)
@@ -70,7 +68,7 @@ def train(
                 raise ConfigError(
                     f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
                 ) from error
-            training.run()
+        training.run()
     return folder
 
 
