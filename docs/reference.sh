@@ -145,11 +145,13 @@ sort() { # several balls: four controllers above the skills of comfort_cycle, an
     done
 }
 
-speed() { # speed alone, from the policy that knows the task
+speed() { # speed alone, from the policy that knows the task: shown how, then alone
     for seed in ${SEEDS:-0}; do
-        train comfort/speed/seed$seed experiment=comfort_speed "train_seed=$seed" "episode_seed=$seed" \
+        to=comfort/speed/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
+        train ${to}_first experiment=comfort_speed "${seeds[@]}" \
             "initial_policy=$ref/comfort/seed$seed/pick_place_first"
-        measure_levels comfort/speed/seed$seed/eval "policy=$ref/comfort/speed/seed$seed"
+        train $to experiment=comfort_speed_alone "${seeds[@]}" "initial_policy=$ref/${to}_first"
+        measure_levels $to/eval "policy=$ref/$to"
     done
     figure speed kind=speed "evaluations=['$ref/comfort/speed/seed*/eval']"
 }
