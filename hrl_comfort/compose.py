@@ -44,6 +44,8 @@ ROOTS: dict[str, type[Config]] = {
     "report": ReportConfig,
     "figure": FigureConfig,
 }
+LATER: dict[str, Any] = {"human.stations_m": []}
+"""Keys that came later, and their value in a configuration written before they were."""
 T = TypeVar("T")
 
 
@@ -101,7 +103,7 @@ def load_config(path: str | Path) -> Config:
     if not file.is_file():
         raise ConfigError(f"{file} does not exist; a run folder holds a config.yaml")
     try:
-        loaded = OmegaConf.load(file)
+        loaded = _with_later_keys(OmegaConf.load(file))
         for cls in ROOTS.values():
             if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
                 return _freeze(cls, OmegaConf.merge(OmegaConf.structured(_schema(cls)), loaded))
@@ -110,6 +112,16 @@ def load_config(path: str | Path) -> Config:
     except (YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} is not YAML: {one_line(error)}") from error
     raise ConfigError(f"{file} has not the keys of a {', '.join(ROOTS)} configuration")
+
+
+def _with_later_keys(loaded: Any) -> Any:
+    """Return a configuration with what LATER says where it was written before these keys were."""
+    for key, value in LATER.items():
+        section, name = key.rsplit(".", 1)
+        there = OmegaConf.select(loaded, section) if isinstance(loaded, DictConfig) else None
+        if isinstance(there, DictConfig) and name not in there:
+            there[name] = value
+    return loaded
 
 
 def override(key: str, value: object) -> str:

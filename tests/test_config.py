@@ -7,11 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 import hrl_comfort
 from hrl_comfort import __main__ as commands
 from hrl_comfort import compose as composing
 from hrl_comfort.compose import (
+    LATER,
     ROOTS,
     choices,
     compose,
@@ -161,6 +163,17 @@ def test_a_written_configuration_loads_back_equal(root, tmp_path):
     config = compose(root, OWN.get(root, ["human.speed_m_s=0.1234567890123"]))
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == load_config(tmp_path) == config
+
+
+@pytest.mark.parametrize("key", LATER)
+def test_a_configuration_from_before_a_key_loads_as_if_it_said_what_was_so_then(key, tmp_path):
+    config = compose("train", [])
+    save_config(config, tmp_path / "config.yaml")
+    older = OmegaConf.load(tmp_path / "config.yaml")
+    section, name = key.rsplit(".", 1)
+    del OmegaConf.select(older, section)[name]
+    OmegaConf.save(older, tmp_path / "config.yaml")
+    assert load_config(tmp_path) == config
 
 
 @pytest.mark.parametrize(

@@ -21,17 +21,18 @@ SPAWNS = [
     [0.55, -0.39], [-0.28, 0.28], [0.49, 0.29], [0.10, 0.73], [0.60, -0.55], [0.10, -0.54], [-0.42, 0.28],
     [0.74, 0.56], [-0.53, 0.35], [-0.28, -0.66], [-0.91, 0.13], [0.20, -0.72],
 ]  # fmt: skip
+STATIONS = [[-1.01, -0.12], [1.05, -0.09], [0.23, 0.84]]
 HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
-    file=None, clipping="off", masked=False,
+    file=None, clipping="off", masked=False, stations_m=STATIONS,
 )  # fmt: skip
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
     ball_radius_m=0.03, table_half_width_m=0.08, base_height_m=0.75,
 )  # fmt: skip
-BOUNDED = ("still", "random_walk", "arc", "approach")
+BOUNDED = ("still", "random_walk", "arc", "approach", "work")
 
 
 def human(motion: str, **changes: object) -> HumanConfig:
@@ -74,7 +75,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_an_unknown_motion_is_refused_with_the_list_of_motions() -> None:
     with pytest.raises(ConfigError, match=r"human\.motion='dance'.*random_walk.*playback"):
         people.begin(human("dance"), np.zeros((1, 2)))
-    assert set(people.MOTIONS) == {"none", "still", "random_walk", "arc", "approach", "playback"}
+    assert set(people.MOTIONS) == {"none", "still", "random_walk", "arc", "approach", "playback", "work"}
 
 
 @pytest.mark.parametrize("motion", BOUNDED)
@@ -98,6 +99,19 @@ def test_rows_do_not_influence_each_other(motion: str) -> None:
         alone = people.advance(human(motion), alone, step[7:8], tcp[7:8], discs(1))
     for name, value in vars(together.rows(slice(7, 8))).items():
         np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
+
+
+def test_who_works_walks_to_the_nearest_table_and_stays_there() -> None:
+    config = human("work", bound_m=5.0, jitter_m=0.005)
+    spawns = np.array([[-0.9, -0.6], [0.9, 0.3], [0.0, 1.0]])
+    walks = stroll(config, spawns, 400)
+    after = np.stack([walk.position for walk in walks[200:]])
+    assert np.linalg.norm(after - np.array(STATIONS), axis=-1).max() < 0.02
+
+
+def test_who_works_needs_a_place_to_work_at() -> None:
+    with pytest.raises(ConfigError, match=r"human\.stations_m=\[\].*at least one place"):
+        human("work", stations_m=[])
 
 
 def test_advance_leaves_its_arguments_alone() -> None:

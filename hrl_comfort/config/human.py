@@ -41,12 +41,14 @@ class HumanConfig:
     arc_deg: float
     arc_steps: int
     speed_m_s: float
-    """`approach`: walking speed."""
+    """`approach`, `work`: walking speed."""
     file: str | None
     """`playback`: CSV of t, x, y, yaw in s, m, m, rad, cell frame."""
     clipping: str
     masked: bool
     """True hides the human from the policy: it sees one standing far away."""
+    stations_m: list[list[float]]
+    """`work`: places (x, y) of which the one nearest to the spawn point is where the person works, metres."""
 
     def __post_init__(self) -> None:
         one_of("human.clipping", self.clipping, CLIPPINGS)
@@ -71,5 +73,9 @@ class HumanConfig:
         between("human.arc_deg", self.arc_deg, 0.0, 360.0)
         between("human.arc_steps", self.arc_steps, 1, 100_000)
         between("human.speed_m_s", self.speed_m_s, 0.0, 3.0)
+        for i, station in enumerate(self.stations_m):
+            point(f"human.stations_m[{i}]", station, 2)
+        if self.motion == "work" and not self.stations_m:
+            raise ConfigError("human.stations_m=[]: motion=work needs at least one place to work at")
         if self.motion == "playback" and self.file is None:
             raise ConfigError("human.file=null: motion=playback needs a CSV of t,x,y,yaw")

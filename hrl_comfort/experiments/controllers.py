@@ -14,8 +14,8 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 
 
-def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) -> Controller:
-    """Return what acts: a chain of policies (`meta=scripted`) or a lone one."""
+def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine, seed: int) -> Controller:
+    """Return what acts: a chain of policies (`meta=scripted`), or a lone one; `seed`: what acts at random."""
     env, scene, task = environment(config), engine.scene, engine.episodes.subtask
     if config.meta.name == "none":
         source = policy or config.policy
@@ -23,10 +23,10 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
             raise ConfigError(
                 f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}"
             )
-        act = make_policy(source, task, scene, env, config.episode_seed)
+        act = make_policy(source, task, scene, env, seed)
         return single(task, Option(task.name, task, act), config.task.limit_steps, config.comfort)
     if config.task.name == "sort":
-        return _sorting(config, engine)
+        return _sorting(config, engine, seed)
     missing = [name for name in config.meta.options if name not in config.policies]
     if missing:
         raise ConfigError(f"policies.{missing[0]} is not given; meta={config.meta.name} needs it")
@@ -37,15 +37,15 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine) 
     options = []
     for name in config.meta.options:
         part = subtask(name)
-        act = make_policy(config.policies[name], part, scene, env, config.episode_seed)
+        act = make_policy(config.policies[name], part, scene, env, seed)
         options.append(Option(name, part, act))
     return Scripted(config.meta, task, chain(options), config.comfort)
 
 
-def _sorting(config: EvaluateConfig, engine: Engine) -> Controller:
+def _sorting(config: EvaluateConfig, engine: Engine, seed: int) -> Controller:
     """Return what sorts, choosing as `config.meta` says."""
     running = Running(
-        sorting_options(config.meta, config.policies, engine.scene, environment(config), config.episode_seed),
+        sorting_options(config.meta, config.policies, engine.scene, environment(config), seed),
         config.meta.time_limit_steps,
         engine.episodes,
     )
@@ -54,5 +54,5 @@ def _sorting(config: EvaluateConfig, engine: Engine) -> Controller:
             raise ConfigError("policies.meta is not given; meta=learned needs it")
         choose = load_choice(config.policies["meta"], config.comfort.levels, len(running.options))
     else:
-        choose = make_choice(config.meta.name, config.episode_seed)
+        choose = make_choice(config.meta.name, seed)
     return Sorting(running, choose)

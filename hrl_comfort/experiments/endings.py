@@ -50,7 +50,7 @@ def record_endings(config: EvaluateConfig) -> Path:
 def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
     """Run one training-drawn episode in each of `rows` cells; return colour and joints (18,) of successes."""
     engine = Engine(environment(config), rows, seed)
-    controller = make_controller(config, None, engine)
+    controller = make_controller(config, None, engine, seed)
     engine.reset()
     found = []
     for moment in play(engine, controller):

@@ -155,7 +155,7 @@ class Chunk:
         rows = len(entries.episode)
         env = environment(config)
         self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-        self.controller = make_controller(config, policy, self.engine)
+        self.controller = make_controller(config, policy, self.engine, int(entries.episode_seed[0]))
         acting = policy or config.policy or config.policies.get("meta")
         self.train_seed = train_seed(acting or next(iter(config.policies.values()), None))
 
@@ -279,7 +279,9 @@ class Chunk:
 
     def _option(self, run: OptionRun) -> dict[str, Any]:
         line = asdict(run)
-        return {"episode": int(self.entries.episode[line.pop("row")]), **line}
+        row = line.pop("row")
+        level = self._level(row, self.config)
+        return {"episode": int(self.entries.episode[row]), "comfort_level": level, **line}
 
 
 PATH_COLUMNS = [

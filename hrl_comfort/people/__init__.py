@@ -25,6 +25,7 @@ from hrl_comfort.people.walk import (
     length,
     outside,
 )
+from hrl_comfort.people.work import work
 
 MOTIONS: dict[str, Motion] = {
     "none": none,
@@ -33,6 +34,7 @@ MOTIONS: dict[str, Motion] = {
     "arc": arc,
     "approach": approach,
     "playback": playback,
+    "work": work,
 }
 ATTEMPTS = 1000
 UNBOUND = ("none", "playback")

@@ -149,6 +149,7 @@ class Episodes:
         self._disturbance.begin(row, rng)
         if self._disturbance.kind == "block":
             drop = self._drops[self.colours[row, 0], :2]
+            self.spawn_id[row] = -1
             self.walk.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
 
     # ---- one decision ----------------------------------------------------------------------------------
