@@ -3,7 +3,8 @@
 A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Folders are those of
 evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training
 seeds). A table of comfort levels stands between `<!-- levels: FILE -->` and `<!-- end -->`; the file, in
-runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes beside its picture.
+runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes beside its picture. One of
+several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import json
 import re
 from pathlib import Path
 
-from hrl_comfort.experiments.comfort_table import markdown
+from hrl_comfort.experiments.comfort_table import markdown, series
 from hrl_comfort.experiments.statistics import column, describe, read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
 MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+SERIES = re.compile(r"(<!-- series: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
@@ -56,12 +58,19 @@ def line(name: str) -> str:
 def filled(page: str) -> str:
     """Return the page with every marked table made anew."""
     page = MARKED.sub(lambda found: found[1] + table(found[2].split()) + found[3], page)
-    return LEVELS.sub(lambda found: found[1] + levels(found[2]) + found[3], page)
+    page = LEVELS.sub(lambda found: found[1] + levels(found[2]) + found[3], page)
+    return SERIES.sub(lambda found: found[1] + several(found[2]) + found[3], page)
 
 
 def levels(name: str) -> str:
     """Return the table of the comfort levels whose numbers are in the file `name`."""
     return markdown(json.loads((REFERENCE / name).read_text(encoding="utf-8")))
+
+
+def several(name: str) -> str:
+    """Return the table of the series of levels whose numbers are in the file `name`."""
+    found = json.loads((REFERENCE / name).read_text(encoding="utf-8"))
+    return series({label: summaries["each"] for label, summaries in found.items()})
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import pytest
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments import comfort_statistics as comfort
 from hrl_comfort.experiments.clusters import Clusters
-from hrl_comfort.experiments.comfort_table import markdown
+from hrl_comfort.experiments.comfort_table import markdown, series
 
 LIMIT = 100
 
@@ -260,6 +260,14 @@ def test_the_table_has_a_line_a_level_and_the_change():
     assert len(lines) == 2 + 2 + 1
     assert len({line.count("|") for line in lines}) == 1
     assert "-20.0" in lines[-1]
+
+
+def test_the_table_of_series_has_a_line_a_series_and_its_least_success():
+    found = comfort.summarise(two_levels())
+    lines = series({"one": found, "other": found}).splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| one", "| other"]
+    assert len({line.count("|") for line in lines}) == 1
+    assert "66.7 (level 1)" in lines[2] and "-29.2" in lines[2]
 
 
 @pytest.mark.parametrize(

@@ -49,3 +49,32 @@ def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
         if any(each and each["ci95"] != each["ci95_two_way"] for each in changes):
             lines.append(["likewise, stricter interval", *(cell(each, "percent", 1, 1) for each in stricter)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+SERIES: tuple[tuple[str, str, str, int], ...] = (
+    ("distance, m", "all", DISTANCE, 3),
+    ("steps", "all", STEPS, 1),
+)
+"""What the table of series says of the first and the last level and of the change: where, name, digits."""
+
+
+def series(summaries: Mapping[str, Mapping[str, Any]], spawns: str = "all") -> str:
+    """Return several series of levels, by their labels, as a Markdown table of a line each.
+
+    Least success of any level, then distance and steps over all episodes: first level, last, change in %.
+    """
+    heads = ["", "least success, %"]
+    for what, *_ in SERIES:
+        heads += [f"{what}: first level", "last", "change, %"]
+    lines = [heads, ["---"] * len(heads)]
+    for label, summary in summaries.items():
+        found = summary["spawns"][spawns]
+        least = min(found["levels"], key=lambda at: at["rates"]["success"]["mean"])
+        cells = [f"{100 * least['rates']['success']['mean']:.1f} (level {least['level']})"]
+        for _, part, name, digits in SERIES:
+            change = found["first_to_last"][part][name]
+            low, high = change["ci95"]
+            cells += [f"{change[end]:.{digits}f}" for end in ("from", "to")]
+            cells.append(f"{change['percent']:.1f} [{low:.1f}, {high:.1f}]")
+        lines.append([label, *cells])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
