@@ -44,6 +44,11 @@ ROOTS: dict[str, type[Config]] = {
     "report": ReportConfig,
     "figure": FigureConfig,
 }
+AS_TRAINED: dict[str, tuple[str, ...]] = {
+    "evaluate": tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"),
+    "train_meta": ("robot", "cell", "human"),
+}
+"""Sections that the runs of given policies stand in for, by root."""
 LATER: dict[str, Any] = {"human.stations_m": []}
 """Keys that came later, and their value in a configuration written before they were."""
 T = TypeVar("T")
@@ -75,12 +80,13 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
     """Return the configuration of the verb `root` under Hydra `overrides`.
 
     For `evaluate`, a policy that belongs to a run is measured as it was trained: the run's own
-    config.yaml stands in for the defaults, and the overrides still win.
+    config.yaml stands in for the defaults, and the overrides still win. A controller that is taught
+    meets the robot, cell and people of its skills, and a task of its own.
     """
     known = check_overrides(root, overrides)
     try:
-        if root in ("evaluate", "train_meta"):
-            known = [*_as_trained(known), *known]
+        if root in AS_TRAINED:
+            known = [*_as_trained(known, AS_TRAINED[root]), *known]
         with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
             return _freeze(ROOTS[root], hydra_compose(root, known))
     except (HydraException, OmegaConfBaseException) as error:
@@ -197,8 +203,8 @@ def _near(word: str, words: Iterable[str]) -> str:
     return f", did you mean {close[0]}?" if close else ""
 
 
-def _as_trained(overrides: list[str]) -> list[str]:
-    """Return overrides that set what the policy's run was trained with; of a chain's, the first that has one.
+def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
+    """Return overrides that set `sections` as the policy's run had them; of a chain's, the first with one.
 
     Where a group is chosen in `overrides`, what any of its files states is left to that choice.
     """
@@ -210,7 +216,7 @@ def _as_trained(overrides: list[str]) -> list[str]:
     if folder is None:
         return []
     run, trained = load_config(folder), []
-    for section in (field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"):
+    for section in sections:
         stated = set()
         if section in parsed:
             files = (config_dir() / section).glob("[!_]*.yaml")

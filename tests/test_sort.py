@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from hrl_comfort.compose import compose, environment
+from hrl_comfort.compose import compose, environment, save_config
 from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.experiments.run_folder import find_runs
@@ -193,6 +193,15 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
         )
     )  # fmt: skip
     assert len(result.episodes) == 2 and np.isfinite([e.return_ for e in result.episodes]).all()
+
+
+def test_a_controller_is_taught_beside_the_people_of_its_skills_in_a_task_of_its_own(tmp_path) -> None:
+    save_config(compose("train", ["task=pick", "human=arc", "reward=dense"]), tmp_path / "config.yaml")
+    taught = compose("train_meta", [f"policies.pick='{tmp_path}'"])
+    assert isinstance(taught, MetaTrainConfig)
+    plain = compose("train_meta")
+    assert taught.human.motion == "arc"
+    assert (taught.task, taught.reward, taught.comfort) == (plain.task, plain.reward, plain.comfort)
 
 
 def test_a_wait_ends_with_the_episode_that_succeeds_meanwhile(begun) -> None:
