@@ -102,14 +102,16 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
     done
 }
 
-comfort_10cm() { # on to 10 cm: shown how, alone, and in smaller steps
+comfort_10cm() { # on to 10 cm: shown how, alone, in smaller steps, and without delay
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
         train $to/pick_place_10cm_first experiment=comfort_10cm "${seeds[@]}" "initial_policy=$ref/$to/pick_place"
         train $to/pick_place_10cm_second experiment=comfort_10cm_alone "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_10cm_first"
-        train $to/pick_place_10cm experiment=comfort_10cm_last "${seeds[@]}" \
+        train $to/pick_place_10cm_third experiment=comfort_10cm_finer "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_10cm_second"
+        train $to/pick_place_10cm experiment=comfort_10cm_prompt "${seeds[@]}" \
+            "initial_policy=$ref/$to/pick_place_10cm_third"
         measure_levels $to/eval_10cm "policy=$ref/$to/pick_place_10cm"
     done
 }
