@@ -178,7 +178,7 @@ forms() { # what each form comes to, from the policy that knows the task, with t
             "comfort.threshold=$threshold" comfort.scale=$scale "initial_policy=$ref/comfort/seed0/pick_place_first"
         measure comfort/forms/$form/eval "policy=$ref/comfort/forms/$form" 'levels=[1,4,7,10]'
     done
-    figure forms kind=plane 'labels=[paper,reference,linear,logarithmic,bounded,eased]' "evaluations=[$(
+    figure forms kind=plane over=all 'labels=[paper,reference,linear,logarithmic,bounded,eased]' "evaluations=[$(
         for form in paper reference linear logarithmic bounded eased; do echo "$ref/comfort/forms/$form/eval"; done | paste -sd,)]"
 }
 
