@@ -171,15 +171,16 @@ fixed() { # a policy a level, and the plane of all rivals
 }
 
 forms() { # what each form comes to, from the policy that knows the task, with the same decisions and other rewards
-    for form in ${FORMS:-paper reference linear logarithmic bounded eased}; do
+    forms=${FORMS:-paper reference linear logarithmic bounded eased}
+    for form in $forms; do
         threshold=range scale=1
         case $form in reference) threshold=reference ;; bounded | eased) threshold=levels scale=3 ;; esac
         train comfort/forms/$form experiment=comfort_nearer agent.decisions=50000 "comfort.form=$form" \
             "comfort.threshold=$threshold" comfort.scale=$scale "initial_policy=$ref/comfort/seed0/pick_place_first"
         measure comfort/forms/$form/eval "policy=$ref/comfort/forms/$form" 'levels=[1,4,7,10]'
     done
-    figure forms kind=plane over=all 'labels=[paper,reference,linear,logarithmic,bounded,eased]' "evaluations=[$(
-        for form in paper reference linear logarithmic bounded eased; do echo "$ref/comfort/forms/$form/eval"; done | paste -sd,)]"
+    evaluations=$(printf "$ref/comfort/forms/%s/eval," $forms)
+    figure forms kind=plane over=all "labels=[${forms// /,}]" "evaluations=[${evaluations%,}]"
 }
 
 field() { # the rival that learns nothing

@@ -28,15 +28,6 @@ def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
     with the interval that lets a spawn point do the same to all of them (`Clusters.two_way`).
     """
     found = summary["spawns"][spawns]
-
-    def cell(value: Mapping[str, Any] | None, key: str, scale: float, digits: int) -> str:
-        if value is None:
-            return "–"
-        text = f"{scale * value[key]:.{digits}f}"
-        if value["ci95"] is not None:
-            text += " [{:.{d}f}, {:.{d}f}]".format(*(scale * bound for bound in value["ci95"]), d=digits)
-        return text
-
     lines = [["level", *(heading for heading, *_ in TABLE)], ["---"] * (1 + len(TABLE))]
     for at in found["levels"]:
         cells = (cell(at[part].get(name), "mean", scale, digits) for _, part, name, scale, digits in TABLE)
@@ -51,14 +42,21 @@ def markdown(summary: Mapping[str, Any], spawns: str = "all") -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-SERIES: tuple[tuple[str, str, str, int], ...] = (
-    ("distance, m", "all", DISTANCE, 3),
-    ("steps", "all", STEPS, 1),
-)
-"""What the table of series says of the first and the last level and of the change: where, name, digits."""
+def cell(value: Mapping[str, Any] | None, key: str, scale: float, digits: int) -> str:
+    """Return `value[key]`, scaled, with its interval if it has one; a dash where there is no value."""
+    if value is None:
+        return "–"
+    text = f"{scale * value[key]:.{digits}f}"
+    if value["ci95"] is not None:
+        text += " [{:.{d}f}, {:.{d}f}]".format(*(scale * bound for bound in value["ci95"]), d=digits)
+    return text
 
 
-def series(summaries: Mapping[str, Mapping[str, Any]], spawns: str = "all") -> str:
+SERIES: tuple[tuple[str, str, int], ...] = (("distance, m", DISTANCE, 3), ("steps", STEPS, 1))
+"""What the table of series says of the first and the last level and of the change: heading, name, digits."""
+
+
+def series(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     """Return several series of levels, by their labels, as a Markdown table of a line each.
 
     Least success of any level, then distance and steps over all episodes: first level, last, change in %.
@@ -68,13 +66,12 @@ def series(summaries: Mapping[str, Mapping[str, Any]], spawns: str = "all") -> s
         heads += [f"{what}: first level", "last", "change, %"]
     lines = [heads, ["---"] * len(heads)]
     for label, summary in summaries.items():
-        found = summary["spawns"][spawns]
+        found = summary["spawns"]["all"]
         least = min(found["levels"], key=lambda at: at["rates"]["success"]["mean"])
         cells = [f"{100 * least['rates']['success']['mean']:.1f} (level {least['level']})"]
-        for _, part, name, digits in SERIES:
-            change = found["first_to_last"][part][name]
-            low, high = change["ci95"]
+        for _, name, digits in SERIES:
+            change = found["first_to_last"]["all"][name]
             cells += [f"{change[end]:.{digits}f}" for end in ("from", "to")]
-            cells.append(f"{change['percent']:.1f} [{low:.1f}, {high:.1f}]")
+            cells.append(cell(change, "percent", 1, 1))
         lines.append([label, *cells])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
