@@ -116,13 +116,20 @@ comfort_10cm() { # on to 10 cm: shown how, alone, in smaller steps, and without 
     done
 }
 
-comfort_cycle() { # pick, place and return with levels, each begun where the one before it ends, and their chain
+comfort_cycle() { # pick, place and return with levels, and their chain: each skill from where the one before it ends
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed start=ik seeds=("train_seed=$seed" "episode_seed=$seed")
         for task in pick place return; do
             train $to/${task}_first experiment=comfort_skill_first task=$task "${seeds[@]}" "task.start=$start"
-            train $to/$task experiment=comfort_skill task=$task "${seeds[@]}" "task.start=$start" \
+            train $to/${task}_second experiment=comfort_skill task=$task "${seeds[@]}" "task.start=$start" \
                 "initial_policy=$ref/$to/${task}_first"
+            endings $to/${task}_second
+            start=$ref/$to/${task}_second/endings.npz
+        done
+        start=ik
+        for task in pick place return; do
+            train $to/$task experiment=comfort_skill_finer task=$task "${seeds[@]}" "task.start=$start" \
+                "initial_policy=$ref/$to/${task}_second"
             endings $to/$task
             start=$ref/$to/$task/endings.npz
         done
