@@ -22,7 +22,9 @@ COMFORT = environment(compose("train", ["task=cycle"])).comfort
 
 
 def meta(**changes: Any) -> MetaConfig:
-    config = MetaConfig(name="scripted", options=["pick", "place", "return"], time_limit_steps=10, retries=1)
+    config = MetaConfig(
+        name="scripted", options=["pick", "place", "return"], time_limit_steps=10, retries=1, tell=[]
+    )
     return replace(config, **changes)
 
 

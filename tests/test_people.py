@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort import people
-from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
 from hrl_comfort.people.evaluation import COLUMNS, FIRST_SEED, parse_evaluation_set
 from hrl_comfort.people.make_evaluation_set import default_choices, evaluation_set
 
@@ -26,13 +26,13 @@ HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
-    file=None, clipping="off", masked=False, stations_m=STATIONS,
+    file=None, clipping="off", masked=False, stations_m=STATIONS, stay_s=4.0,
 )  # fmt: skip
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
     ball_radius_m=0.03, table_half_width_m=0.08, base_height_m=0.75,
 )  # fmt: skip
-BOUNDED = ("still", "random_walk", "arc", "approach", "work")
+BOUNDED = ("still", "random_walk", "arc", "approach", "work", "rounds")
 
 
 def human(motion: str, **changes: object) -> HumanConfig:
@@ -75,7 +75,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_an_unknown_motion_is_refused_with_the_list_of_motions() -> None:
     with pytest.raises(ConfigError, match=r"human\.motion='dance'.*random_walk.*playback"):
         people.begin(human("dance"), np.zeros((1, 2)))
-    assert set(people.MOTIONS) == {"none", "still", "random_walk", "arc", "approach", "playback", "work"}
+    assert set(people.MOTIONS) == {*BOUNDED, "none", "playback"}
 
 
 @pytest.mark.parametrize("motion", BOUNDED)
@@ -109,9 +109,29 @@ def test_who_works_walks_to_the_nearest_table_and_stays_there() -> None:
     assert np.linalg.norm(after - np.array(STATIONS), axis=-1).max() < 0.02
 
 
-def test_who_works_needs_a_place_to_work_at() -> None:
-    with pytest.raises(ConfigError, match=r"human\.stations_m=\[\].*at least one place"):
-        human("work", stations_m=[])
+@pytest.mark.parametrize("motion", ["work", "rounds"])
+def test_who_works_needs_a_place_to_work_at(motion: str) -> None:
+    with pytest.raises(
+        ConfigError, match=rf"human\.stations_m=\[\].*motion={motion} needs at least one place"
+    ):
+        human(motion, stations_m=[])
+
+
+def test_who_goes_rounds_works_at_every_place_for_its_time_and_faces_the_robot_there() -> None:
+    config = human("rounds", bound_m=5.0, stay_s=2.0)
+    walks = stroll(config, free_spawns(30), 4000)
+    stations = np.array(STATIONS)
+    position, yaw = (np.stack([getattr(walk, name) for walk in walks]) for name in ("position", "yaw"))
+    still = (np.diff(position, axis=0) == 0).all(axis=-1)
+    at = np.linalg.norm(position[:, :, None] - stations, axis=-1) < 1e-9
+    assert at.any(axis=0).all()  # everybody has been everywhere
+    working = still[1000:] & at[1000:-1].any(axis=-1)
+    stays = working.sum() / (np.diff(working.astype(int), axis=0) == -1).sum() * CONTROL_STEP_S
+    assert 1.7 < stays < 2.3
+    facing = people.facing_base(position.reshape(-1, 2)).reshape(yaw.shape)
+    assert angle_between(yaw[1001:], facing[1001:])[at[1001:].any(axis=-1)].max() < 1e-9
+    moved = np.linalg.norm(np.diff(position, axis=0), axis=-1) / CONTROL_STEP_S
+    assert 0.45 < moved[moved > 0].mean() < 0.55
 
 
 def test_advance_leaves_its_arguments_alone() -> None:

@@ -14,13 +14,13 @@ from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.experiments.run_folder import find_runs
 from hrl_comfort.experiments.train_meta import train_meta
-from hrl_comfort.meta.choices import PLACE, RETREAT, RETURN, WAIT, Decision, at_random, cautious, nearest
+from hrl_comfort.meta.choices import RETREAT, WAIT, Decision, at_random, cautious, nearest
 from hrl_comfort.meta.observation import meta_observation
 from hrl_comfort.meta.options import Ending
 from hrl_comfort.meta.play import play
 from hrl_comfort.meta.q_learning import QLearner, load_choice
 from hrl_comfort.meta.running import ENDINGS, Running
-from hrl_comfort.meta.sorting import Sorting, sorting_options
+from hrl_comfort.meta.sorting import Sorting, sorting_options, stop, told
 from hrl_comfort.sim.engine import Engine
 
 META = compose("evaluate", ["task=sort", "meta=scripted"]).meta
@@ -118,11 +118,44 @@ def test_only_options_that_can_start_are_offered(begun) -> None:
     engine, running = begun
     mask = running.available(engine.episodes.state)
     assert mask[:, :4].all() and mask[:, WAIT].all()
-    assert not (mask[:, PLACE] | mask[:, RETURN] | mask[:, RETREAT]).any()
+    assert not (mask[:, 4] | mask[:, 5] | mask[:, RETREAT]).any()  # place and return follow the picks
     state = engine.episodes.state
     placed = state.placed.clone()
     placed[:, 1] = True
     assert not running.available(state.with_(placed=placed))[:, 1].any()
+
+
+def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:
+    engine, _ = begun
+    env = config("comfort=sort")
+    options = sorting_options(replace(META, tell=[1, 6]), STILL, engine.scene, env, 0)
+    names = [option.name for option in options]
+    assert names[:6] == ["pick_1", "pick_2", "pick_3", "pick_4", "place", "return"]
+    assert names[6:12] == [f"{name}_as_1" for name in names[:6]] and names[-2:] == ["wait", "retreat"]
+    asked = decision(engine, Running(options, 500, engine.episodes))
+    assert (asked.mask[:, :4] == asked.mask[:, 6:10]).all()
+    assert (nearest(asked) < 4).all() and (cautious(asked) != 6).all()
+    heard = told(lambda state: state.level, 6, env.comfort)(engine.episodes.state)
+    assert heard.tolist() == [6.0] * 8
+
+
+@pytest.mark.parametrize("overrides", [["comfort=sort", "comfort.levels=5"], []])
+def test_a_level_that_is_not_there_is_not_told(begun, overrides) -> None:
+    env = config(*overrides)
+    with pytest.raises(ConfigError, match=r"meta\.tell=6 with comfort\.source"):
+        sorting_options(replace(META, tell=[6]), STILL, begun[0].scene, env, 0)
+
+
+def test_whoever_waits_comes_to_rest_where_they_are(begun) -> None:
+    engine = Engine(config("human=none"), 2, 0)
+    state = engine.reset()
+    for _ in range(3):
+        state = engine.step(np.full((2, 6), 0.4)).state
+    for _ in range(6):
+        state = engine.step(stop(engine.episodes.config.task)(state).numpy()).state
+    rest = state.joint_pos
+    state = engine.step(stop(engine.episodes.config.task)(state).numpy()).state
+    assert (state.joint_pos - rest).abs().max() < 1e-3 and state.joint_vel.abs().max() < 0.02
 
 
 def test_a_random_controller_chooses_what_can_start(begun) -> None:
@@ -162,7 +195,7 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
     state = begun[0].episodes.state
     for level in (float("nan"), 3.0):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10)
-        assert seen.shape == (8, 16 + 9 * 4) and bool(seen.isfinite().all())
+        assert seen.shape == (8, 18 + 9 * 4) and bool(seen.isfinite().all())
 
 
 def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
@@ -180,7 +213,7 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     with pytest.raises(ConfigError, match="already holds a controller"):
         train_meta(trained)
     assert [found.name for found in find_runs(tmp_path)] == ["meta"]  # a report of its parent still works
-    with pytest.raises(ConfigError, match="among 6 options"):
+    with pytest.raises(ConfigError, match="among 14 options"):
         load_choice(str(folder), 10, 8)
     result = measure(
         compose(

@@ -41,14 +41,17 @@ class HumanConfig:
     arc_deg: float
     arc_steps: int
     speed_m_s: float
-    """`approach`, `work`: walking speed."""
+    """`approach`, `work`, `rounds`: walking speed."""
     file: str | None
     """`playback`: CSV of t, x, y, yaw in s, m, m, rad, cell frame."""
     clipping: str
     masked: bool
     """True hides the human from the policy: it sees one standing far away."""
     stations_m: list[list[float]]
-    """`work`: places (x, y) of which the one nearest to the spawn point is where the person works, metres."""
+    """`work`: places (x, y) of which the one nearest to the spawn point is where the person works, metres;
+    `rounds`: all of which they work at."""
+    stay_s: float
+    """`rounds`: mean time at a place."""
 
     def __post_init__(self) -> None:
         one_of("human.clipping", self.clipping, CLIPPINGS)
@@ -75,7 +78,8 @@ class HumanConfig:
         between("human.speed_m_s", self.speed_m_s, 0.0, 3.0)
         for i, station in enumerate(self.stations_m):
             point(f"human.stations_m[{i}]", station, 2)
-        if self.motion == "work" and not self.stations_m:
-            raise ConfigError("human.stations_m=[]: motion=work needs at least one place to work at")
+        between("human.stay_s", self.stay_s, 0.1, 3600.0)
+        if self.motion in ("work", "rounds") and not self.stations_m:
+            raise ConfigError(f"human.stations_m=[]: motion={self.motion} needs at least one place")
         if self.motion == "playback" and self.file is None:
             raise ConfigError("human.file=null: motion=playback needs a CSV of t,x,y,yaw")

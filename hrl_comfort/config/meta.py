@@ -20,11 +20,15 @@ class MetaConfig:
     """Control steps after which an option is preempted."""
     retries: int
     """Further tries of an option that was preempted; `sort` tries until the episode's time is up."""
+    tell: list[int]
+    """`sort`: levels, 1 to `comfort.levels`, that a skill may be told instead of the one in force."""
 
     def __post_init__(self) -> None:
         one_of("meta.name", self.name, CONTROLLERS)
         between("meta.time_limit_steps", self.time_limit_steps, 1, 100_000)
         between("meta.retries", self.retries, 0, 100)
+        for level in self.tell:
+            between("meta.tell", level, 1, 1000)
 
 
 @dataclass(frozen=True)

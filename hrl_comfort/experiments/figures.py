@@ -36,7 +36,9 @@ GOALS = {
 """Keys of the cell's configuration that are goals: their labels and colours."""
 SHOWN_TIMELINES = 12
 """Episodes of an option timeline, where none are named."""
-PICK = re.compile(r"pick_(\d+)")
+TOLD = r"(?:_as_\d+)?"
+"""How the name of an option ends that is told a level of its own."""
+PICK = re.compile(rf"pick_(\d+){TOLD}")
 """An option that picks one of several balls."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
@@ -259,7 +261,7 @@ def paths(
 
 
 def _kind(option: str) -> str:
-    return "pick" if PICK.fullmatch(option) else option
+    return "pick" if PICK.fullmatch(option) else re.sub(f"{TOLD}$", "", option)
 
 
 def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:

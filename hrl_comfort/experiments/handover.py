@@ -34,7 +34,7 @@ ENDINGS = 2000
 """Episodes, drawn as in training, whose endings are recorded."""
 FAR = 3.0
 """An observation this many standard deviations from its mean in training counts as far."""
-LONE = MetaConfig(name="none", options=[], time_limit_steps=1, retries=0)
+LONE = MetaConfig(name="none", options=[], time_limit_steps=1, retries=0, tell=[])
 
 
 def handover(config: EvaluateConfig) -> Path:

@@ -1,6 +1,7 @@
 """What a controller of `sort` may choose by: pure functions of state, mask and how the last options ended.
 
-Options are those of `sorting_options`: a pick for each ball, then place, return, wait and retreat.
+Options are those of `sorting_options`: for each level a skill may be told, the one in force first, a pick for
+each of B balls, place and return; then wait and retreat.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from hrl_comfort.meta.options import Ending
 from hrl_comfort.meta.running import ENDINGS
 from hrl_comfort.tasks import State
 
-PLACE, RETURN, WAIT, RETREAT = range(-4, 0)
+WAIT, RETREAT = -2, -1
 """Where these options stand in the list, from its end."""
 NEAR_M = 0.55
 """`cautious` waits while the person is within this of where the tool has to go next, m."""
@@ -49,11 +50,10 @@ def next_of(decision: Decision, score: Tensor) -> Tensor:
 
     `score` is (N, B), one for each ball.
     """
-    picks = decision.mask[:, :PLACE]
-    best = torch.where(picks, score, -torch.inf).argmax(dim=1)
-    count = decision.mask.shape[1]
-    place, back = decision.mask[:, PLACE], decision.mask[:, RETURN]
-    return torch.where(place, count + PLACE, torch.where(back, count + RETURN, best))
+    balls = score.shape[1]
+    best = torch.where(decision.mask[:, :balls], score, -torch.inf).argmax(dim=1)
+    place, back = decision.mask[:, balls], decision.mask[:, balls + 1]
+    return torch.where(place, balls, torch.where(back, balls + 1, best))
 
 
 def retreated(decision: Decision, chosen: Tensor) -> Tensor:
@@ -77,13 +77,11 @@ def cautious(decision: Decision) -> Tensor:
     person = state.human_pos[:, None]
     score = torch.minimum(human_distance(state.balls, person), human_distance(state.drops, person))
     chosen = next_of(decision, score)
-    count = decision.mask.shape[1]
-    ball = chosen.clamp(max=state.balls.shape[1] - 1)
-    goal = torch.where(
-        (chosen < count + PLACE)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos
-    )
+    balls, count = score.shape[1], decision.mask.shape[1]
+    ball = chosen.clamp(max=balls - 1)
+    goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
     near = human_distance(goal, state.human_pos) < NEAR_M
-    waits = near & (decision.waits < PATIENCE) & (chosen != count + RETURN)
+    waits = near & (decision.waits < PATIENCE) & (chosen != balls + 1)
     return retreated(decision, torch.where(waits, count + WAIT, chosen))
 
 

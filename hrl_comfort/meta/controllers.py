@@ -127,5 +127,5 @@ def chain(options: list[Option]) -> list[Option]:
 
 def single(task: Subtask, option: Option, limit: int, comfort: ComfortConfig) -> Scripted:
     """Return the controller of a lone policy: its one option has the episode's limit, control steps."""
-    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit, retries=0)
+    config = MetaConfig(name="none", options=[option.name], time_limit_steps=limit, retries=0, tell=[])
     return Scripted(config, task, [option], comfort)

@@ -15,11 +15,12 @@ ROUND = len(STAGES)
 
 
 def meta_observation(state: State, levels: int) -> Tensor:
-    """Return (N, 16 + 9 B).
+    """Return (N, 18 + 9 B).
 
-    Person (2), tool (3), joints from home (6), stage of the round (3), level and whether there is one (2); of
-    each ball where it lies (3), where it belongs (2), how far the person is from both (2), whether it is
-    placed and whether it is the one aimed at (2).
+    Person (2) and the way they face (2, zero where they are not seen as they are), tool (3), joints from
+    home (6), stage of the round (3), level and whether there is one (2); of each ball where it lies (3),
+    where it belongs (2), how far the person is from both (2), whether it is placed and whether it is the one
+    aimed at (2).
     """
     drop = state.drops
     person = human(state)[:, None]
@@ -38,5 +39,8 @@ def meta_observation(state: State, levels: int) -> Tensor:
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
-    parts = [human(state), tool(state), joint_error(state), stage, ease[:, None], leveled[:, None].double()]
-    return torch.cat([*parts, balls.flatten(1)], dim=-1).float()
+    seen = (state.human_seen == state.human_pos).all(dim=-1, keepdim=True)
+    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * seen
+    told = torch.stack([ease, leveled.double()], dim=-1)
+    parts = [human(state), facing, tool(state), joint_error(state), stage, told, balls.flatten(1)]
+    return torch.cat(parts, dim=-1).float()

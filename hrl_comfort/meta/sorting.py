@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, EnvConfig, MetaConfig
+from hrl_comfort.config import ComfortConfig, ConfigError, EnvConfig, MetaConfig, TaskConfig
 from hrl_comfort.meta.choices import WAIT, Choose, Decision
 from hrl_comfort.meta.controllers import OptionRun
 from hrl_comfort.meta.observation import ROUND
-from hrl_comfort.meta.options import Option, Pause, make_policy
+from hrl_comfort.meta.options import Act, Option, Pause, make_policy
 from hrl_comfort.meta.running import ENDINGS, Running
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
@@ -20,12 +22,16 @@ from hrl_comfort.tasks.return_home import GO_HOME
 SKILLS = ("pick", "place", "return")
 WAIT_STEPS = 25
 """Control steps that a wait lasts: half a second."""
+REST_RAD_S = 0.1
+"""A joint that is slower than this is at rest."""
 
 
 def sorting_options(
     meta: MetaConfig, policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
 ) -> list[Option | Pause]:
-    """Return a pick for each ball, place, return, wait and retreat; policies by subtask name.
+    """Return a pick for each ball, place and return, for each level they may be told, then wait and retreat.
+
+    A skill is told the level in force or, in further options, one of `meta.tell`; policies by subtask name.
 
     Raises:
       ConfigError: the division is another, or a policy is missing or does not fit.
@@ -38,20 +44,55 @@ def sorting_options(
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
     act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
-    picks = [
-        Option(f"pick_{k + 1}", subtask("pick"), act["pick"], 0, ROUND, ball=k)
-        for k in range(config.task.balls)
-    ]
-    rest = [
-        Option(name, subtask(name), act[name], first, ROUND) for first, name in ((1, "place"), (2, "return"))
-    ]
+    skills: list[Option | Pause] = []
+    for level in (None, *meta.tell):
+        suffix = "" if level is None else f"_as_{level}"
+        pick, place, back = (told(act[name], level, config.comfort) for name in SKILLS)
+        skills += [
+            Option(f"pick_{k + 1}{suffix}", subtask("pick"), pick, 0, ROUND, ball=k)
+            for k in range(config.task.balls)
+        ]
+        skills += [
+            Option(f"place{suffix}", subtask("place"), place, 1, ROUND),
+            Option(f"return{suffix}", subtask("return"), back, 2, ROUND),
+        ]
     home = Expert(scene, config, subtask("return"))
     return [
-        *picks,
-        *rest,
-        Pause("wait", lambda state: torch.zeros_like(state.joint_pos), WAIT_STEPS),
+        *skills,
+        Pause("wait", stop(config.task), WAIT_STEPS),
         Pause("retreat", home.act, config.task.limit_steps, GO_HOME.done),
     ]
+
+
+def told(act: Act, level: int | None, comfort: ComfortConfig) -> Act:
+    """Return `act`, told of `level` instead of the level in force.
+
+    Raises:
+      ConfigError: there is no such level, or none in force.
+    """
+    if level is None:
+        return act
+    if comfort.source == "none" or level > comfort.levels:
+        raise ConfigError(
+            f"meta.tell={level} with comfort.source={comfort.source} and comfort.levels={comfort.levels}; "
+            "choose among the levels of a source, or meta.tell=[]"
+        )
+    return lambda state: act(state.with_(level=torch.full_like(state.level, float(level))))
+
+
+def stop(task: TaskConfig) -> Act:
+    """Return what brings the arm to rest: while a joint moves, the servos' targets go back to the joints.
+
+    At rest they stay as they are, for a servo holds the arm up by how far it is from its target.
+    """
+    reach = task.steps_per_decision * math.radians(task.max_step_deg)
+
+    def act(state: State) -> Tensor:
+        moving = state.joint_vel.abs().amax(dim=-1, keepdim=True) > REST_RAD_S
+        back = ((state.joint_pos - state.joint_target) / reach).clamp(-1.0, 1.0)
+        return torch.where(moving, back, 0.0)
+
+    return act
 
 
 class Sorting:

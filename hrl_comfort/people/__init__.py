@@ -12,6 +12,7 @@ from hrl_comfort.people.evaluation import MOTION_STREAM, EvaluationSet, load_eva
 from hrl_comfort.people.none import none
 from hrl_comfort.people.playback import playback, read_motion
 from hrl_comfort.people.random_walk import random_walk
+from hrl_comfort.people.rounds import rounds
 from hrl_comfort.people.still import still
 from hrl_comfort.people.walk import (
     NOISE,
@@ -35,6 +36,7 @@ MOTIONS: dict[str, Motion] = {
     "approach": approach,
     "playback": playback,
     "work": work,
+    "rounds": rounds,
 }
 ATTEMPTS = 1000
 UNBOUND = ("none", "playback")
