@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|speed|fixed|forms|field|figures|figures_10cm|divisions|handover|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_disturbed|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|handover|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -139,21 +139,42 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
     done
 }
 
-sort() { # several balls: four controllers above the skills of comfort_cycle, and what goes wrong on purpose
+sort() { # several balls, beside somebody who goes from table to table: four controllers above the skills of comfort_cycle
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        meta=(task=sort comfort=sort reward=sort "${skills[@]}")
+        meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
         if ! grep -qs '"finished": true' "$ref/sort/seed$seed/provenance.json"; then
             rm -rf "$ref/sort/seed$seed" # a controller takes minutes: one that was stopped begins anew
-            "${hrl[@]}" train meta "output=$ref/sort/seed$seed" "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
+            "${hrl[@]}" train meta "output=$ref/sort/seed$seed" human=rounds "train_seed=$seed" "episode_seed=$seed" \
+                "${skills[@]}"
         fi
         for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done
         measure sort/seed$seed/learned "${meta[@]}" meta=learned "policies.meta=$ref/sort/seed$seed"
+    done
+}
+
+sort_disturbed() { # what goes wrong on purpose
+    for seed in ${SEEDS:-0 1 2}; do
+        to=comfort/seed$seed
+        meta=(task=sort comfort=sort reward=sort human=rounds "policies.pick=$ref/$to/pick"
+            "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
         for kind in drop block; do
-            measure sort/seed$seed/${kind} "${meta[@]}" meta=cautious disturbance=$kind
+            measure sort/seed$seed/scripted_$kind "${meta[@]}" meta=scripted disturbance=$kind
+            measure sort/seed$seed/learned_$kind "${meta[@]}" meta=learned disturbance=$kind \
+                "policies.meta=$ref/sort/seed$seed"
         done
     done
+}
+
+figures_sort() { # from the evaluations of sort
+    of=
+    for name in learned scripted cautious random; do of+="'$ref/sort/seed*/$name',"; done
+    "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" "evaluations=[${of%,}]" \
+        'labels=[learned,scripted,cautious,random]'
+    "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" "evaluations=[${of%,}]" \
+        'labels=[learned,scripted,cautious,random]'
+    "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline.png" "evaluations=[$ref/sort/seed0/learned]"
 }
 
 speed() { # speed alone, from the policy that knows the task: shown how, then alone
@@ -213,6 +234,10 @@ figures_10cm() { # from the evaluations of comfort_10cm
     record recorded/calm 1000 $ten comfort.source=fixed comfort.level=10
     record recorded/jump 1000 $ten comfort.source=schedule 'comfort.schedule_s=[0,0.2]' 'comfort.schedule_levels=[10,1]'
     figure jump kind=jump jump_s=0.2 "evaluations=[$ref/comfort/recorded/calm,$ref/comfort/recorded/jump]"
+}
+
+figures_cycle() { # from the evaluations of comfort_cycle
+    figure levels_cycle kind=levels "evaluations=['$ref/comfort/seed*/cycle']"
 }
 
 divisions() { # the cycle with three, two and one network: 620,000 decisions each way

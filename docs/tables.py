@@ -4,7 +4,8 @@ A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Fo
 evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training
 seeds). A table of comfort levels stands between `<!-- levels: FILE -->` and `<!-- end -->`; the file, in
 runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes beside its picture. One of
-several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`.
+several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`. One of
+controllers stands after `<!-- controllers: FILE -->`; its file is that of `kind=controllers`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 from hrl_comfort.experiments.comfort_table import markdown, series
+from hrl_comfort.experiments.controller_returns import table as controllers
 from hrl_comfort.experiments.statistics import column, describe, read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -21,6 +24,7 @@ PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
 MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 SERIES = re.compile(r"(<!-- series: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+CONTROLLERS = re.compile(r"(<!-- controllers: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
     "human distance, m", "human hit, %", "cell or self hit, %",
@@ -59,18 +63,24 @@ def filled(page: str) -> str:
     """Return the page with every marked table made anew."""
     page = MARKED.sub(lambda found: found[1] + table(found[2].split()) + found[3], page)
     page = LEVELS.sub(lambda found: found[1] + levels(found[2]) + found[3], page)
-    return SERIES.sub(lambda found: found[1] + several(found[2]) + found[3], page)
+    page = SERIES.sub(lambda found: found[1] + several(found[2]) + found[3], page)
+    return CONTROLLERS.sub(lambda found: found[1] + controllers(numbers(found[2])) + found[3], page)
+
+
+def numbers(name: str) -> dict[str, Any]:
+    """Return what the file `name` in runs/reference holds."""
+    found: dict[str, Any] = json.loads((REFERENCE / name).read_text(encoding="utf-8"))
+    return found
 
 
 def levels(name: str) -> str:
     """Return the table of the comfort levels whose numbers are in the file `name`."""
-    return markdown(json.loads((REFERENCE / name).read_text(encoding="utf-8")))
+    return markdown(numbers(name))
 
 
 def several(name: str) -> str:
     """Return the table of the series of levels whose numbers are in the file `name`."""
-    found = json.loads((REFERENCE / name).read_text(encoding="utf-8"))
-    return series({label: summaries["each"] for label, summaries in found.items()})
+    return series({label: summaries["each"] for label, summaries in numbers(name).items()})
 
 
 if __name__ == "__main__":

@@ -191,7 +191,7 @@ class ReportConfig:
     video: bool
 
 
-FIGURES = ("levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain")
+FIGURES = ("levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,13 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.experiments import comfort_figures, comfort_paths, level_jump, option_figures
+from hrl_comfort.experiments import (
+    comfort_figures,
+    comfort_paths,
+    controller_returns,
+    level_jump,
+    option_figures,
+)
 from hrl_comfort.experiments.comfort_statistics import (
     Limit,
     Paired,
@@ -180,6 +186,12 @@ def _chain(config: FigureConfig, groups: Groups) -> Drawn:
     return option_figures.chain(found), dict(found)
 
 
+def _controllers(config: FigureConfig, groups: Groups) -> Drawn:
+    numbers = controller_returns.compare(groups)
+    print(controller_returns.table(numbers), end="")
+    return controller_returns.draw(numbers), numbers
+
+
 KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "levels": _levels,
     "speed": _speed,
@@ -189,4 +201,5 @@ KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "jump": _jump,
     "timeline": _timeline,
     "chain": _chain,
+    "controllers": _controllers,
 }

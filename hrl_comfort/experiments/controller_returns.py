@@ -1,0 +1,132 @@
+"""What controllers of `sort` earn, in its parts, and by how much the first earns more than the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments.clusters import Clusters
+from hrl_comfort.experiments.comfort_table import cell
+from hrl_comfort.experiments.figures import BLUE, STYLE
+from hrl_comfort.experiments.run_folder import Run
+from hrl_comfort.experiments.statistics import Floats, column
+
+PARTS = {
+    "success": "every ball sorted (%)",
+    "return": "return",
+    "placed": "balls placed",
+    "time": "less time",
+    "discomfort": "less discomfort",
+}
+"""What is told of an episode. Return is what placed balls pay, less what time and discomfort cost."""
+PAID = ("place", "step")
+"""Weights of the reward that may differ from zero; the rest of the return is discomfort."""
+
+
+def earnings(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
+    """Return which episodes (n, 3), by training seed, episode and spawn point, and their PARTS (n, 5).
+
+    Raises:
+      ConfigError: options.csv is missing, or something else is paid for.
+    """
+    found, who = [], []
+    for run in runs:
+        reward = run.config.get("reward", {})
+        other = [name for name, weight in reward.items() if weight and name not in (*PAID, "k1", "k2", "k3")]
+        if other or not reward or not run.episodes or not run.options:
+            what = (
+                f"reward.{other[0]}={reward[other[0]]}" if other else "no reward, episodes.csv or options.csv"
+            )
+            raise ConfigError(f"{run.folder}: {what}; kind=controllers takes evaluations with reward=sort")
+        placed = dict.fromkeys((row["episode"] for row in run.episodes), 0)
+        for row in run.options:
+            placed[row["episode"]] += row["option"].startswith("place") and row["ending"] == "success"
+        paid = reward["place"] * np.array([placed[row["episode"]] for row in run.episodes], dtype=np.float64)
+        earned, time = column(run.episodes, "return"), -reward["step"] * column(run.episodes, "steps")
+        found.append(
+            np.stack([column(run.episodes, "success"), earned, paid, time, paid - time - earned], axis=-1)
+        )
+        who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in run.episodes]
+    return np.array(who), np.concatenate(found)
+
+
+def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
+    """Return the means of every controller's PARTS, and the first one's differences from the others.
+
+    Intervals are the bootstrap over training seeds and, within them, spawn points. Differences are of the
+    same episodes with the same skills.
+
+    Raises:
+      ConfigError: as `earnings`, or the controllers did not run the same episodes.
+    """
+    all_of = {label: earnings(runs) for label, runs in groups.items()}
+    (first, (who, own)), *rest = all_of.items()
+    numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
+    for label, (names, values) in all_of.items():
+        clusters = Clusters.nested(names[:, 0], names[:, 2])
+        means, draws = clusters.means(values)
+        numbers["controllers"][label] = {
+            "episodes": len(values),
+            **{
+                part: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
+                for k, part in enumerate(PARTS)
+            },
+        }
+    for label, (names, values) in rest:
+        if names.shape != who.shape or (names != who).any():
+            raise ConfigError(
+                f"labels={[first, label]}: both must have run the same episodes with the same seeds"
+            )
+        clusters = Clusters.nested(who[:, 0], who[:, 2])
+        means, draws = clusters.means(np.concatenate([own - values, values], axis=-1))
+        count, k = len(PARTS), list(PARTS).index("return")
+        numbers["differences"][f"{first} - {label}"] = {
+            **{
+                part: {"mean": float(means[i]), "ci95": clusters.interval(draws[:, i])}
+                for i, part in enumerate(PARTS)
+            },
+            "return_percent": {
+                "mean": float(100 * means[k] / means[count + k]),
+                "ci95": clusters.interval(100 * draws[:, k] / draws[:, count + k]),
+            },
+        }
+    return numbers
+
+
+def draw(numbers: Mapping[str, Any]) -> Figure:
+    """Draw what `compare` found: a panel a part, a line a controller, 95 % intervals."""
+    found = numbers["controllers"]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 0.9 + 0.3 * len(found)), layout="constrained")
+        axes = figure.subplots(1, len(PARTS), sharey=True)
+        for axis, (part, label) in zip(axes, PARTS.items(), strict=True):
+            scale = 100 if part == "success" else 1
+            for y, each in enumerate(found.values()):
+                mean, interval = each[part]["mean"], each[part]["ci95"] or [each[part]["mean"]] * 2
+                axis.plot(scale * np.array(interval), [y, y], color=BLUE)
+                axis.plot(scale * mean, y, color=BLUE, marker="o", markersize=4)
+            axis.set(xlabel=label)
+            axis.grid(visible=False, axis="y")
+        axes[0].set_yticks(range(len(found)), labels=list(found))
+        axes[0].set_ylim(len(found) - 0.5, -0.5)
+        return figure
+
+
+def table(numbers: Mapping[str, Any]) -> str:
+    """Return what `compare` found as a Markdown table: the controllers, then the differences."""
+    heads = ["", "every ball sorted, %", *list(PARTS.values())[1:], "return, %"]
+    lines = [heads, ["---"] * len(heads)]
+    for section in ("controllers", "differences"):
+        for label, each in numbers[section].items():
+            cells = [
+                cell(each[part], "mean", 100 if part == "success" else 1, 1 if part == "success" else 3)
+                for part in PARTS
+            ]
+            lines.append([label, *cells, cell(each.get("return_percent"), "mean", 1, 1)])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

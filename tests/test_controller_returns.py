@@ -1,0 +1,78 @@
+"""What controllers earn, and by how much one earns more than another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.compose import compose
+from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.experiments.controller_returns import compare, table
+from hrl_comfort.experiments.figure import figure
+from hrl_comfort.experiments.run_folder import Run
+
+REWARD = {"place": 1.0, "step": -0.001, "progress": 0.0, "k1": 1.0}
+
+
+def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward: float) -> Run:
+    episodes = [
+        {
+            "train_seed": seed, "episode": str(i), "spawn_id": str(i % 2), "success": "True",
+            "return": str(earned), "steps": "200",
+        }
+        for i, earned in enumerate(returns)
+    ]  # fmt: skip
+    options = [
+        {"episode": row["episode"], "option": name, "ending": ending}
+        for row in episodes
+        for name, ending in [("pick_1", "success"), ("place_as_6", "preempted")]
+        + [("place", "success")] * (placed - 1)
+        + [("place_as_6", "success")]
+    ]
+    config = {"reward": {**REWARD, **reward}}
+    blank = dict.fromkeys(["provenance", "metrics", "minutes", "groups", "checkpoints", "paths"])
+    return Run("run", Path("run"), {}, config, episodes=episodes, options=options, **blank)
+
+
+def test_a_return_parts_into_balls_time_and_discomfort() -> None:
+    found = compare({"one": [evaluation([1.5, 1.7])]})["controllers"]["one"]
+    means = {part: value["mean"] for part, value in found.items() if part != "episodes"}
+    assert means == pytest.approx({"success": 1, "return": 1.6, "placed": 2, "time": 0.2, "discomfort": 0.2})
+
+
+def test_differences_are_of_the_same_episodes() -> None:
+    better, worse = [1.5, 1.7, 1.1, 1.9], [1.4, 1.6, 1.0, 1.8]
+    groups = {"a": [evaluation(better), evaluation(better, seed="1")]}
+    found = compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="1")]})["differences"]["a - b"]
+    assert found["return"]["mean"] == pytest.approx(0.1)
+    assert found["return"]["ci95"] == pytest.approx([0.1, 0.1])  # though the episodes differ by far more
+    assert found["return_percent"]["mean"] == pytest.approx(100 * 0.1 / 1.45)
+    with pytest.raises(ConfigError, match="must have run the same episodes"):
+        compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="2")]})
+
+
+def test_a_return_of_other_parts_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes .* reward=sort"):
+        compare({"one": [evaluation([1.0], progress=3.0)]})
+
+
+def test_the_table_has_a_line_a_controller_and_a_difference() -> None:
+    text = table(compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([1.4, 1.6])]}))
+    assert [line.split(" | ")[0] for line in text.splitlines()] == ["| ", "| ---", "| a", "| b", "| a - b"]
+
+
+def test_the_figure_of_controllers_is_drawn_from_evaluations(tmp_path: Path) -> None:
+    words = ["task=sort", "task.balls=2", "comfort=sort", "reward=sort", "human=none", "episodes=2"]
+    words += ["task.limit_steps=60", *(f"policies.{name}=random" for name in ("pick", "place", "return"))]
+    for name in ("scripted", "random"):
+        assert main(["evaluate", *words, f"meta={name}", f"output={tmp_path / name}"]) == 0
+    evaluations = f"evaluations=[{tmp_path / 'scripted'},{tmp_path / 'random'}]"
+    output = tmp_path / "returns.png"
+    config = compose(
+        "figure", ["kind=controllers", evaluations, "labels=[scripted,random]", f"output={output}"]
+    )
+    assert isinstance(config, FigureConfig)
+    figure(config)
+    assert output.is_file() and output.with_suffix(".json").is_file()
