@@ -128,8 +128,10 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
         done
         start=ik
         for task in pick place return; do
+            more=() # place fails most
+            if [ $task = place ]; then more=(agent.decisions=160000); fi
             train $to/$task experiment=comfort_skill_finer task=$task "${seeds[@]}" "task.start=$start" \
-                "initial_policy=$ref/$to/${task}_second"
+                "${more[@]}" "initial_policy=$ref/$to/${task}_second"
             endings $to/$task
             start=$ref/$to/$task/endings.npz
         done
