@@ -283,6 +283,24 @@ def test_log_probability_stays_finite_for_saturated_actions():
     assert log_prob.isfinite().all()
 
 
+@pytest.mark.parametrize("tau", [1.0, 0.25])
+def test_a_policy_file_keeps_the_mean_of_actors(tau: float) -> None:
+    learner = filled(Sac(agent(actor_tau=tau), D, A))
+    mean = [parameter.detach().clone() for parameter in learner.actor.parameters()]
+    for _ in range(3):
+        learner.update()
+        newest = list(learner.actor.parameters())
+        mean = [(1 - tau) * old + tau * new.detach() for old, new in zip(mean, newest, strict=True)]
+    kept = learner.policy_state()["actor"]
+    names = [name for name, _ in learner.actor.named_parameters()]
+    for name, expected in zip(names, mean, strict=True):
+        torch.testing.assert_close(kept[name], expected)
+        assert tau < 1 or torch.equal(kept[name], learner.networks_state()["actor"][name])
+    other = Sac(agent(actor_tau=tau), D, A)
+    other.load_state_dict(learner.state_dict())
+    assert all(torch.equal(kept[name], other.policy_state()["actor"][name]) for name in names)
+
+
 def test_critics_may_learn_alone_first() -> None:
     learner = filled(Sac(agent(critic_first_updates=2), D, A))
     before = {name: value.clone() for name, value in learner.actor.state_dict().items()}

@@ -37,7 +37,7 @@ class ActorPolicy:
 def save_policy(
     path: Path, networks: dict[str, Any], spec: dict[str, Any], counters: dict[str, Any] | None = None
 ) -> None:
-    """Write a policy file: `Sac.networks_state()`, the policy's spec, and how far training was.
+    """Write a policy file: `Sac.policy_state()`, the policy's spec, and how far training was.
 
     The critics go in too: they are small, and training can then go on from the file alone.
     """

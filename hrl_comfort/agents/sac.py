@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -101,9 +102,13 @@ class Sac:
         self.critics = TwinCritics(observation_dim, action_dim, hidden)
         self.targets = TwinCritics(observation_dim, action_dim, hidden).requires_grad_(False)
         self.targets.load_state_dict(self.critics.state_dict())
+        self.average = copy.deepcopy(self.actor).requires_grad_(False)
+        """The actor that acts outside training: the mean of the actor's steps, or its newest."""
         self.log_alpha = torch.tensor(math.log(config.entropy_coefficient), requires_grad=True)
         self._parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
         self._critic_parameters: list[Tensor] = list(self.critics.parameters())
+        self._actor_parameters: list[Tensor] = list(self.actor.parameters())
+        self._average_parameters: list[Tensor] = list(self.average.parameters())
         self._target_parameters: list[Tensor] = list(self.targets.parameters())
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
@@ -192,6 +197,7 @@ class Sac:
         self.optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
+            torch._foreach_lerp_(self._average_parameters, self._actor_parameters, self.config.actor_tau)
         self.updates += 1
         return terms
 
@@ -207,7 +213,7 @@ class Sac:
         return self.config.imitation * loss / len(guided)
 
     def networks_state(self) -> dict[str, Any]:
-        """Return the learnt tensors: what a policy file keeps.
+        """Return the learnt tensors.
 
         Raises:
             TrainingDiverged: a parameter is not finite.
@@ -227,9 +233,18 @@ class Sac:
                     )
         return state
 
+    def policy_state(self) -> dict[str, Any]:
+        """Return what a policy file keeps: `networks_state` with the actor that acts outside training.
+
+        Raises:
+            TrainingDiverged: a parameter is not finite.
+        """
+        return {**self.networks_state(), "actor": self.average.state_dict()}
+
     def load_networks(self, state: dict[str, Any]) -> None:
         """Take over the learnt tensors of `networks_state`; the optimiser and the buffer stay."""
         self.actor.load_state_dict(state["actor"])
+        self.average.load_state_dict(state["actor"])
         self.critics.load_state_dict(state["critics"])
         self.targets.load_state_dict(state["targets"])
         self.normaliser.load_state_dict(state["normaliser"])
@@ -241,6 +256,7 @@ class Sac:
         size = len(self.buffer)
         return {
             "networks": self.networks_state(),
+            "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "updates": self.updates,
             "buffer": self.buffer.storage[:size].to_dict() if size else {},
@@ -250,6 +266,7 @@ class Sac:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`, in a learner that has stored nothing yet."""
         self.load_networks(state["networks"])
+        self.average.load_state_dict(state.get("average", state["networks"]["actor"]))
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates = state["updates"]
         if state["buffer"]:

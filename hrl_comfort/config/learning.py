@@ -50,6 +50,9 @@ class AgentConfig:
     buffer_size: int
     learning_rate: float
     tau: float
+    actor_tau: float
+    """Share of the newest actor, at each update, in the mean that policy files keep (Polyak and Juditsky 1992):
+    the last of many steps is no better than any other. 1 keeps the newest."""
     gamma: float
     """Discount per control step; a decision of k steps discounts by gamma**k."""
     hidden: list[int]
@@ -79,6 +82,7 @@ class AgentConfig:
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("agent.tau", self.tau, 0.0, 1.0)
+        between("agent.actor_tau", self.actor_tau, 0.0, 1.0)
         between("agent.gamma", self.gamma, 0.0, 1.0)
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)

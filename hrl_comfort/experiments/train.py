@@ -227,7 +227,7 @@ class Training:
     def save(self, resumable: bool) -> None:
         """Write policy.pt, a light checkpoint, the best one if this is it, and what resuming needs."""
         checkpoints = self.folder / "checkpoints"
-        networks = self.learner.networks_state()
+        networks = self.learner.policy_state()
         precision_m = self.curriculum.precision_m
         counters = {"decisions": self.decisions, "updates": self.learner.updates, "precision_m": precision_m}
         paths = [checkpoint.step_path(checkpoints, self.decisions), self.folder / "policy.pt"]
