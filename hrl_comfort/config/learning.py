@@ -51,8 +51,8 @@ class AgentConfig:
     learning_rate: float
     tau: float
     actor_tau: float
-    """Share of the newest actor, at each update, in the mean that policy files keep: the last of many steps is
-    a draw (Polyak and Juditsky 1992). 1 keeps the newest."""
+    """Share of the newest actor, at each update, in the mean that policy files keep (Polyak and Juditsky
+    1992); 1 keeps the newest."""
     gamma: float
     """Discount per control step; a decision of k steps discounts by gamma**k."""
     hidden: list[int]
