@@ -20,20 +20,13 @@ def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward:
     episodes = [
         {
             "train_seed": seed, "episode": str(i), "spawn_id": str(i % 2), "success": "True",
-            "return": str(earned), "steps": "200",
+            "return": str(earned), "steps": "200", "balls_placed": str(placed),
         }
         for i, earned in enumerate(returns)
     ]  # fmt: skip
-    options = [
-        {"episode": row["episode"], "option": name, "ending": ending}
-        for row in episodes
-        for name, ending in [("pick_1", "success"), ("place_as_6", "preempted")]
-        + [("place", "success")] * (placed - 1)
-        + [("place_as_6", "success")]
-    ]
-    config = {"reward": {**REWARD, **reward}}
-    blank = dict.fromkeys(["provenance", "metrics", "minutes", "groups", "checkpoints", "paths"])
-    return Run("run", Path("run"), {}, config, episodes=episodes, options=options, **blank)
+    config = {"reward": {**REWARD, **reward}, "policies": {"pick": "p", "meta": seed}}
+    blank = dict.fromkeys(["provenance", "metrics", "minutes", "groups", "checkpoints", "paths", "options"])
+    return Run("run", Path("run"), {}, config, episodes=episodes, **blank)
 
 
 def test_a_return_parts_into_balls_time_and_discomfort() -> None:
@@ -56,6 +49,24 @@ def test_differences_are_of_the_same_episodes() -> None:
 def test_a_return_of_other_parts_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes .* reward=sort"):
         compare({"one": [evaluation([1.0], progress=3.0)]})
+
+
+def test_controllers_that_are_paid_otherwise_are_not_compared() -> None:
+    with pytest.raises(ConfigError, match="differ in reward; compare like with like"):
+        compare({"a": [evaluation([1.5])], "b": [evaluation([1.5], step=-0.002)]})
+
+
+def test_an_evaluation_of_several_levels_is_refused() -> None:
+    run = evaluation([1.0])
+    run.config["levels"] = [1, 4]
+    with pytest.raises(ConfigError, match="several comfort levels; kind=controllers takes"):
+        compare({"one": [run]})
+
+
+def test_no_share_is_given_of_a_return_that_may_be_nothing() -> None:
+    found = compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([-0.1, 0.3])]})
+    assert "return_percent" not in found["differences"]["a - b"]
+    assert table(found).splitlines()[-1].endswith("| – |")
 
 
 def test_the_table_has_a_line_a_controller_and_a_difference() -> None:

@@ -14,13 +14,14 @@ from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.experiments.run_folder import find_runs
 from hrl_comfort.experiments.train_meta import train_meta
+from hrl_comfort.meta import sorting as sorting_module
 from hrl_comfort.meta.choices import RETREAT, WAIT, Decision, at_random, cautious, nearest
 from hrl_comfort.meta.observation import meta_observation
 from hrl_comfort.meta.options import Ending
 from hrl_comfort.meta.play import play
 from hrl_comfort.meta.q_learning import QLearner, load_choice
 from hrl_comfort.meta.running import ENDINGS, Running
-from hrl_comfort.meta.sorting import Sorting, sorting_options, stop, told
+from hrl_comfort.meta.sorting import Sorting, sorting_options, stop
 from hrl_comfort.sim.engine import Engine
 
 META = compose("evaluate", ["task=sort", "meta=scripted"]).meta
@@ -134,9 +135,17 @@ def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:
     assert names[6:12] == [f"{name}_as_1" for name in names[:6]] and names[-2:] == ["wait", "retreat"]
     asked = decision(engine, Running(options, 500, engine.episodes))
     assert (asked.mask[:, :4] == asked.mask[:, 6:10]).all()
-    assert (nearest(asked) < 4).all() and (cautious(asked) != 6).all()
-    heard = told(lambda state: state.level, 6, env.comfort)(engine.episodes.state)
-    assert heard.tolist() == [6.0] * 8
+    wait = len(names) + WAIT
+    assert (nearest(asked) < 4).all() and all(k < 4 or k == wait for k in cautious(asked).tolist())
+
+
+def test_a_skill_acts_as_at_the_level_it_is_told(begun, monkeypatch) -> None:
+    monkeypatch.setattr(sorting_module, "make_policy", lambda *_: lambda state: state.level[:, None])
+    env = config("comfort=sort")
+    options = sorting_options(replace(META, tell=[6]), STILL, begun[0].scene, env, 0)
+    state = begun[0].episodes.state.with_(level=torch.full((8,), 3.0, dtype=torch.float64))
+    heard = {option.name: option.act(state)[0, 0].item() for option in options[:12]}
+    assert all(level == (6 if name.endswith("_as_6") else 3) for name, level in heard.items())
 
 
 @pytest.mark.parametrize("overrides", [["comfort=sort", "comfort.levels=5"], []])
@@ -151,10 +160,12 @@ def test_whoever_waits_comes_to_rest_where_they_are(begun) -> None:
     state = engine.reset()
     for _ in range(3):
         state = engine.step(np.full((2, 6), 0.4)).state
+    began = state.joint_pos
     for _ in range(6):
         state = engine.step(stop(engine.episodes.config.task)(state).numpy()).state
     rest = state.joint_pos
     state = engine.step(stop(engine.episodes.config.task)(state).numpy()).state
+    assert (rest - began).abs().max() < 0.015  # it runs on by 0.021 rad where the targets stay ahead
     assert (state.joint_pos - rest).abs().max() < 1e-3 and state.joint_vel.abs().max() < 0.02
 
 
@@ -213,8 +224,8 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     with pytest.raises(ConfigError, match="already holds a controller"):
         train_meta(trained)
     assert [found.name for found in find_runs(tmp_path)] == ["meta"]  # a report of its parent still works
-    with pytest.raises(ConfigError, match="among 14 options"):
-        load_choice(str(folder), 10, 8)
+    with pytest.raises(ConfigError, match=r"among \['pick_1'.*here there are \['wait'\] at 10"):
+        load_choice(str(folder), 10, ["wait"])
     result = measure(
         compose(
             "evaluate",

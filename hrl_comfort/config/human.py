@@ -51,7 +51,7 @@ class HumanConfig:
     """`work`: places (x, y) of which the one nearest to the spawn point is where the person works, metres;
     `rounds`: all of which they work at."""
     stay_s: float
-    """`rounds`: mean time at a place."""
+    """`rounds`: mean time at a place, s."""
 
     def __post_init__(self) -> None:
         one_of("human.clipping", self.clipping, CLIPPINGS)
@@ -81,5 +81,7 @@ class HumanConfig:
         between("human.stay_s", self.stay_s, 0.1, 3600.0)
         if self.motion in ("work", "rounds") and not self.stations_m:
             raise ConfigError(f"human.stations_m=[]: motion={self.motion} needs at least one place")
+        if self.motion == "rounds" and self.speed_m_s == 0.0:
+            raise ConfigError("human.speed_m_s=0: motion=rounds walks; choose a speed above 0")
         if self.motion == "playback" and self.file is None:
             raise ConfigError("human.file=null: motion=playback needs a CSV of t,x,y,yaw")

@@ -82,7 +82,7 @@ class AgentConfig:
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("agent.tau", self.tau, 0.0, 1.0)
-        between("agent.actor_tau", self.actor_tau, 0.0, 1.0)
+        between("agent.actor_tau", self.actor_tau, 1e-6, 1.0)
         between("agent.gamma", self.gamma, 0.0, 1.0)
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config.checks import between, one_of, widths
+from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
 CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
 
@@ -29,6 +29,8 @@ class MetaConfig:
         between("meta.retries", self.retries, 0, 100)
         for level in self.tell:
             between("meta.tell", level, 1, 1000)
+        if len(set(self.tell)) < len(self.tell):
+            raise ConfigError(f"meta.tell={list(self.tell)} names a level twice")
 
 
 @dataclass(frozen=True)

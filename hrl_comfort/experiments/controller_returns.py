@@ -27,32 +27,39 @@ PARTS = {
 """What is told of an episode. Return is what placed balls pay, less what time and discomfort cost."""
 PAID = ("place", "step")
 """Weights of the reward that may differ from zero; the rest of the return is discomfort."""
+SAME = ("robot", "cell", "human", "comfort", "task", "reward", "policies", "disturbance")
+"""Sections of the configuration in which evaluations must agree to be compared."""
 
 
 def earnings(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
     """Return which episodes (n, 3), by training seed, episode and spawn point, and their PARTS (n, 5).
 
     Raises:
-      ConfigError: options.csv is missing, or something else is paid for.
+      ConfigError: an evaluation is of several levels, does not say how many balls were placed, or is paid for
+        something else.
     """
     found, who = [], []
     for run in runs:
-        reward = run.config.get("reward", {})
+        rows, reward = run.episodes or [], run.config.get("reward", {})
         other = [name for name, weight in reward.items() if weight and name not in (*PAID, "k1", "k2", "k3")]
-        if other or not reward or not run.episodes or not run.options:
-            what = (
-                f"reward.{other[0]}={reward[other[0]]}" if other else "no reward, episodes.csv or options.csv"
+        wrong = [f"reward.{name}={reward[name]}" for name in other] or [
+            what
+            for what, so in (
+                ("no reward in its config.yaml", not reward),
+                ("several comfort levels", bool(run.config.get("levels"))),
+                ("no balls_placed in its episodes.csv", any(not row.get("balls_placed") for row in rows)),
             )
-            raise ConfigError(f"{run.folder}: {what}; kind=controllers takes evaluations with reward=sort")
-        placed = dict.fromkeys((row["episode"] for row in run.episodes), 0)
-        for row in run.options:
-            placed[row["episode"]] += row["option"].startswith("place") and row["ending"] == "success"
-        paid = reward["place"] * np.array([placed[row["episode"]] for row in run.episodes], dtype=np.float64)
-        earned, time = column(run.episodes, "return"), -reward["step"] * column(run.episodes, "steps")
-        found.append(
-            np.stack([column(run.episodes, "success"), earned, paid, time, paid - time - earned], axis=-1)
-        )
-        who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in run.episodes]
+            if so
+        ]
+        if wrong:
+            raise ConfigError(
+                f"{run.folder}: {wrong[0]}; kind=controllers takes evaluations with reward=sort of one level"
+            )
+        paid = reward["place"] * column(rows, "balls_placed")
+        earned, time = column(rows, "return"), -reward["step"] * column(rows, "steps")
+        success = column(rows, "success")
+        found.append(np.stack([success, earned, paid, time, paid - time - earned], axis=-1))
+        who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in rows]
     return np.array(who), np.concatenate(found)
 
 
@@ -60,43 +67,53 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     """Return the means of every controller's PARTS, and the first one's differences from the others.
 
     Intervals are the bootstrap over training seeds and, within them, spawn points. Differences are of the
-    same episodes with the same skills.
+    same episodes with the same skills; in per cent of the other's return where that is surely positive.
 
     Raises:
-      ConfigError: as `earnings`, or the controllers did not run the same episodes.
+      ConfigError: as `earnings`, or the controllers did not run the same episodes in the same way.
     """
     all_of = {label: earnings(runs) for label, runs in groups.items()}
     (first, (who, own)), *rest = all_of.items()
     numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         clusters = Clusters.nested(names[:, 0], names[:, 2])
-        means, draws = clusters.means(values)
-        numbers["controllers"][label] = {
-            "episodes": len(values),
-            **{
-                part: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
-                for k, part in enumerate(PARTS)
-            },
-        }
+        numbers["controllers"][label] = {"episodes": len(values), **_described(clusters, values)}
     for label, (names, values) in rest:
         if names.shape != who.shape or (names != who).any():
             raise ConfigError(
                 f"labels={[first, label]}: both must have run the same episodes with the same seeds"
             )
+        for mine, other in zip(groups[first], groups[label], strict=True):
+            _must_agree(mine, other)
         clusters = Clusters.nested(who[:, 0], who[:, 2])
-        means, draws = clusters.means(np.concatenate([own - values, values], axis=-1))
-        count, k = len(PARTS), list(PARTS).index("return")
-        numbers["differences"][f"{first} - {label}"] = {
-            **{
-                part: {"mean": float(means[i]), "ci95": clusters.interval(draws[:, i])}
-                for i, part in enumerate(PARTS)
-            },
-            "return_percent": {
-                "mean": float(100 * means[k] / means[count + k]),
-                "ci95": clusters.interval(100 * draws[:, k] / draws[:, count + k]),
-            },
-        }
+        found = _described(clusters, own - values)
+        k = list(PARTS).index("return")
+        means, draws = clusters.means(np.stack([own[:, k] - values[:, k], values[:, k]], axis=-1))
+        if (draws[:, 1] > 0).all():
+            found["return_percent"] = {
+                "mean": float(100 * means[0] / means[1]),
+                "ci95": clusters.interval(100 * draws[:, 0] / draws[:, 1]),
+            }
+        numbers["differences"][f"{first} - {label}"] = found
     return numbers
+
+
+def _described(clusters: Clusters, values: Floats) -> dict[str, Any]:
+    means, draws = clusters.means(values)
+    return {
+        part: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
+        for k, part in enumerate(PARTS)
+    }
+
+
+def _must_agree(mine: Run, other: Run) -> None:
+    """Raise ConfigError unless two evaluations differ in their controller alone."""
+    for section in SAME:
+        left, right = (run.config.get(section) for run in (mine, other))
+        if section == "policies":
+            left, right = ({k: v for k, v in (each or {}).items() if k != "meta"} for each in (left, right))
+        if left != right:
+            raise ConfigError(f"{mine.folder} and {other.folder} differ in {section}; compare like with like")
 
 
 def draw(numbers: Mapping[str, Any]) -> Figure:

@@ -34,6 +34,8 @@ def make_controller(config: EvaluateConfig, policy: str | None, engine: Engine, 
         raise ConfigError(
             f"meta={config.meta.name} is for task=sort; task={config.task.name} takes meta=scripted"
         )
+    if config.meta.tell:
+        raise ConfigError(f"meta.tell={list(config.meta.tell)} is for task=sort; choose meta.tell=[]")
     options = []
     for name in config.meta.options:
         part = subtask(name)
@@ -52,7 +54,9 @@ def _sorting(config: EvaluateConfig, engine: Engine, seed: int) -> Controller:
     if config.meta.name == "learned":
         if "meta" not in config.policies:
             raise ConfigError("policies.meta is not given; meta=learned needs it")
-        choose = load_choice(config.policies["meta"], config.comfort.levels, len(running.options))
+        choose = load_choice(
+            config.policies["meta"], config.comfort.levels, [o.name for o in running.options]
+        )
     else:
         choose = make_choice(config.meta.name, seed)
     return Sorting(running, choose)

@@ -61,6 +61,7 @@ class Episode:
     robot_moving_at_collision: bool | None
     other_collision: str
     truncated: bool
+    balls_placed: int
     comfort_level_mean: float | None
     measures: dict[str, float | None]
     """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
@@ -255,6 +256,7 @@ class Chunk:
             robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
             other_collision="table" if table else "self" if itself else "none",
             truncated=not success and not (hit or table or itself),
+            balls_placed=int(state.placed[row].sum()),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             measures={},
             limit_steps=self._limit(row, outcome),

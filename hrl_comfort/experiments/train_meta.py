@@ -145,7 +145,6 @@ class MetaTraining:
         return [self.options, self.updates, count, *means, self.exploration, loss]
 
     def _save(self) -> None:
-        comfort = self.config.comfort
-        self.learner.save(
-            self.folder / "meta.pt", {"levels": comfort.levels, "balls": self.config.task.balls}
-        )
+        names = [option.name for option in self.env.running.options]
+        spec = {"levels": self.config.comfort.levels, "balls": self.config.task.balls, "names": names}
+        self.learner.save(self.folder / "meta.pt", spec)

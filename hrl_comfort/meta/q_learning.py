@@ -92,8 +92,8 @@ def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
     return chosen
 
 
-def load_choice(source: str, levels: int, options: int) -> Choose:
-    """Return how a trained controller chooses; `source` is its run folder or meta.pt.
+def load_choice(source: str, levels: int, options: list[str]) -> Choose:
+    """Return how a trained controller chooses among `options`; `source` is its run folder or meta.pt.
 
     Raises:
       ConfigError: there is none, or it was trained for other options.
@@ -103,12 +103,12 @@ def load_choice(source: str, levels: int, options: int) -> Choose:
     if "network" not in state or "spec" not in state:
         raise ConfigError(f"policies.meta={source!r} is not a trained controller; its folder holds meta.pt")
     spec = state["spec"]
-    if spec["options"] != options or spec["levels"] != levels:
+    if spec.get("names") != options or spec["levels"] != levels:
         raise ConfigError(
-            f"policies.meta={source!r} chooses among {spec['options']} options at {spec['levels']} levels; "
-            f"here there are {options} at {levels}"
+            f"policies.meta={source!r} chooses among {spec.get('names')} at {spec['levels']} levels; "
+            f"here there are {options} at {levels} (meta.tell, task.balls)"
         )
-    network = make_network(spec["observation_dim"], options, spec["hidden"])
+    network = make_network(spec["observation_dim"], len(options), spec["hidden"])
     network.load_state_dict(state["network"])
 
     @torch.no_grad()
