@@ -102,7 +102,7 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
     done
 }
 
-comfort_10cm() { # on to 10 cm: shown how, alone, in smaller steps, without delay, and as a mean
+comfort_10cm() { # on to 10 cm: shown how, alone, in smaller steps, and without delay
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed seeds=("train_seed=$seed" "episode_seed=$seed")
         train $to/pick_place_10cm_first experiment=comfort_10cm "${seeds[@]}" "initial_policy=$ref/$to/pick_place"
@@ -110,10 +110,8 @@ comfort_10cm() { # on to 10 cm: shown how, alone, in smaller steps, without dela
             "initial_policy=$ref/$to/pick_place_10cm_first"
         train $to/pick_place_10cm_third experiment=comfort_10cm_finer "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_10cm_second"
-        train $to/pick_place_10cm_fourth experiment=comfort_10cm_prompt "${seeds[@]}" \
+        train $to/pick_place_10cm experiment=comfort_10cm_prompt "${seeds[@]}" \
             "initial_policy=$ref/$to/pick_place_10cm_third"
-        train $to/pick_place_10cm experiment=comfort_10cm_mean "${seeds[@]}" \
-            "initial_policy=$ref/$to/pick_place_10cm_fourth"
         measure_levels $to/eval_10cm "policy=$ref/$to/pick_place_10cm"
     done
 }
