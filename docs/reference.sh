@@ -129,7 +129,7 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
         start=ik
         for task in pick place return; do
             more=() # place fails most
-            if [ $task = place ]; then more=(agent.decisions=100000); fi
+            if [ $task = place ]; then more=(agent.decisions=160000); fi
             train $to/$task experiment=comfort_skill_finer task=$task "${seeds[@]}" "task.start=$start" \
                 "${more[@]}" "initial_policy=$ref/$to/${task}_second"
             endings $to/$task
