@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_disturbed|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|handover|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|handover|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -141,42 +141,43 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
     done
 }
 
-sort() { # several balls, beside somebody who goes from table to table: four controllers above the skills of comfort_cycle
+sort() { # several balls, beside somebody who goes from table to table, above the skills of comfort_cycle; with mishaps
     for seed in ${SEEDS:-0 1 2}; do
-        to=comfort/seed$seed
-        skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
-        if ! grep -qs '"finished": true' "$ref/sort/seed$seed/provenance.json"; then
-            rm -rf "$ref/sort/seed$seed" # a controller takes minutes: one that was stopped begins anew
-            "${hrl[@]}" train meta "output=$ref/sort/seed$seed" human=rounds "train_seed=$seed" "episode_seed=$seed" \
-                "${skills[@]}"
-        fi
+        sorting $seed
         for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done
-        measure sort/seed$seed/learned "${meta[@]}" meta=learned "policies.meta=$ref/sort/seed$seed"
-    done
-}
-
-sort_disturbed() { # what goes wrong on purpose
-    for seed in ${SEEDS:-0 1 2}; do
-        to=comfort/seed$seed
-        meta=(task=sort comfort=sort reward=sort human=rounds "policies.pick=$ref/$to/pick"
-            "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        for kind in drop block; do
-            measure sort/seed$seed/scripted_$kind "${meta[@]}" meta=scripted disturbance=$kind
-            measure sort/seed$seed/learned_$kind "${meta[@]}" meta=learned disturbance=$kind \
-                "policies.meta=$ref/sort/seed$seed"
+        for name in scripted cautious; do
+            for kind in drop block; do
+                measure sort/seed$seed/${name}_$kind "${meta[@]}" meta=$name disturbance=$kind
+            done
         done
     done
 }
 
+sort_learned() { # a controller that learns
+    for seed in ${SEEDS:-0 1 2}; do
+        sorting $seed
+        folder=$ref/sort/seed$seed/controller
+        if ! grep -qs '"finished": true' "$folder/provenance.json"; then
+            rm -rf "$folder" # it takes minutes: one that was stopped begins anew
+            "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
+        fi
+        measure sort/seed$seed/learned "${meta[@]}" meta=learned "policies.meta=$folder"
+    done
+}
+
+sorting() { # seed; sets what its evaluations have in common
+    to=comfort/seed$1
+    skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
+    meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
+}
+
 figures_sort() { # from the evaluations of sort
     of=
-    for name in learned scripted cautious random; do of+="'$ref/sort/seed*/$name',"; done
-    "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" "evaluations=[${of%,}]" \
-        'labels=[learned,scripted,cautious,random]'
-    "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" "evaluations=[${of%,}]" \
-        'labels=[learned,scripted,cautious,random]'
-    "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline.png" "evaluations=[$ref/sort/seed0/learned]"
+    for name in ${CONTROLLERS:-scripted cautious random}; do of+="'$ref/sort/seed*/$name',"; done
+    labels=$(tr ' ' , <<<"${CONTROLLERS:-scripted cautious random}")
+    "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" "evaluations=[${of%,}]" "labels=[$labels]"
+    "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" "evaluations=[${of%,}]" "labels=[$labels]"
+    "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline.png" "evaluations=[$ref/sort/seed0/scripted]"
 }
 
 speed() { # speed alone, from the policy that knows the task: shown how, then alone
