@@ -21,8 +21,8 @@ PARTS = {
     "success": "every ball sorted (%)",
     "return": "return",
     "placed": "balls placed",
-    "time": "less time",
-    "discomfort": "less discomfort",
+    "time": "cost of time",
+    "discomfort": "cost of discomfort",
 }
 """What is told of an episode. Return is what placed balls pay, less what time and discomfort cost."""
 PAID = ("place", "step")
