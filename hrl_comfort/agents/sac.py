@@ -266,6 +266,7 @@ class Sac:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`, in a learner that has stored nothing yet."""
         self.load_networks(state["networks"])
+        # Checkpoints from before there was a mean kept the newest actor, as actor_tau = 1 does.
         self.average.load_state_dict(state.get("average", state["networks"]["actor"]))
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates = state["updates"]

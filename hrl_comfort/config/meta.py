@@ -45,7 +45,6 @@ class MetaAgentConfig:
     batch_size: int
     buffer_size: int
     learning_rate: float
-    """Adam's, in the first half of the training; it falls to nothing over the second."""
     tau: float
     gamma: float
     """Discount per control step; an option of k steps discounts by gamma**k."""

@@ -40,27 +40,32 @@ def earnings(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
     """
     found, who = [], []
     for run in runs:
-        rows, reward = run.episodes or [], run.config.get("reward", {})
-        other = [name for name, weight in reward.items() if weight and name not in (*PAID, "k1", "k2", "k3")]
-        wrong = [f"reward.{name}={reward[name]}" for name in other] or [
-            what
-            for what, so in (
-                ("no reward in its config.yaml", not reward),
-                ("several comfort levels", bool(run.config.get("levels"))),
-                ("no balls_placed in its episodes.csv", any(not row.get("balls_placed") for row in rows)),
-            )
-            if so
-        ]
-        if wrong:
+        if (wrong := _unfit(run)) is not None:
             raise ConfigError(
-                f"{run.folder}: {wrong[0]}; kind=controllers takes evaluations with reward=sort of one level"
+                f"{run.folder}: {wrong}; kind=controllers takes evaluations with reward=sort of one level"
             )
+        rows, reward = run.episodes or [], run.config["reward"]
         paid = reward["place"] * column(rows, "balls_placed")
         earned, time = column(rows, "return"), -reward["step"] * column(rows, "steps")
         success = column(rows, "success")
         found.append(np.stack([success, earned, paid, time, paid - time - earned], axis=-1))
         who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in rows]
     return np.array(who), np.concatenate(found)
+
+
+def _unfit(run: Run) -> str | None:
+    """Return why the parts of an evaluation's return cannot be told, None where they can."""
+    reward = run.config.get("reward")
+    if not reward:
+        return "no reward in its config.yaml"
+    for name, weight in reward.items():
+        if weight and name not in (*PAID, "k1", "k2", "k3"):
+            return f"reward.{name}={weight}"
+    if run.config.get("levels"):
+        return "several comfort levels"
+    if any(not row.get("balls_placed") for row in run.episodes or []):
+        return "no balls_placed in its episodes.csv"
+    return None
 
 
 def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:

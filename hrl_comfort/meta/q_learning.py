@@ -49,11 +49,6 @@ class QLearner:
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
         self.target = SoftUpdate(self.loss, tau=config.tau)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
-        # Options differ by little: what is left of the steps' noise would choose among them.
-        updates = max(1.0, config.options * config.updates_per_option)
-        self.rate = torch.optim.lr_scheduler.LambdaLR(
-            self.optimiser, lambda done: min(1.0, max(0.0, 2 * (1 - done / updates)))
-        )
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size), batch_size=config.batch_size
         )
@@ -77,7 +72,6 @@ class QLearner:
         found.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
         self.optimiser.step()
-        self.rate.step()
         self.target.step()
         return float(found.detach())
 
