@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|handover|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -244,32 +244,41 @@ figures_cycle() { # from the evaluations of comfort_cycle
     figure levels_cycle kind=levels "evaluations=['$ref/comfort/seed*/cycle']"
 }
 
-divisions() { # the cycle with three, two and one network: 620,000 decisions each way
-    train division/pick_place experiment=reference task=pick_place agent.decisions=420000
-    endings division/pick_place
-    train division/return experiment=reference task=return agent.decisions=200000 \
-        "task.start=$ref/division/pick_place/endings.npz"
-    train division/cycle experiment=reference task=cycle agent.decisions=620000
-    measure division/three task=cycle meta=scripted \
-        "policies.pick=$ref/pick" "policies.place=$ref/place" "policies.return=$ref/return"
-    measure division/two task=cycle meta=scripted division=two \
-        "policies.pick_place=$ref/division/pick_place" "policies.return=$ref/division/return"
-    measure division/one task=cycle meta=scripted division=one "policies.cycle=$ref/division/cycle"
+divisions() { # the cycle with three, two and one network, 200,000 decisions each way; a skill first alone, then from
+    # where the one before it ends, and what that is worth (evaluate handover)
+    for seed in ${SEEDS:-0 1 2}; do
+        to=hierarchy/seed$seed
+        learn three/pick task=pick agent.decisions=30000
+        learn three/place_alone task=place agent.decisions=60000
+        learn three/return_alone task=return agent.decisions=40000
+        chain three/pick three/place task=place agent.decisions=40000
+        chain three/place three/return task=return agent.decisions=30000
+        learn two/pick_place task=pick_place agent.decisions=130000
+        learn two/return_alone task=return agent.decisions=40000
+        chain two/pick_place two/return task=return agent.decisions=30000
+        learn one/cycle task=cycle agent.decisions=200000
+        of=$ref/$to
+        measure $to/three/eval task=cycle meta=scripted \
+            "policies.pick=$of/three/pick" "policies.place=$of/three/place" "policies.return=$of/three/return"
+        measure $to/two/eval task=cycle meta=scripted division=two \
+            "policies.pick_place=$of/two/pick_place" "policies.return=$of/two/return"
+        measure $to/one/eval task=cycle meta=scripted division=one "policies.cycle=$of/one/cycle"
+        handover before _alone
+        handover after ''
+    done
 }
-
-handover() { # place and return trained from made-up starts, and then on from how the policy before them ends
-    place=$ref/handover/place_alone back=$ref/handover/return_alone
-    train handover/place_alone experiment=reference task=place agent.decisions=200000
-    train handover/return_alone experiment=reference task=return agent.decisions=150000
-    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/handover/before" \
-        "policies.pick=$ref/pick" "policies.place=$place" "policies.return=$back"
-    train handover/place experiment=reference task=place agent.decisions=100000 "initial_policy=$place" \
-        curriculum=off "task.start=$ref/pick/endings.npz"
-    endings handover/place
-    train handover/return experiment=reference task=return agent.decisions=100000 "initial_policy=$back" \
-        curriculum=off "task.start=$ref/handover/place/endings.npz"
-    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/handover/after" \
-        "policies.pick=$ref/pick" "policies.place=$ref/handover/place" "policies.return=$ref/handover/return"
+learn() { # folder, overrides; alone, from starts made up, 30 cm to 10 cm; kept is the mean of some 2,000 updates
+    train "$to/$1" experiment=reference agent.actor_tau=5e-4 "train_seed=$seed" "episode_seed=$seed" "${@:2}"
+}
+chain() { # the skill before, folder, overrides: trained on at 10 cm from how the skill before it leaves the arm
+    endings "$to/$1"
+    learn "$2" curriculum=off agent.learning_rate=1e-4 agent.critic_first_updates=2000 \
+        "initial_policy=$ref/$to/${2}_alone" "task.start=$ref/$to/$1/endings.npz" "${@:3}"
+}
+handover() { # name, ending of the folders of place and return
+    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/$to/handover_$1" \
+        "policies.pick=$ref/$to/three/pick" "policies.place=$ref/$to/three/place$2" \
+        "policies.return=$ref/$to/three/return$2"
 }
 
 expert() { # the scripted expert: every task can be done
