@@ -13,7 +13,7 @@ from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, MetaConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.meta.controllers import Scripted, chain, single
-from hrl_comfort.meta.options import Option, make_policy
+from hrl_comfort.meta.options import Option, act, make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
@@ -79,7 +79,7 @@ def test_options_that_do_not_cover_the_task_are_refused() -> None:
 def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
     seen = []
     place = Option("place", subtask("place"), lambda s: seen.append(s.stage.tolist()) or s.joint_pos, first=1)
-    place.act(at(state, [5, 5, 5], [1, 1, 1]))
+    act([place], torch.zeros(3, dtype=torch.int64), at(state, [5, 5, 5], [1, 1, 1]), ~NO)
     assert seen == [[0, 0, 0]]
 
 

@@ -81,7 +81,7 @@ def test_an_option_earns_its_rewards_discounted_by_the_control_step() -> None:
     first = ~waiting
     by_hand = [0.0] * 3
     for _ in range(int(lengths[first].max())):
-        outcome = twin.step(option.act(state).numpy())
+        outcome = twin.step(option.policy(state).numpy())
         for row in torch.nonzero(first).squeeze(-1).tolist():
             for k in range(int(outcome.decision_steps[row])):
                 step = int(state.steps[row]) + k

@@ -125,6 +125,7 @@ def test_who_goes_rounds_works_at_every_place_for_its_time_and_faces_the_robot_t
     still = (np.diff(position, axis=0) == 0).all(axis=-1)
     at = np.linalg.norm(position[:, :, None] - stations, axis=-1) < 1e-9
     assert at.any(axis=0).all()  # everybody has been everywhere
+    assert not still[0].any()  # and nobody works where they come from
     working = still[1000:] & at[1000:-1].any(axis=-1)
     stays = working.sum() / (np.diff(working.astype(int), axis=0) == -1).sum() * CONTROL_STEP_S
     assert 1.7 < stays < 2.3

@@ -17,7 +17,7 @@ from hrl_comfort.experiments.train_meta import train_meta
 from hrl_comfort.meta import sorting as sorting_module
 from hrl_comfort.meta.choices import RETREAT, WAIT, Decision, at_random, cautious, nearest
 from hrl_comfort.meta.observation import meta_observation
-from hrl_comfort.meta.options import Ending
+from hrl_comfort.meta.options import Ending, act
 from hrl_comfort.meta.play import play
 from hrl_comfort.meta.q_learning import QLearner, load_choice
 from hrl_comfort.meta.running import ENDINGS, Running
@@ -144,7 +144,10 @@ def test_a_skill_acts_as_at_the_level_it_is_told(begun, monkeypatch) -> None:
     env = config("comfort=sort")
     options = sorting_options(replace(META, tell=[6]), STILL, begun[0].scene, env, 0)
     state = begun[0].episodes.state.with_(level=torch.full((8,), 3.0, dtype=torch.float64))
-    heard = {option.name: option.act(state)[0, 0].item() for option in options[:12]}
+    heard = {}
+    for index, option in enumerate(options[:12]):
+        chosen = torch.full((8,), index)
+        heard[option.name] = act(options, chosen, state, chosen >= 0)[0, 0].item()
     assert all(level == (6 if name.endswith("_as_6") else 3) for name, level in heard.items())
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hrl_comfort.comfort.adapt import limit_steps
 from hrl_comfort.config import ComfortConfig, ConfigError, MetaConfig
-from hrl_comfort.meta.options import Ending, Option
+from hrl_comfort.meta.options import Ending, Option, act
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, Subtask
 
@@ -72,12 +72,7 @@ class Scripted:
 
     def act(self, state: State) -> Tensor:
         """Return actions (N, 6): in each row those of the option in force; rows that are over stand still."""
-        action = torch.zeros_like(state.joint_pos)
-        for index, option in enumerate(self.options):
-            chosen = torch.nonzero((self._option == index) & ~self._over).squeeze(-1)
-            if len(chosen):
-                action[chosen] = option.act(state.rows(chosen)).to(action.dtype)
-        return action
+        return act(self.options, self._option, state, ~self._over)
 
     def observe(self, outcome: Outcome) -> Tensor:
         """Note what a decision led to and return (N,) bool: rows whose episode the controller gives up."""

@@ -5,7 +5,7 @@ The options framework (Sutton, Precup, Singh 1999): an option acts by its policy
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -42,7 +42,8 @@ class Option:
 
     `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
     as its subtask has, and sees their index counted from its own. Of a task that goes round several times
-    (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for.
+    (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for. Where
+    there is a `level`, the policy is told it, instead of the level in force.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Option:
     first: int = 0
     round_stages: int = 0
     ball: int | None = None
+    level: float | None = None
 
     @property
     def last(self) -> int:
@@ -59,22 +61,20 @@ class Option:
 
     def can_start(self, state: State) -> Tensor:
         """Return (N,) bool: the stage in force is one of the option's own, and its ball is not placed."""
-        stage = state.stage - self._round(state)
+        stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
         return able if self.ball is None else able & ~state.placed[:, self.ball]
 
     def ends(self, state: State) -> Tensor:
         """Return (N,) int64: the stage at which the option is done if it starts now."""
-        return self._round(state) + self.last
+        return self._round(state.stage) + self.last
 
-    def act(self, state: State) -> Tensor:
-        """Return the actions (N, 6) of the option's policy."""
-        return self.policy(state.with_(stage=(state.stage - self._round(state) - self.first).clamp(min=0)))
+    def own_stage(self, stage: Tensor) -> Tensor:
+        """Return the stages (N,) int64 counted from the option's own, of this round."""
+        return (stage - self._round(stage) - self.first).clamp(min=0)
 
-    def _round(self, state: State) -> Tensor:
-        if not self.round_stages:
-            return torch.zeros_like(state.stage)
-        return state.stage - state.stage % self.round_stages
+    def _round(self, stage: Tensor) -> Tensor:
+        return stage - stage % self.round_stages if self.round_stages else torch.zeros_like(stage)
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ class Pause:
     limit_steps: int
     done: Quantity | None = None
     ball: None = None
+    level: None = None
 
     def can_start(self, state: State) -> Tensor:
         """Return (N,) bool: not where it is done already."""
@@ -95,9 +96,30 @@ class Pause:
         """Return (N,) int64, a stage that is never reached."""
         return torch.full_like(state.stage, NEVER)
 
-    def act(self, state: State) -> Tensor:
-        """Return the actions (N, 6) of its policy."""
-        return self.policy(state.with_(stage=torch.zeros_like(state.stage)))
+    def own_stage(self, stage: Tensor) -> Tensor:
+        """Return zeros (N,) int64: it has no stages."""
+        return torch.zeros_like(stage)
+
+
+def act(options: Sequence[Option | Pause], option: Tensor, state: State, acting: Tensor) -> Tensor:
+    """Return the actions (N, 6) of the options in force, `option` (N,) int64; rows not `acting` stand still.
+
+    Options that share a policy act in one batch.
+    """
+    stage, level, policy = state.stage.clone(), state.level.clone(), torch.full_like(option, -1)
+    policies = list(dict.fromkeys(each.policy for each in options))
+    for index, each in enumerate(options):
+        rows = (option == index) & acting
+        stage = torch.where(rows, each.own_stage(stage), stage)
+        policy[rows] = policies.index(each.policy)
+        if each.level is not None:
+            level[rows] = each.level
+    seen, action = state.with_(stage=stage, level=level), torch.zeros_like(state.joint_pos)
+    for index, acts in enumerate(policies):
+        rows = torch.nonzero(policy == index).squeeze(-1)
+        if len(rows):
+            action[rows] = acts(seen.rows(rows)).to(action.dtype)
+    return action
 
 
 def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import limit_steps
-from hrl_comfort.meta.options import Ending, Option, Pause
+from hrl_comfort.meta.options import Ending, Option, Pause, act
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State
@@ -72,13 +72,8 @@ class Running:
 
     def act(self, state: State, acting: Tensor | None = None) -> Tensor:
         """Return the actions (N, 6) of the options in force; rows not `acting` (N,) bool stand still."""
-        action = torch.zeros_like(state.joint_pos)
-        for index, option in enumerate(self.options):
-            chosen = self.option == index
-            rows = torch.nonzero(chosen if acting is None else chosen & acting).squeeze(-1)
-            if len(rows):
-                action[rows] = option.act(state.rows(rows)).to(action.dtype)
-        return action
+        everyone = torch.ones_like(self.option, dtype=torch.bool)
+        return act(self.options, self.option, state, everyone if acting is None else acting)
 
     def ended(self, outcome: Outcome) -> Ended:
         """Return which options have ended with a decision, and how.

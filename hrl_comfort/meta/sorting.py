@@ -43,18 +43,20 @@ def sorting_options(
         raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(SKILLS)}")
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
+    for level in meta.tell:
+        check_told(level, config.comfort)
     act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
     skills: list[Option | Pause] = []
     for level in (None, *meta.tell):
         suffix = "" if level is None else f"_as_{level}"
-        pick, place, back = (told(act[name], level, config.comfort) for name in SKILLS)
         skills += [
-            Option(f"pick_{k + 1}{suffix}", subtask("pick"), pick, 0, ROUND, ball=k)
+            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level)
             for k in range(config.task.balls)
         ]
         skills += [
-            Option(f"place{suffix}", subtask("place"), place, 1, ROUND),
-            Option(f"return{suffix}", subtask("return"), back, 2, ROUND),
+            Option(f"{name}{suffix}", subtask(name), act[name], first, ROUND, level=level)
+            for first, name in enumerate(SKILLS)
+            if name != "pick"
         ]
     home = Expert(scene, config, subtask("return"))
     return [
@@ -64,20 +66,13 @@ def sorting_options(
     ]
 
 
-def told(act: Act, level: int | None, comfort: ComfortConfig) -> Act:
-    """Return `act`, told of `level` instead of the level in force.
-
-    Raises:
-      ConfigError: there is no such level, or none in force.
-    """
-    if level is None:
-        return act
+def check_told(level: int, comfort: ComfortConfig) -> None:
+    """Raise ConfigError if there is no such level to tell a skill, or none in force."""
     if comfort.source == "none" or level > comfort.levels:
         raise ConfigError(
             f"meta.tell={level} with comfort.source={comfort.source} and comfort.levels={comfort.levels}; "
             "choose among the levels of a source, or meta.tell=[]"
         )
-    return lambda state: act(state.with_(level=torch.full_like(state.level, float(level))))
 
 
 def stop(task: TaskConfig) -> Act:

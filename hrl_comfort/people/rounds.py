@@ -8,21 +8,22 @@ from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.people.walk import Array, Walk, facing_base, length
 
 WHOLE_RAD = 2 * np.pi
-NEGLIGIBLE_RAD = 1e-9
+NEGLIGIBLE_RAD = NEGLIGIBLE_M = 1e-9
 
 
 def rounds(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Stand and work for `stay_s` on average, then go round the robot to the next of `stations_m`.
+    """Go round the robot to the next of `stations_m`, work there for `stay_s` on average, and so on.
 
     Whoever works faces the robot, whoever walks faces the way round they take, drawn when they set off: so
-    their yaw says what they are at. They leave as likely at any moment.
+    their yaw says what they are at. They leave as likely at any moment; from anywhere else they go at once.
     """
+    stations = np.array(config.stations_m, dtype=np.float64)
+    away = np.linalg.norm(walk.position[:, None] - stations, axis=-1).min(axis=1) > NEGLIGIBLE_M
     bearing = np.arctan2(walk.position[:, 1], walk.position[:, 0])
     way = np.sign(np.round(np.sin(facing_base(walk.position) - walk.yaw), 3))
-    leaving = (way == 0) & (noise[:, 2] * config.stay_s < CONTROL_STEP_S)
+    leaving = (way == 0) & (away | (noise[:, 2] * config.stay_s < CONTROL_STEP_S))
     way = np.where(leaving, np.where(noise[:, 0] < 0.5, 1.0, -1.0), way)
 
-    stations = np.array(config.stations_m, dtype=np.float64)
     ahead = (np.arctan2(stations[:, 1], stations[:, 0]) - bearing[:, None]) * way[:, None] % WHOLE_RAD
     ahead = np.where(ahead < NEGLIGIBLE_RAD, WHOLE_RAD, ahead)  # the one they leave is a whole round away
     goal = ahead.argmin(axis=1)
