@@ -9,6 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from hrl_comfort.agents import checkpoint
 from hrl_comfort.compose import compose, environment, save_config
 from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
@@ -290,6 +291,28 @@ def test_a_controller_learns_to_take_the_option_that_pays() -> None:
     values = learner.network(TensorDict({"observation": torch.ones(1, 2), "action_mask": mask[:1]}, [1]))
     assert values["action_value"][0, :2].tolist() == pytest.approx([1.0, 0.0], abs=0.05)
     assert learner.choose(torch.ones(1, 2), mask[:1], 0.0).tolist() == [0]
+
+
+def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> None:
+    agent = compose("train_meta", ["meta_agent.batch_size=4", "meta_agent.average_tau=0.25"]).meta_agent
+    learner = QLearner(agent, 1, 2, 0)
+    no, mask = torch.zeros(8, 1, dtype=torch.bool), torch.ones(8, 2, dtype=torch.bool)
+    after = {
+        "observation": torch.ones(8, 1), "action_mask": mask, "reward": torch.ones(8, 1), "done": ~no,
+        "terminated": ~no, "truncated": no,
+    }  # fmt: skip
+    now = {"observation": torch.ones(8, 1), "action_mask": mask, "action": torch.arange(8) % 2}
+    steps = {"steps_to_next_obs": torch.full((8, 1), 10)}
+    learner.remember(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[8])}, batch_size=[8]))
+    weights = []
+    for _ in range(3):
+        learner.update()
+        weights.append({name: value.clone() for name, value in learner.network.state_dict().items()})
+    learner.save(tmp_path / "meta.pt", {})
+    kept = checkpoint.load(tmp_path / "meta.pt")["network"]
+    for name, value in kept.items():
+        first, second, third = (weight[name] for weight in weights)
+        torch.testing.assert_close(value, 0.75 * (0.75 * first + 0.25 * second) + 0.25 * third)
 
 
 def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:

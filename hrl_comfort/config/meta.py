@@ -46,6 +46,8 @@ class MetaAgentConfig:
     buffer_size: int
     learning_rate: float
     tau: float
+    average_tau: float
+    """Share of the newest network, at each update, in the mean of networks that is kept; 1: the newest."""
     gamma: float
     """Discount per control step; an option of k steps discounts by gamma**k."""
     hidden: list[int]
@@ -63,6 +65,7 @@ class MetaAgentConfig:
         between("meta_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("meta_agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("meta_agent.tau", self.tau, 0.0, 1.0)
+        between("meta_agent.average_tau", self.average_tau, 1e-6, 1.0)
         between("meta_agent.gamma", self.gamma, 0.0, 1.0)
         widths("meta_agent.hidden", self.hidden)
         between("meta_agent.exploration_start", self.exploration_start, 0.0, 1.0)

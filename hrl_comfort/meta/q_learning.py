@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
@@ -48,6 +49,7 @@ class QLearner:
         )
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
         self.target = SoftUpdate(self.loss, tau=config.tau)
+        self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(1 - config.average_tau))
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size), batch_size=config.batch_size
@@ -73,16 +75,17 @@ class QLearner:
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
         self.optimiser.step()
         self.target.step()
+        self.average.update_parameters(self.network)
         return float(found.detach())
 
     def save(self, path: Path, spec: dict[str, Any]) -> None:
-        """Write the network and what is needed to use it."""
+        """Write the mean of networks and what is needed to use it."""
         shape = {
             "observation_dim": self.observation_dim,
             "options": self.count,
             "hidden": list(self.config.hidden),
         }
-        checkpoint.save(path, {"network": self.network.state_dict(), "spec": {**spec, **shape}})
+        checkpoint.save(path, {"network": self.average.module.state_dict(), "spec": {**spec, **shape}})
 
 
 def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
