@@ -5,7 +5,8 @@ evaluations in runs/reference; one with a `*` pools the episodes of all that mat
 seeds). A table of comfort levels stands between `<!-- levels: FILE -->` and `<!-- end -->`; the file, in
 runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes beside its picture. One of
 several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`. One of
-controllers stands after `<!-- controllers: FILE -->`; its file is that of `kind=controllers`.
+controllers stands after `<!-- controllers: FILE -->`, of divisions after `<!-- divisions: FILE -->`, of
+handovers after `<!-- handover: FILE -->`; their files are those of the `kind` of the same name.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import Any
 
 from hrl_comfort.experiments.comfort_table import markdown, series
 from hrl_comfort.experiments.controller_returns import table as controllers
+from hrl_comfort.experiments.divisions import table as divisions
+from hrl_comfort.experiments.handover_figures import table as handover
 from hrl_comfort.experiments.statistics import column, describe, read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,7 +27,9 @@ PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
 MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 SERIES = re.compile(r"(<!-- series: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-CONTROLLERS = re.compile(r"(<!-- controllers: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+OTHERS = {"controllers": controllers, "divisions": divisions, "handover": handover}
+"""Kinds of figures whose numbers are one table."""
+OTHER = re.compile(rf"(<!-- ({'|'.join(OTHERS)}): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
     "human distance, m", "human hit, %", "cell or self hit, %",
@@ -64,7 +69,7 @@ def filled(page: str) -> str:
     page = MARKED.sub(lambda found: found[1] + table(found[2].split()) + found[3], page)
     page = LEVELS.sub(lambda found: found[1] + levels(found[2]) + found[3], page)
     page = SERIES.sub(lambda found: found[1] + several(found[2]) + found[3], page)
-    return CONTROLLERS.sub(lambda found: found[1] + controllers(numbers(found[2])) + found[3], page)
+    return OTHER.sub(lambda found: found[1] + OTHERS[found[2]](numbers(found[3])) + found[4], page)
 
 
 def numbers(name: str) -> dict[str, Any]:

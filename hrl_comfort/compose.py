@@ -49,7 +49,13 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "train_meta": ("robot", "cell", "human"),
 }
 """Sections that the runs of given policies stand in for, by root."""
-LATER: dict[str, Any] = {"human.stations_m": [], "human.stay_s": 4.0, "meta.tell": [], "agent.actor_tau": 1.0}
+LATER: dict[str, Any] = {
+    "human.stations_m": [],
+    "human.stay_s": 4.0,
+    "meta.tell": [],
+    "agent.actor_tau": 1.0,
+    "meta_agent.average_tau": 1.0,
+}
 """Keys that came later, and their value in a configuration written before they were."""
 T = TypeVar("T")
 

@@ -191,7 +191,10 @@ class ReportConfig:
     video: bool
 
 
-FIGURES = ("levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers")
+FIGURES = (
+    "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
+    "handover",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

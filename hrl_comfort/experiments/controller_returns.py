@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments import panels
 from hrl_comfort.experiments.clusters import Clusters
 from hrl_comfort.experiments.comfort_table import cell
-from hrl_comfort.experiments.figures import BLUE, STYLE
+from hrl_comfort.experiments.panels import Quantity
 from hrl_comfort.experiments.run_folder import Run
 from hrl_comfort.experiments.statistics import Floats, column
 
 PARTS = {
-    "success": "every ball sorted (%)",
-    "return": "return",
-    "placed": "balls placed",
-    "time": "cost of time",
-    "discomfort": "cost of discomfort",
+    "success": Quantity("every ball sorted, %", 100, 1),
+    "return": Quantity("return"),
+    "placed": Quantity("balls placed"),
+    "time": Quantity("cost of time"),
+    "discomfort": Quantity("cost of discomfort"),
 }
 """What is told of an episode. Return is what placed balls pay, less what time and discomfort cost."""
 PAID = ("place", "step")
@@ -82,7 +82,8 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         clusters = Clusters.nested(names[:, 0], names[:, 2])
-        numbers["controllers"][label] = {"episodes": len(values), **_described(clusters, values)}
+        means = panels.described(clusters, values, list(PARTS))
+        numbers["controllers"][label] = {"episodes": len(values), **means}
     for label, (names, values) in rest:
         if names.shape != who.shape or (names != who).any():
             raise ConfigError(
@@ -91,24 +92,16 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
         for mine, other in zip(groups[first], groups[label], strict=True):
             _must_agree(mine, other)
         clusters = Clusters.nested(who[:, 0], who[:, 2])
-        found = _described(clusters, own - values)
+        found = panels.described(clusters, own - values, list(PARTS))
         k = list(PARTS).index("return")
-        means, draws = clusters.means(np.stack([own[:, k] - values[:, k], values[:, k]], axis=-1))
+        both, draws = clusters.means(np.stack([own[:, k] - values[:, k], values[:, k]], axis=-1))
         if (draws[:, 1] > 0).all():
             found["return_percent"] = {
-                "mean": float(100 * means[0] / means[1]),
+                "mean": float(100 * both[0] / both[1]),
                 "ci95": clusters.interval(100 * draws[:, 0] / draws[:, 1]),
             }
         numbers["differences"][f"{first} - {label}"] = found
     return numbers
-
-
-def _described(clusters: Clusters, values: Floats) -> dict[str, Any]:
-    means, draws = clusters.means(values)
-    return {
-        part: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
-        for k, part in enumerate(PARTS)
-    }
 
 
 def _must_agree(mine: Run, other: Run) -> None:
@@ -123,32 +116,14 @@ def _must_agree(mine: Run, other: Run) -> None:
 
 def draw(numbers: Mapping[str, Any]) -> Figure:
     """Draw what `compare` found: a panel a part, a line a controller, 95 % intervals."""
-    found = numbers["controllers"]
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 0.9 + 0.3 * len(found)), layout="constrained")
-        axes = figure.subplots(1, len(PARTS), sharey=True)
-        for axis, (part, label) in zip(axes, PARTS.items(), strict=True):
-            scale = 100 if part == "success" else 1
-            for y, each in enumerate(found.values()):
-                mean, interval = each[part]["mean"], each[part]["ci95"] or [each[part]["mean"]] * 2
-                axis.plot(scale * np.array(interval), [y, y], color=BLUE)
-                axis.plot(scale * mean, y, color=BLUE, marker="o", markersize=4)
-            axis.set(xlabel=label)
-            axis.grid(visible=False, axis="y")
-        axes[0].set_yticks(range(len(found)), labels=list(found))
-        axes[0].set_ylim(len(found) - 0.5, -0.5)
-        return figure
+    return panels.draw(numbers["controllers"], PARTS)
 
 
 def table(numbers: Mapping[str, Any]) -> str:
     """Return what `compare` found as a Markdown table: the controllers, then the differences."""
-    heads = ["", "every ball sorted, %", *list(PARTS.values())[1:], "return, %"]
-    lines = [heads, ["---"] * len(heads)]
-    for section in ("controllers", "differences"):
-        for label, each in numbers[section].items():
-            cells = [
-                cell(each[part], "mean", 100 if part == "success" else 1, 1 if part == "success" else 3)
-                for part in PARTS
-            ]
-            lines.append([label, *cells, cell(each.get("return_percent"), "mean", 1, 1)])
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    lines = [
+        [label, *panels.cells(each, PARTS), cell(each.get("return_percent"), "mean", 1, 1)]
+        for section in ("controllers", "differences")
+        for label, each in numbers[section].items()
+    ]
+    return panels.markdown(["", *(part.label for part in PARTS.values()), "return, %"], lines)

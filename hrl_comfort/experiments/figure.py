@@ -18,6 +18,8 @@ from hrl_comfort.experiments import (
     comfort_figures,
     comfort_paths,
     controller_returns,
+    divisions,
+    handover_figures,
     level_jump,
     option_figures,
 )
@@ -48,7 +50,12 @@ def figure(config: FigureConfig) -> Path:
     Raises:
       ConfigError: an evaluation is not there, is damaged, or lacks what the figure needs.
     """
-    picture, numbers = KINDS[config.kind](config, read_groups(config))
+    if config.kind == "handover":  # made from other tables than episodes.csv
+        numbers = handover_figures.summarise(folders_of(config))
+        print(handover_figures.table(numbers), end="")
+        picture = handover_figures.draw(numbers)
+    else:
+        picture, numbers = KINDS[config.kind](config, read_groups(config))
     output = Path(config.output)
     with matplotlib.rc_context(STYLE):
         write_atomically(
@@ -61,15 +68,20 @@ def figure(config: FigureConfig) -> Path:
 
 
 def read_groups(config: FigureConfig) -> Groups:
-    """Return the evaluations that the folders and patterns of `config` name, those of one label together."""
-    groups: Groups = {}
+    """Return the evaluations that `config` names, those of one label together."""
+    return {label: [_evaluation(each) for each in folders] for label, folders in folders_of(config).items()}
+
+
+def folders_of(config: FigureConfig) -> dict[str, list[Path]]:
+    """Return the folders that the names and patterns of `config` stand for, those of one label together."""
+    groups: dict[str, list[Path]] = {}
     for i, pattern in enumerate(config.evaluations):
         names = [pattern] if Path(pattern).is_dir() else sorted(glob.glob(pattern))
         folders = [Path(name) for name in names if Path(name).is_dir()]
         if not folders:
             raise ConfigError(f"evaluations={pattern!r} is not the folder of an evaluation")
         label = config.labels[i] if config.labels else pattern.removesuffix("/").removesuffix("/eval")
-        groups.setdefault(label, []).extend(_evaluation(folder) for folder in folders)
+        groups.setdefault(label, []).extend(folders)
     return groups
 
 
@@ -192,6 +204,12 @@ def _controllers(config: FigureConfig, groups: Groups) -> Drawn:
     return controller_returns.draw(numbers), numbers
 
 
+def _divisions(config: FigureConfig, groups: Groups) -> Drawn:
+    numbers = divisions.compare(groups)
+    print(divisions.table(numbers), end="")
+    return divisions.draw(numbers), numbers
+
+
 KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "levels": _levels,
     "speed": _speed,
@@ -202,4 +220,5 @@ KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "timeline": _timeline,
     "chain": _chain,
     "controllers": _controllers,
+    "divisions": _divisions,
 }

@@ -38,7 +38,7 @@ LONE = MetaConfig(name="none", options=[], time_limit_steps=1, retries=0, tell=[
 
 
 def handover(config: EvaluateConfig) -> Path:
-    """Write handover.csv, chain.csv and seams.csv of a chain of policies; return their folder.
+    """Write handover.csv, its handover_episodes.csv, chain.csv and seams.csv; return their folder.
 
     Raises:
       ConfigError: `config` names no chain of trained policies.
@@ -60,6 +60,7 @@ def handover(config: EvaluateConfig) -> Path:
         raise ConfigError(f"disturbance={config.disturbance} does not go with handover")
     output = Path(config.output)
     matrix: list[list[Any]] = []
+    single: list[list[Any]] = []
     seams: list[list[Any]] = []
     upstream = dict.fromkeys(("previous", "expert"), "ik")
     for before, after in pairwise(names):
@@ -68,15 +69,18 @@ def handover(config: EvaluateConfig) -> Path:
         }
         for kind, start in {"own": own_start(config, after), **upstream}.items():
             part = alone(config, after, start, config.policies[after])
-            wins = [episode.success for episode in measure(part).episodes]
+            ran = measure(part).episodes
+            wins = [episode.success for episode in ran]
+            single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran]
             low, high = wilson_interval(sum(wins), len(wins))
             matrix.append([after, kind, len(wins), np.mean(wins), low, high])
             seams += [[after, kind, *row] for row in far_observations(part)]
     write_table(output / "handover.csv", HANDOVER, matrix)
+    write_table(output / "handover_episodes.csv", SINGLE, single)
     write_table(output / "seams.csv", SEAMS, seams)
     whole = measure(config)
-    ran = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
-    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in ran))
+    far = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
+    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in far))
     for after, kind, episodes, success, low, high in matrix:
         what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
         Console().print(what, soft_wrap=True)
@@ -84,6 +88,7 @@ def handover(config: EvaluateConfig) -> Path:
 
 
 HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]
+SINGLE = ["subtask", "start", "episode", "spawn_id", "success"]
 CHAIN = ["options", "success", "success_low", "success_high"]
 SEAMS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
 

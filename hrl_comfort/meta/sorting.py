@@ -43,8 +43,8 @@ def sorting_options(
         raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(SKILLS)}")
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
-    for level in meta.tell:
-        check_told(level, config.comfort)
+    for known in meta.tell:
+        check_told(known, config.comfort)
     act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
     skills: list[Option | Pause] = []
     for level in (None, *meta.tell):

@@ -1,0 +1,126 @@
+"""Divisions of a task side by side: what one, two or three policies come to, and what they took to train."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hrl_comfort.compose import load_config, run_folder
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.experiments import panels
+from hrl_comfort.experiments.clusters import Clusters
+from hrl_comfort.experiments.panels import Quantity
+from hrl_comfort.experiments.run_folder import Run, read_run
+from hrl_comfort.experiments.statistics import Floats, column
+
+QUANTITIES = {
+    "success": Quantity("success, %", 100, 1),
+    "moving": Quantity("moving robot hit person, %", 100, 1),
+    "steps": Quantity("steps", 1, 1),
+    "distance": Quantity("distance, m", 1, 3),
+}
+"""What is told of an episode; steps and mean distance to the person of those that succeed."""
+SAME = ("robot", "cell", "human", "comfort", "task", "reward")
+"""Sections of the configuration in which evaluations must agree to be compared."""
+
+
+def episodes(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
+    """Return which episodes (n, 3), by training seed, episode and spawn point, and QUANTITIES (n, 4)."""
+    found, who = [], []
+    for run in runs:
+        rows = run.episodes or []
+        success = column(rows, "success")
+        won = np.where(success > 0, 1.0, np.nan)
+        moving = np.nan_to_num(column(rows, "robot_moving_at_collision")) * column(rows, "human_collision")
+        of_wins = [won * column(rows, name) for name in ("steps", "human_distance_mean_m")]
+        found.append(np.stack([success, moving, *of_wins], axis=-1))
+        who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in rows]
+    return np.array(who), np.concatenate(found)
+
+
+def trained(run: Run) -> dict[str, float]:
+    """Return how many policies an evaluation chains and what they took to train: decisions and minutes.
+
+    A policy that another was begun from (`initial_policy`) counts too.
+
+    Raises:
+      ConfigError: a policy was not trained, or its folder is not there.
+    """
+    names = (run.config.get("policies") or {}).values()
+    cost = [_training(name) for name in names]
+    return {
+        "networks": len(cost),
+        "decisions": sum(decisions for decisions, _ in cost),
+        "minutes": sum(minutes for _, minutes in cost),
+    }
+
+
+def _training(policy: str) -> tuple[int, float]:
+    folder = run_folder(policy)
+    if folder is None:
+        raise ConfigError(f"policy={policy!r} is not a run folder, so what its training took is not known")
+    config, provenance = load_config(folder), read_run(folder).provenance
+    if provenance is None or not isinstance(config, TrainConfig):
+        raise ConfigError(f"{folder} is not that of a training")
+    decisions, minutes = int(provenance["decisions"]), float(provenance["wall_seconds"]) / 60
+    if config.initial_policy is not None:
+        before = _training(config.initial_policy)
+        return decisions + before[0], minutes + before[1]
+    return decisions, minutes
+
+
+def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
+    """Return every division's means of QUANTITIES, what it took, and how the first differs from the others.
+
+    Intervals are the bootstrap over training seeds and, within them, spawn points. Differences are of the
+    same episodes; of steps and distance where both succeed. What it took is the mean over training seeds.
+
+    Raises:
+      ConfigError: as `trained`, or the divisions did not run the same episodes in the same way.
+    """
+    all_of = {label: episodes(runs) for label, runs in groups.items()}
+    (first, (who, own)), *rest = all_of.items()
+    numbers: dict[str, Any] = {"divisions": {}, "differences": {}}
+    for label, (names, values) in all_of.items():
+        means = panels.described(Clusters.nested(names[:, 0], names[:, 2]), values, list(QUANTITIES))
+        took = [trained(run) for run in groups[label]]
+        cost = {name: float(np.mean([each[name] for each in took])) for name in took[0]}
+        numbers["divisions"][label] = {"episodes": len(values), **cost, **means}
+    for label, (names, values) in rest:
+        if names.shape != who.shape or (names != who).any():
+            raise ConfigError(
+                f"labels={[first, label]}: both must have run the same episodes with the same seeds"
+            )
+        for mine, other in zip(groups[first], groups[label], strict=True):
+            _must_agree(mine, other)
+        clusters = Clusters.nested(who[:, 0], who[:, 2])
+        means = panels.described(clusters, own - values, list(QUANTITIES))
+        numbers["differences"][f"{first} - {label}"] = means
+    return numbers
+
+
+def _must_agree(mine: Run, other: Run) -> None:
+    for section in SAME:
+        if mine.config.get(section) != other.config.get(section):
+            raise ConfigError(f"{mine.folder} and {other.folder} differ in {section}; compare like with like")
+
+
+def draw(numbers: Mapping[str, Any]) -> Figure:
+    """Draw what `compare` found: a panel a quantity, a line a division, 95 % intervals."""
+    return panels.draw(numbers["divisions"], QUANTITIES)
+
+
+def table(numbers: Mapping[str, Any]) -> str:
+    """Return what `compare` found as a Markdown table: the divisions, then the differences."""
+    lines = []
+    for label, each in numbers["divisions"].items():
+        cost = [f"{each['networks']:.0f}", f"{each['decisions']:,.0f}", f"{each['minutes']:.0f}"]
+        lines.append([label, *cost, *panels.cells(each, QUANTITIES)])
+    for label, each in numbers["differences"].items():
+        lines.append([label, "", "", "", *panels.cells(each, QUANTITIES)])
+    heads = ["", "networks", "decisions", "training, min", *(each.label for each in QUANTITIES.values())]
+    return panels.markdown(heads, lines)

@@ -1,0 +1,71 @@
+"""Means of several groups side by side: a panel a quantity, a line a group, with their table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from hrl_comfort.experiments.clusters import Clusters
+from hrl_comfort.experiments.comfort_table import cell
+from hrl_comfort.experiments.figures import BLUE, STYLE
+from hrl_comfort.experiments.statistics import Floats
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is told of an episode: its name with the unit, a factor, and how many digits a table gives."""
+
+    label: str
+    scale: float = 1.0
+    digits: int = 3
+
+
+Means = Mapping[str, Any]
+"""Quantity -> {"mean", "ci95"}."""
+
+
+def described(clusters: Clusters, values: Floats, names: Sequence[str]) -> dict[str, Any]:
+    """Return mean and 95 % interval of each column of values (n, K), by name.
+
+    NaN is left out; so is a column without a value.
+    """
+    means, draws = clusters.means(values)
+    return {
+        name: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
+        for k, name in enumerate(names)
+        if np.isfinite(means[k])
+    }
+
+
+def draw(groups: Mapping[str, Means], quantities: Mapping[str, Quantity]) -> Figure:
+    """Draw the means of groups with their 95 % intervals."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 0.9 + 0.3 * len(groups)), layout="constrained")
+        axes = figure.subplots(1, len(quantities), sharey=True)
+        for axis, (name, quantity) in zip(axes, quantities.items(), strict=True):
+            for y, each in enumerate(groups.values()):
+                if name not in each:
+                    continue
+                mean, interval = each[name]["mean"], each[name]["ci95"] or [each[name]["mean"]] * 2
+                axis.plot(quantity.scale * np.array(interval), [y, y], color=BLUE)
+                axis.plot(quantity.scale * mean, y, color=BLUE, marker="o", markersize=4)
+            axis.set(xlabel=quantity.label)
+            axis.grid(visible=False, axis="y")
+        axes[0].set_yticks(range(len(groups)), labels=list(groups))
+        axes[0].set_ylim(len(groups) - 0.5, -0.5)
+        return figure
+
+
+def cells(means: Means, quantities: Mapping[str, Quantity]) -> list[str]:
+    """Return the cells of a table's line: each mean with its interval."""
+    return [cell(means.get(name), "mean", each.scale, each.digits) for name, each in quantities.items()]
+
+
+def markdown(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    return "".join(f"| {' | '.join(line)} |\n" for line in [heads, ["---"] * len(heads), *lines])
