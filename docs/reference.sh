@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|seams|figures_divisions|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -161,7 +161,9 @@ sort_learned() { # a controller that learns
             rm -rf "$folder" # it takes minutes: one that was stopped begins anew
             "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
         fi
-        measure sort/seed$seed/learned "${meta[@]}" meta=learned "policies.meta=$folder"
+        meta+=(meta=learned "policies.meta=$folder")
+        measure sort/seed$seed/learned "${meta[@]}"
+        for kind in drop block; do measure sort/seed$seed/learned_$kind "${meta[@]}" disturbance=$kind; done
     done
 }
 
@@ -172,13 +174,16 @@ sorting() { # seed; sets what its evaluations have in common
 }
 
 figures_sort() { # from the evaluations of sort
-    of=$ref/sort/seed*
-    "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" 'labels=[scripted,cautious,random]' \
-        "evaluations=['$of/scripted','$of/cautious','$of/random']"
-    # Not random: it retreats where it might return, and a retreat does not count.
+    of="$ref/sort/seed*"
+    "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" \
+        'labels=[learned,scripted,cautious,random]' \
+        "evaluations=['$of/learned','$of/scripted','$of/cautious','$of/random']"
+    # Not those who may retreat where they might return: a retreat does not count.
     "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" 'labels=[scripted,cautious]' \
         "evaluations=['$of/scripted','$of/cautious']"
-    "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline.png" "evaluations=[$ref/sort/seed0/scripted]"
+    for name in learned scripted cautious; do
+        "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline_$name.png" "evaluations=[$ref/sort/seed0/$name]"
+    done
 }
 
 speed() { # speed alone, from the policy that knows the task: shown how, then alone
@@ -267,6 +272,25 @@ divisions() { # the cycle with three, two and one network, 200,000 decisions eac
         handover after ''
     done
 }
+
+figures_divisions() { # from the evaluations of divisions
+    of="$ref/hierarchy/seed*"
+    "${hrl[@]}" figure kind=divisions "output=$ref/hierarchy/divisions.png" 'labels=[one,two,three]' \
+        "evaluations=['$of/one/eval','$of/two/eval','$of/three/eval']"
+    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover.png" 'labels=[alone,chained]' \
+        "evaluations=['$of/handover_before','$of/handover_after']"
+}
+
+seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for each episode
+    for seed in ${SEEDS:-0 1 2}; do
+        sorting $seed
+        "${hrl[@]}" evaluate handover task=cycle meta=scripted comfort=conditioned episodes=1000 \
+            task.ball_jitter_m=0.075 "output=$ref/hierarchy/seed$seed/handover_comfort" "${skills[@]}"
+    done
+    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover_comfort.png" 'labels=[skills with levels]' \
+        "evaluations=['$ref/hierarchy/seed*/handover_comfort']"
+}
+
 learn() { # folder, overrides; alone, from starts made up, 30 cm to 10 cm; kept is the mean of some 2,000 updates
     train "$to/$1" experiment=reference agent.actor_tau=5e-4 "train_seed=$seed" "episode_seed=$seed" "${@:2}"
 }
