@@ -22,7 +22,7 @@ VERBS = {
     "train": "teach one subtask to one policy, or a controller above them (train meta)",
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
-    "figure": "draw what comfort levels, controllers or divisions change (kind=levels evaluations=[DIR,...] output=FILE.png)",
+    "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
     "bench": "print how fast the batched environment is (bench env)",
     "demo": "train, evaluate, chain and report, in minutes",
 }

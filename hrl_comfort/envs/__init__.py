@@ -1,1 +1,1 @@
-"""Two fronts of the same episodes: dm_control for one cell, TorchRL for many."""
+"""Fronts of the same episodes: dm_control for one cell, TorchRL for many, Gymnasium for either."""

@@ -1,7 +1,7 @@
 """Episodes of N cells: how they begin, what moves the robot and the human, how they are judged.
 
 Physics is left to the caller (`engine` in batches, `envs.dm` one cell at a time): it runs the controls
-that `plan` returns and hands the sensor readings to `absorb`. Both fronts so share one definition of an
+that `plan` returns and hands the sensor readings to `absorb`. All fronts so share one definition of an
 episode, and every random draw of it comes from (seed, row, episode).
 """
 
