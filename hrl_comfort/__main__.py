@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
+from hrl_comfort.experiments.preemption import Preempted
 
 VERBS = {
     "train": "teach one subtask to one policy, or a controller above them (train meta)",
@@ -151,10 +153,10 @@ def multirun(verb: str, overrides: list[str]) -> None:
         GlobalHydra.instance().clear()
     failed = 0
     for job in jobs:
-        words, problem = " ".join(job.overrides), job.return_value
+        what, problem = job.return_value
         failed += problem is not None
         where = job.hydra_cfg.hydra.runtime.output_dir
-        print(f"done: {words}: {where}" if problem is None else f"failed: {words}: {problem}")
+        print(f"{what}: {' '.join(job.overrides)}: {problem or where}")
     if failed:
         raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
 
@@ -169,21 +171,28 @@ def _folders(output: str) -> list[str]:
     return [f"hydra.sweep.dir='{above or '.'}'", f"hydra.sweep.subdir='{name}{sign}{tail}'"]
 
 
-def _job(verb: str, _: object) -> str | None:
-    """Run one job of a sweep; return what stopped it, so that the others go on."""
+def _job(verb: str, _: object) -> tuple[str, str | None]:
+    """Run what is left of one job of a sweep; return what was done and what stopped it: the others go on."""
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.hydra_config import HydraConfig
 
-    from hrl_comfort.compose import override
+    from hrl_comfort.compose import compose, override
+    from hrl_comfort.experiments.again import Left, left
 
     job = HydraConfig.get()
-    overrides = [str(line) for line in job.overrides.task]
+    folder = job.runtime.output_dir
+    words = [*(str(line) for line in job.overrides.task), override("output", folder)]
     GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
     try:
-        RUN[verb]([*overrides, override("output", job.runtime.output_dir)])
+        config = compose(verb, words)
+        assert isinstance(config, TrainConfig | EvaluateConfig)
+        rest = left(config)
+        if rest is not Left.NOTHING:
+            RUN[verb]([override("resume", folder)] if rest is Left.REST else words)
     except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
-        return " ".join(f"{'' if isinstance(error, ERRORS) else type(error).__name__ + ': '}{error}".split())
-    return None
+        kind = "" if isinstance(error, ERRORS) else f"{type(error).__name__}: "
+        return "failed", " ".join(f"{kind}{error}".split())
+    return rest.value, None
 
 
 def help_text() -> str:
@@ -224,6 +233,9 @@ def main(words: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("hrl-comfort: interrupted", file=sys.stderr)
         return 130
+    except Preempted as stopped:
+        print(f"hrl-comfort: {stopped}", file=sys.stderr)
+        return 128 + signal.SIGTERM
     return 0
 
 

@@ -168,8 +168,8 @@ def test_a_written_configuration_loads_back_equal(root, tmp_path):
 @pytest.mark.parametrize("key", LATER)
 def test_a_configuration_from_before_a_key_loads_as_if_it_said_what_was_so_then(key, tmp_path):
     section, name = key.rsplit(".", 1)
-    root = "evaluate" if section == "meta" else "train"
-    config = compose(root, OWN.get(root, []))
+    root = {"meta": "evaluate", "meta_agent": "train_meta"}.get(section, "train")
+    config = compose(root, [*OWN.get(root, []), override(key, LATER[key])])
     save_config(config, tmp_path / "config.yaml")
     older = OmegaConf.load(tmp_path / "config.yaml")
     del OmegaConf.select(older, section)[name]
@@ -300,6 +300,36 @@ def test_a_sweep_names_its_folders_as_asked(tmp_path, monkeypatch, capsys):
         "level_1",
         "level_2",
     ]
+
+
+def test_a_sweep_that_is_started_again_does_only_what_is_left(tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def run(overrides: list[str]) -> None:
+        resumed = [line.split("=", 1)[1].strip("'") for line in overrides if line.startswith("resume=")]
+        if resumed:
+            ran.append(f"on {Path(resumed[0]).name}")
+            return
+        config = compose("train", overrides)
+        folder = Path(config.output)
+        ran.append(f"from the start {folder.name}")
+        save_config(config, folder / "config.yaml")
+        (folder / "provenance.json").write_text(f'{{"finished": {str(config.train_seed == 0).lower()}}}')
+        if config.train_seed == 1:
+            (folder / "checkpoints").mkdir(parents=True)
+            (folder / "checkpoints" / "latest.pt").touch()
+
+    monkeypatch.setitem(commands.RUN, "train", run)
+    words = ["train", "-m", "train_seed=0,1,2", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
+    assert commands.main(words) == 0
+    capsys.readouterr()
+    assert commands.main(words) == 0
+    assert ran == [*(f"from the start {k}" for k in range(3)), "on 1", "from the start 2"]
+    out = capsys.readouterr().out
+    assert [line.split(":")[0] for line in out.splitlines()] == ["skipped, finished", "resumed", "done"]
+
+    assert commands.main([*words, "agent.decisions=7"]) == 1  # another run by the same name
+    assert "holds another run; choose another, or delete it" in capsys.readouterr().out
 
 
 def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):

@@ -22,6 +22,7 @@ from hrl_comfort.compose import environment, load_config, save_config
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.curriculum import Curriculum
+from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import training_line
 from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
 from hrl_comfort.meta.options import make_policy
@@ -49,6 +50,7 @@ def train(
 
     Raises:
         ConfigError: a choice is not allowed, or the folder is taken.
+        Preempted: SIGTERM came; a checkpoint has been written.
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
     torch.set_num_threads(1)
@@ -138,8 +140,12 @@ class Training:
         lap = (self.seconds, self.decisions, self.learner.updates)
         shown: deque[bool] = deque(maxlen=self.config.curriculum.window)
         try:
-            with training_line(self.config.task.name, agent.decisions, self.decisions) as show:
+            line = training_line(self.config.task.name, agent.decisions, self.decisions)
+            with line as show, asked_to_stop() as stop:
                 while self.decisions < agent.decisions:
+                    if stop():
+                        checkpoint.save_resumable(self.folder / "checkpoints", self.state_dict())
+                        raise Preempted(f"stopped by SIGTERM; go on with resume={self.folder}")
                     finished = self.decide()
                     shown.extend(success for _, success in finished)
                     self.learn()
@@ -285,6 +291,7 @@ class Training:
             "updates_due": self.updates_due,
             "seconds": self.seconds,
             "best": dict(self.best),
+            "recent": [list(each) for each in self.recent],
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -299,6 +306,7 @@ class Training:
         self.decisions, self.updates_due = state["decisions"], state["updates_due"]
         self.seconds = state["seconds"]
         self.best = state["best"]
+        self.recent = [(precision_m, success) for precision_m, success in state.get("recent", [])]
         self.env.set_precision(self.curriculum.precision_m)
         torch.set_rng_state(state["rng"])
         self._resumed = True

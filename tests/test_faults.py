@@ -1,0 +1,141 @@
+"""What happens when a training is killed, preempted or out of disk: nothing is lost."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.train import train
+from tests.point_env import make_point_env, small_config
+
+KILLS = 20
+OUT_OF_DISK, PREEMPTED = 7, 8
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """An undisturbed training."""
+    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_point_env)
+
+
+def go_on(folder: Path) -> None:
+    """Train in `folder` from where it is."""
+    resumable = (folder / "checkpoints" / "latest.pt", folder / "checkpoints" / "previous.pt")
+    begun = any(path.exists() for path in resumable)
+    train(small_config(folder, resume=str(folder) if begun else None), make_point_env)
+
+
+def child(work: Callable[[], None]) -> int:
+    """Run `work` in a process of its own and return its id."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:
+        work()
+        code = 0
+    except Preempted:
+        code = PREEMPTED
+    except OSError:
+        code = OUT_OF_DISK
+    finally:
+        os._exit(code)
+
+
+def stopped(folder: Path) -> float:
+    """Train in `folder` until the first row is written, say to stop; return the seconds that took."""
+    pid = child(lambda: go_on(folder))
+    log = folder / "metrics.csv"
+    while not log.exists() or len(log.read_text().splitlines()) < 2:
+        time.sleep(0.01)
+    os.kill(pid, signal.SIGTERM)
+    told = time.monotonic()
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == PREEMPTED
+    return time.monotonic() - told
+
+
+def finished(folder: Path) -> bool:
+    return (folder / "policy.pt").exists() and not (folder / "checkpoints" / "latest.pt").exists()
+
+
+def same_end(folder: Path, whole: Path) -> None:
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    for name in ("policy.pt", "checkpoints/best.pt"):
+        mine, theirs = (checkpoint.load(each / name) for each in (folder, whole))
+        assert mine["counters"] == theirs["counters"]
+        for key, tensor in theirs["networks"]["actor"].items():
+            assert torch.equal(tensor, mine["networks"]["actor"][key])
+
+
+def test_twenty_kills_at_random_moments_change_nothing(whole: Path, tmp_path: Path) -> None:
+    rng, kills, round_ = np.random.default_rng(0), 0, 0
+    while kills < KILLS:
+        folder = tmp_path / str(round_)
+        while not finished(folder):
+            if kills == KILLS:
+                go_on(folder)
+                break
+            pid = child(partial(go_on, folder))
+            time.sleep(rng.uniform(0.05, 0.8))
+            os.kill(pid, signal.SIGKILL)
+            _, status = os.waitpid(pid, 0)
+            if os.WIFSIGNALED(status):
+                kills += 1
+            else:
+                assert os.WEXITSTATUS(status) == 0
+        same_end(folder, whole)
+        round_ += 1
+
+
+def test_who_is_told_to_stop_writes_a_checkpoint_and_goes_on_from_there(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "told"
+    assert stopped(folder) < 5
+    assert checkpoint.load(folder / "checkpoints" / "latest.pt")["decisions"] >= 200
+    go_on(folder)
+    same_end(folder, whole)
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_good(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "full"
+    stopped(folder)
+
+    def with_little_room() -> None:
+        soft = 60_000  # the tables fit, the replay buffer does not
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+        go_on(folder)
+
+    _, status = os.waitpid(child(with_little_room), 0)
+    assert os.waitstatus_to_exitcode(status) == OUT_OF_DISK
+    go_on(folder)
+    same_end(folder, whole)
+
+
+class Evil:
+    """What an attacker puts into a file: unpickling it writes one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (os.system, (f"touch {self.path}",))
+
+
+def test_loading_a_policy_runs_nothing_that_is_in_it(tmp_path: Path) -> None:
+    trap, file = tmp_path / "sprung", tmp_path / "policy.pt"
+    torch.save({"format": checkpoint.FORMAT, "networks": Evil(trap)}, file)
+    with pytest.raises(ConfigError, match=r"policy\.pt: cut short or not a checkpoint"):
+        checkpoint.load(file)
+    assert not trap.exists()
