@@ -61,6 +61,10 @@ class TrainConfig:
         _check_seeds(self.train_seed, self.episode_seed)
 
 
+DISTURBANCES = ("none", "drop", "block")
+"""What `sim.disturbance` knows of."""
+
+
 @dataclass(frozen=True)
 class MetaTrainConfig:
     """`hrl-comfort train meta`: a controller above frozen policies."""
@@ -76,11 +80,14 @@ class MetaTrainConfig:
     meta_agent: MetaAgentConfig
     policies: dict[str, str]
     """Subtask name to policy."""
+    disturbance: str
+    """What goes wrong on purpose, once an episode: `none`, `drop` or `block` (`sim.disturbance`)."""
     train_seed: int
     episode_seed: int
     output: str
 
     def __post_init__(self) -> None:
+        one_of("disturbance", self.disturbance, DISTURBANCES)
         if not self.output:
             raise ConfigError("output='' must be a folder")
         if self.task.name != "sort":
@@ -92,8 +99,6 @@ class MetaTrainConfig:
         _check_seeds(self.train_seed, self.episode_seed)
 
 
-DISTURBANCES = ("none", "drop", "block")
-"""What `sim.disturbance` knows of."""
 HOLDING = ("pick_place", "cycle", "sort")
 """Tasks in which a ball is picked and then placed."""
 

@@ -54,6 +54,7 @@ class MetaTraining:
             config.episode_seed,
             config.meta_agent.gamma,
             observe=lambda state: meta_observation(state, levels),
+            disturbance=config.disturbance,
         )
         spec = self.env.observation_spec
         width, count = spec["observation"].shape[-1], spec["action_mask"].shape[-1]

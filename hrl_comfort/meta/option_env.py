@@ -52,13 +52,14 @@ class OptionEnv(EnvBase):
         gamma: float,
         evaluation: EvaluationSet | None = None,
         observe: Quantity | None = None,
+        disturbance: str = "none",
     ) -> None:
         """Options run for `limit_steps` control steps at most; gamma discounts a control step.
 
         `observe` is what the controller sees, the task's own observation by default.
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, seed, evaluation)
+        self.engine = Engine(config, rows, seed, evaluation, disturbance=disturbance)
         self.running = Running(make_options(self.engine), limit_steps, self.engine.episodes)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe
