@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|seams|figures_divisions|expert
-# A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere.
+# A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere; SEEDS='0 1' does some training
+# seeds of a part, JOBS=2 two of them at a time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export OMP_NUM_THREADS=1
@@ -273,12 +274,14 @@ divisions() { # the cycle with three, two and one network, 200,000 decisions eac
     done
 }
 
-figures_divisions() { # from the evaluations of divisions
+figures_divisions() { # from divisions and seams
     of="$ref/hierarchy/seed*"
     "${hrl[@]}" figure kind=divisions "output=$ref/hierarchy/divisions.png" 'labels=[one,two,three]' \
         "evaluations=['$of/one/eval','$of/two/eval','$of/three/eval']"
     "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover.png" 'labels=[alone,chained]' \
         "evaluations=['$of/handover_before','$of/handover_after']"
+    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover_comfort.png" 'labels=[skills with levels]' \
+        "evaluations=['$of/handover_comfort']"
 }
 
 seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for each episode
@@ -287,8 +290,6 @@ seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for e
         "${hrl[@]}" evaluate handover task=cycle meta=scripted comfort=conditioned episodes=1000 \
             task.ball_jitter_m=0.075 "output=$ref/hierarchy/seed$seed/handover_comfort" "${skills[@]}"
     done
-    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover_comfort.png" 'labels=[skills with levels]' \
-        "evaluations=['$ref/hierarchy/seed*/handover_comfort']"
 }
 
 learn() { # folder, overrides; alone, from starts made up, 30 cm to 10 cm; kept is the mean of some 2,000 updates
@@ -312,4 +313,8 @@ expert() { # the scripted expert: every task can be done
 }
 
 if [ $# = 0 ]; then set -- line; fi
-"$@"
+if [ "${JOBS:-1}" -gt 1 ]; then
+    tr ' ' '\n' <<<"${SEEDS:-0 1 2}" | xargs -P "$JOBS" -I{} env JOBS=1 SEEDS={} "$0" "$@"
+else
+    "$@"
+fi
