@@ -314,7 +314,7 @@ expert() { # the scripted expert: every task can be done
 
 if [ $# = 0 ]; then set -- line; fi
 if [ "${JOBS:-1}" -gt 1 ]; then
-    tr ' ' '\n' <<<"${SEEDS:-0 1 2}" | xargs -P "$JOBS" -I{} env JOBS=1 SEEDS={} "$0" "$@"
+    tr ' ' '\n' <<<"${SEEDS:-0 1 2}" | xargs -P "$JOBS" -I{} env JOBS=1 SEEDS={} docs/reference.sh "$@"
 else
     "$@"
 fi

@@ -1,4 +1,4 @@
-"""Fill the tables of docs/reproduce.md from the committed evaluations: `python docs/tables.py`.
+"""Fill the tables of docs/reproduce.md and docs/benchmarks.md from committed files: `python docs/tables.py`.
 
 A table stands between `<!-- evaluations: FOLDER ... -->` and `<!-- end -->`. Folders are those of
 evaluations in runs/reference; one with a `*` pools the episodes of all that match (say, of three training
@@ -6,16 +6,20 @@ seeds). A table of comfort levels stands between `<!-- levels: FILE -->` and `<!
 runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes beside its picture. One of
 several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`. One of
 controllers stands after `<!-- controllers: FILE -->`, of divisions after `<!-- divisions: FILE -->`, of
-handovers after `<!-- handover: FILE -->`; their files are those of the `kind` of the same name.
+handovers after `<!-- handover: FILE -->`; their files are those of the `kind` of the same name. One of
+benchmarks stands after `<!-- bench env: FILE -->` or `<!-- bench update: FILE -->`.
 """
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hrl_comfort.experiments.bench import table as environment
+from hrl_comfort.experiments.bench_update import table as update
 from hrl_comfort.experiments.comfort_table import markdown, series
 from hrl_comfort.experiments.controller_returns import table as controllers
 from hrl_comfort.experiments.divisions import table as divisions
@@ -23,12 +27,16 @@ from hrl_comfort.experiments.handover_figures import table as handover
 from hrl_comfort.experiments.statistics import column, describe, read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, REFERENCE = ROOT / "docs" / "reproduce.md", ROOT / "runs" / "reference"
+PAGES = (ROOT / "docs" / "reproduce.md", ROOT / "docs" / "benchmarks.md")
+REFERENCE = ROOT / "runs" / "reference"
 MARKED = re.compile(r"(<!-- evaluations: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 SERIES = re.compile(r"(<!-- series: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-OTHERS = {"controllers": controllers, "divisions": divisions, "handover": handover}
-"""Kinds of figures whose numbers are one table."""
+OTHERS: dict[str, Callable[[Any], str]] = {
+    "controllers": controllers, "divisions": divisions, "handover": handover,
+    "bench env": environment, "bench update": update,
+}  # fmt: skip
+"""What one file, by itself, is a table of."""
 OTHER = re.compile(rf"(<!-- ({'|'.join(OTHERS)}): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
@@ -69,7 +77,12 @@ def filled(page: str) -> str:
     page = MARKED.sub(lambda found: found[1] + table(found[2].split()) + found[3], page)
     page = LEVELS.sub(lambda found: found[1] + levels(found[2]) + found[3], page)
     page = SERIES.sub(lambda found: found[1] + several(found[2]) + found[3], page)
-    return OTHER.sub(lambda found: found[1] + OTHERS[found[2]](numbers(found[3])) + found[4], page)
+    return OTHER.sub(lambda found: found[1] + OTHERS[found[2]](contents(found[3])) + found[4], page)
+
+
+def contents(name: str) -> Any:
+    """Return the rows of a CSV, or what a JSON file holds; `name` is in runs/reference."""
+    return read_rows(REFERENCE / name) if name.endswith(".csv") else numbers(name)
 
 
 def numbers(name: str) -> dict[str, Any]:
@@ -89,4 +102,5 @@ def several(name: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for each in PAGES:
+        each.write_text(filled(each.read_text(encoding="utf-8")), encoding="utf-8")

@@ -25,7 +25,7 @@ VERBS = {
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "bench": "print how fast the batched environment is (bench env)",
+    "bench": "measure how fast the environment (bench env) or the learner (bench update) is",
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
@@ -94,16 +94,20 @@ def figure(overrides: list[str]) -> None:
 
 
 def bench(words: list[str]) -> None:
-    """Run `hrl-comfort bench env`."""
-    if not words or words[0] != "env":
-        raise ConfigError(f"bench {words[0] if words else '(nothing)'} is not known; say bench env")
+    """Run `hrl-comfort bench env` or `bench update`."""
+    if not words or words[0] not in ("env", "update"):
+        what = words[0] if words else "(nothing)"
+        raise ConfigError(f"bench {what} is not known; say bench env or bench update")
     from hrl_comfort.compose import compose
 
     config = compose("train", words[1:])
     assert isinstance(config, TrainConfig)
-    from hrl_comfort.experiments.bench import bench_env
+    if words[0] == "env":
+        from hrl_comfort.experiments.bench import bench_env as run
+    else:
+        from hrl_comfort.experiments.bench_update import bench_update as run
 
-    bench_env(config)
+    run(config)
 
 
 def demo(overrides: list[str]) -> None:

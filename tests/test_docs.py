@@ -75,8 +75,9 @@ def test_configuration_explains_every_key_of_comfort() -> None:
 
 def test_tables_are_those_of_the_committed_evaluations() -> None:
     tables = runpy.run_path(str(ROOT / "docs" / "tables.py"))
-    page = tables["PAGE"].read_text(encoding="utf-8")
-    assert tables["filled"](page) == page, "run python docs/tables.py"
+    for each in tables["PAGES"]:
+        page = each.read_text(encoding="utf-8")
+        assert tables["filled"](page) == page, "run python docs/tables.py"
 
 
 @pytest.mark.parametrize(

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from statistics import median
 
 import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
-from rich.console import Console
-from rich.table import Table
 
 from hrl_comfort.compose import environment
 from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.experiments.measure import write_table
+from hrl_comfort.experiments.panels import markdown
+from hrl_comfort.experiments.statistics import Row, number, read_rows
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 
@@ -23,34 +25,42 @@ ROWS = (1, 16, 64, 256)
 REPEATS = 5
 DECISIONS = 1024
 """Decisions a measurement, over all rows."""
+OURS, BARE = "engine", "bare mujoco.rollout"
+COLUMNS = ["rows", "loop", "round", "decisions_per_s"]
 
 
-def bench_env(config: TrainConfig) -> None:
+def bench_env(config: TrainConfig) -> Path:
     """Print decisions a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads; measurements are interleaved, the median of `REPEATS` is
-    given with the range. The dm_control front is measured at one row.
+    Both run the same model, substeps and threads; measurements are interleaved. The dm_control front is
+    measured at one row. What is measured goes to env.csv, which is returned.
     """
     torch.set_num_threads(1)
     env = environment(config)
-    table = Table(
-        title=f"{config.task.name}, {config.engine.threads} thread(s), decisions/s: median (least to most)"
-    )
-    for name in ("rows", "engine", "bare mujoco.rollout", "engine / bare", "dm_control front"):
-        table.add_column(name, justify="right")
+    rates: list[list[object]] = []
     for rows in ROWS:
-        ours, bare = engine_loop(env, rows), bare_loop(env, rows)
-        front = dm_loop(env) if rows == 1 else None
-        rates: dict[str, list[float]] = {"ours": [], "bare": [], "dm": []}
-        for _ in range(REPEATS):
-            rates["ours"].append(rate(ours, rows))
-            rates["bare"].append(rate(bare, rows))
-            if front is not None:
-                rates["dm"].append(rate(front, 1))
-        ratio = median(a / b for a, b in zip(rates["ours"], rates["bare"], strict=True))
-        dm = spread(rates["dm"]) if front is not None else ""
-        table.add_row(str(rows), spread(rates["ours"]), spread(rates["bare"]), f"{ratio:.2f}", dm)
-    Console().print(table)
+        loops = {OURS: engine_loop(env, rows), BARE: bare_loop(env, rows)}
+        if rows == 1:
+            loops["dm_control front"] = dm_loop(env)
+        for turn in range(REPEATS):
+            rates += [[rows, name, turn, rate(step, rows)] for name, step in loops.items()]
+    path = Path(config.output) / "env.csv"
+    write_table(path, COLUMNS, rates)
+    print(table(read_rows(path)), end="")
+    return path
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows of env.csv as a Markdown table: medians, ranges and ratios."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        found.setdefault((row["rows"], row["loop"]), []).append(number(row["decisions_per_s"]))
+    lines = []
+    for (count, name), each in found.items():
+        ratios = [a / b for a, b in zip(each, found[count, BARE], strict=True)]
+        ratio = "" if name == BARE else f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+        lines.append([count, name, spread(each), ratio])
+    return markdown(["rows", "loop", "decisions/s", "of bare rollout"], lines)
 
 
 def rate(step: Callable[[], None], rows: int) -> float:
