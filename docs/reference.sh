@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|seams|figures_divisions|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere; SEEDS='0 1' does some training
-# seeds of a part, JOBS=2 two of them at a time.
+# seeds of a part that has several, and JOBS=2 two of those at a time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export OMP_NUM_THREADS=1
@@ -314,7 +314,7 @@ expert() { # the scripted expert: every task can be done
 
 if [ $# = 0 ]; then set -- line; fi
 if [ "${JOBS:-1}" -gt 1 ]; then
-    tr ' ' '\n' <<<"${SEEDS:-0 1 2}" | xargs -P "$JOBS" -I{} env JOBS=1 SEEDS={} docs/reference.sh "$@"
+    tr ' ' '\n' <<<"${SEEDS:?JOBS goes with SEEDS}" | xargs -P "$JOBS" -I{} env JOBS=1 SEEDS={} docs/reference.sh "$@"
 else
     "$@"
 fi

@@ -128,6 +128,8 @@ def load_config(path: str | Path) -> Config:
 
 def _with_later_keys(loaded: Any) -> Any:
     """Return a configuration with what LATER says where it was written before these keys were."""
+    if isinstance(loaded, DictConfig) and "meta_agent" in loaded and "disturbance" not in loaded:
+        loaded["disturbance"] = "none"  # in the training of controllers; it came later
     for key, value in LATER.items():
         section, name = key.rsplit(".", 1)
         there = OmegaConf.select(loaded, section) if isinstance(loaded, DictConfig) else None

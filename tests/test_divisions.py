@@ -19,7 +19,7 @@ def training(folder: Path, decisions: int, initial: Path | None = None) -> str:
     folder.mkdir(parents=True)
     words = ["task=pick", f"output={folder}", *([f"initial_policy={initial}"] if initial else [])]
     save_config(compose("train", words), folder / "config.yaml")
-    about = {"commit": "", "decisions": decisions, "wall_seconds": 0.06 * decisions}
+    about = {"finished": True, "commit": "", "decisions": decisions, "wall_seconds": 0.06 * decisions}
     (folder / "provenance.json").write_text(json.dumps(about))
     return str(folder)
 
@@ -39,10 +39,18 @@ def evaluation(policies: dict[str, str], steps: list[str], success: list[str] | 
 
 
 def test_what_a_division_took_is_the_sum_over_its_policies_and_those_they_were_begun_from(tmp_path) -> None:
-    first = training(tmp_path / "first", 1000)
-    pick, back = training(tmp_path / "pick", 500, Path(first)), training(tmp_path / "return", 200)
+    first = Path(training(tmp_path / "first", 1000))
+    pick, back = training(tmp_path / "pick", 500, first), training(tmp_path / "return", 200, first)
     took = trained(evaluation({"pick": pick, "return": back}, ["1"]))
     assert took == {"networks": 2, "decisions": 1700, "minutes": pytest.approx(1.7)}
+
+
+def test_a_training_that_is_not_finished_is_refused(tmp_path) -> None:
+    folder = Path(training(tmp_path / "pick", 100))
+    about = json.loads((folder / "provenance.json").read_text())
+    (folder / "provenance.json").write_text(json.dumps({**about, "finished": False}))
+    with pytest.raises(ConfigError, match="pick is not finished"):
+        trained(evaluation({"pick": str(folder)}, ["1"]))
 
 
 def test_a_policy_that_was_not_trained_is_refused() -> None:

@@ -53,11 +53,13 @@ def test_a_row_of_the_batch_is_the_lone_cell_and_begins_anew_where_it_ended() ->
         assert observations[0] == pytest.approx(observation, abs=1e-6)
         actions = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
         observations, rewards, terminated, truncated, infos = cells.step(actions)
-        observation, reward, term, trunc, _ = lone.step(actions[0])
+        observation, reward, term, trunc, steps = lone.step(actions[0])
         assert (rewards[0], terminated[0], truncated[0]) == (pytest.approx(reward), term, trunc)
         if term or trunc:
             ends += 1
+            assert infos["final_obs"].shape == (3,) and infos["final_obs"][0].dtype == np.float32
             assert infos["final_obs"][0] == pytest.approx(observation, abs=1e-6) and infos["_final_obs"][0]
+            assert infos["final_info"]["steps"][0] == steps["steps"] and infos["_final_info"][0]
             observation, _ = lone.reset()
     assert ends
     cells.close()

@@ -68,6 +68,11 @@ def save_resumable(folder: Path, state: dict[str, Any]) -> None:
     os.replace(new, latest)
 
 
+def resumable(folder: Path) -> bool:
+    """Return whether there is a checkpoint to resume from, good or not."""
+    return any((folder / name).exists() for name in ("latest.pt", "previous.pt"))
+
+
 def load_resumable(folder: Path) -> dict[str, Any]:
     """Read the newest good resumable checkpoint; a broken one is named in a warning and passed over.
 

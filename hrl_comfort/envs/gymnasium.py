@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.comfort.metrics import present
 from hrl_comfort.config import FIRST_SEED, ConfigError, EnvConfig
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
@@ -54,6 +55,7 @@ def _columns(outcome: Outcome) -> dict[str, Tensor]:
     """Return what `info` tells of a decision, each (N,)."""
     state, valid = outcome.state, outcome.valid
     distance = torch.where(valid, outcome.human_distance, 0.0).sum(dim=1) / outcome.decision_steps
+    distance = torch.where(present(state.human_pos), distance, torch.nan)
     return {
         "success": outcome.success,
         "human_collision": state.human_collision,
@@ -69,8 +71,9 @@ class CellGym(gymnasium.Env[Array, Array]):
 
     Action (6,) in [-1, 1], observation (D,) float32. `info` of a step: `success`, `human_collision`,
     `other_collision` (bool); `steps`, `decision_steps`, control steps in the episode and in the decision;
-    `human_distance`, m, its mean over the decision. `reset(seed=s)` begins the episodes of seed s, the same
-    as those of `hrl_comfort.load(task, seed=s)`; a reset without a seed goes on with the next of them.
+    `human_distance`, m, its mean over the decision, NaN where nobody is there. `reset(seed=s)` begins the
+    episodes of seed s, the same as those of `hrl_comfort.load(task, seed=s)`; a reset without a seed goes on
+    with the next of them.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -105,7 +108,8 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     """N cells stepped together; a row that has ended begins anew within the same step.
 
     Action (N, 6) in [-1, 1], observation (N, D) float32; `info` as of `CellGym`, each (N,), and where a row
-    has ended its last observation, `final_obs` (N,) of (D,) or None, marked by `_final_obs` (N,) bool.
+    has ended its last observation, `final_obs` (N,) of (D,) or None, and `final_info`, marked by `_final_obs`
+    and `_final_info` (N,) bool.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -132,10 +136,15 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         info: Info = {name: values.numpy().copy() for name, values in _columns(outcome).items()}
         observation, done = self._cells.observe(outcome.state), outcome.done.numpy()
         if done.any():
-            info["final_obs"] = np.array(
-                [each if end else None for each, end in zip(observation, done, strict=True)], dtype=object
-            )
-            info["_final_obs"] = done.copy()
+            last = np.full(self.num_envs, None, dtype=object)
+            for row in np.flatnonzero(done):
+                last[row] = observation[row].copy()
+            told = {name: values.copy() for name, values in info.items()}
+            info |= {"final_obs": last, "_final_obs": done.copy()}
+            info |= {
+                "final_info": told | {f"_{name}": done.copy() for name in told},
+                "_final_info": done.copy(),
+            }
             observation = self._cells.observe(self._cells.engine.reset(np.flatnonzero(done)))
         reward = outcome.reward.numpy().copy()
         return (

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.policy import policy_file
 from hrl_comfort.compose import load_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.training_log import read_provenance
@@ -21,18 +24,28 @@ class Left(Enum):
 def left(config: TrainConfig | EvaluateConfig) -> Left:
     """Return what is left of the job that `config` describes, by what is in its output folder.
 
+    An evaluation is finished while its summary is newer than every policy of it.
+
     Raises:
-      ConfigError: the folder holds another run, or is damaged.
+      ConfigError: the folder holds another training, or is damaged.
     """
     folder = Path(config.output)
     if not (folder / "config.yaml").is_file():
         return Left.ALL
-    if load_config(folder) != config:
-        raise ConfigError(f"output={folder} holds another run; choose another, or delete it")
+    there = load_config(folder)
+    same = isinstance(there, type(config)) and replace(there, output=config.output) == config
     if isinstance(config, EvaluateConfig):
-        return Left.NOTHING if (folder / "summary.json").is_file() else Left.ALL
+        return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
+    if not same:
+        raise ConfigError(f"output={folder} holds another run; choose another, or delete it")
     if (folder / "provenance.json").is_file() and read_provenance(folder)["finished"]:
         return Left.NOTHING
-    checkpoints = folder / "checkpoints"
-    resumable = any((checkpoints / name).is_file() for name in ("latest.pt", "previous.pt"))
-    return Left.REST if resumable else Left.ALL
+    return Left.REST if checkpoint.resumable(folder / "checkpoints") else Left.ALL
+
+
+def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
+    if not summary.is_file():
+        return False
+    policies = [Path(name) for name in (config.policy, *config.policies.values()) if name is not None]
+    files = [policy_file(path) for path in policies if path.exists()]
+    return all(file.stat().st_mtime <= summary.stat().st_mtime for file in files)

@@ -27,7 +27,7 @@ PARTS = {
 """What is told of an episode. Return is what placed balls pay, less what time and discomfort cost."""
 PAID = ("place", "step")
 """Weights of the reward that may differ from zero; the rest of the return is discomfort."""
-SAME = ("robot", "cell", "human", "comfort", "task", "reward", "policies", "disturbance")
+SAME = ("robot", "cell", "human", "comfort", "task", "reward", "disturbance")
 """Sections of the configuration in which evaluations must agree to be compared."""
 
 
@@ -79,6 +79,8 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     """
     all_of = {label: earnings(runs) for label, runs in groups.items()}
     (first, (who, own)), *rest = all_of.items()
+    for run in (run for runs in groups.values() for run in runs):
+        _must_agree(groups[first][0], run)
     numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         clusters = Clusters.nested(names[:, 0], names[:, 2])
@@ -89,8 +91,11 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
             raise ConfigError(
                 f"labels={[first, label]}: both must have run the same episodes with the same seeds"
             )
-        for mine, other in zip(groups[first], groups[label], strict=True):
-            _must_agree(mine, other)
+        for mine, other in zip(groups[first], groups[label], strict=False):
+            if _skills(mine) != _skills(other):
+                raise ConfigError(
+                    f"{mine.folder} and {other.folder} differ in policies; compare like with like"
+                )
         clusters = Clusters.nested(who[:, 0], who[:, 2])
         found = panels.described(clusters, own - values, list(PARTS))
         k = list(PARTS).index("return")
@@ -105,13 +110,14 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
 
 
 def _must_agree(mine: Run, other: Run) -> None:
-    """Raise ConfigError unless two evaluations differ in their controller alone."""
+    """Raise ConfigError unless two evaluations are of the same thing; skills and controllers may differ."""
     for section in SAME:
-        left, right = (run.config.get(section) for run in (mine, other))
-        if section == "policies":
-            left, right = ({k: v for k, v in (each or {}).items() if k != "meta"} for each in (left, right))
-        if left != right:
+        if mine.config.get(section) != other.config.get(section):
             raise ConfigError(f"{mine.folder} and {other.folder} differ in {section}; compare like with like")
+
+
+def _skills(run: Run) -> dict[str, str]:
+    return {name: policy for name, policy in (run.config.get("policies") or {}).items() if name != "meta"}
 
 
 def draw(numbers: Mapping[str, Any]) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,8 @@ def episodes(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
         rows = run.episodes or []
         success = column(rows, "success")
         won = np.where(success > 0, 1.0, np.nan)
-        moving = np.nan_to_num(column(rows, "robot_moving_at_collision")) * column(rows, "human_collision")
+        hit = column(rows, "human_collision")
+        moving = np.where(hit > 0, column(rows, "robot_moving_at_collision"), hit)
         of_wins = [won * column(rows, name) for name in ("steps", "human_distance_mean_m")]
         found.append(np.stack([success, moving, *of_wins], axis=-1))
         who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in rows]
@@ -45,32 +47,34 @@ def episodes(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
 def trained(run: Run) -> dict[str, float]:
     """Return how many policies an evaluation chains and what they took to train: decisions and minutes.
 
-    A policy that another was begun from (`initial_policy`) counts too.
+    A policy that another was begun from (`initial_policy`) counts too, once.
 
     Raises:
-      ConfigError: a policy was not trained, or its folder is not there.
+      ConfigError: a policy was not trained to its end, or its folder is not there.
     """
-    names = (run.config.get("policies") or {}).values()
-    cost = [_training(name) for name in names]
-    return {
-        "networks": len(cost),
-        "decisions": sum(decisions for decisions, _ in cost),
-        "minutes": sum(minutes for _, minutes in cost),
-    }
+    names = list((run.config.get("policies") or {}).values()) or [run.config.get("policy")]
+    cost: dict[Path, tuple[int, float]] = {}
+    for name in names:
+        if name is None:
+            raise ConfigError(f"{run.folder}/config.yaml names no policy")
+        _training(name, cost)
+    decisions, minutes = (sum(each) for each in zip(*cost.values(), strict=True))
+    return {"networks": len(names), "decisions": decisions, "minutes": minutes}
 
 
-def _training(policy: str) -> tuple[int, float]:
+def _training(policy: str, cost: dict[Path, tuple[int, float]]) -> None:
+    """Add what a policy took, and what those took that it was begun from, to `cost` by folder."""
     folder = run_folder(policy)
     if folder is None:
         raise ConfigError(f"policy={policy!r} is not a run folder, so what its training took is not known")
     config, provenance = load_config(folder), read_run(folder).provenance
     if provenance is None or not isinstance(config, TrainConfig):
         raise ConfigError(f"{folder} is not that of a training")
-    decisions, minutes = int(provenance["decisions"]), float(provenance["wall_seconds"]) / 60
+    if not provenance["finished"]:
+        raise ConfigError(f"{folder} is not finished, so what its training took is not known")
+    cost[folder.resolve()] = int(provenance["decisions"]), float(provenance["wall_seconds"]) / 60
     if config.initial_policy is not None:
-        before = _training(config.initial_policy)
-        return decisions + before[0], minutes + before[1]
-    return decisions, minutes
+        _training(config.initial_policy, cost)
 
 
 def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
@@ -84,6 +88,8 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     """
     all_of = {label: episodes(runs) for label, runs in groups.items()}
     (first, (who, own)), *rest = all_of.items()
+    for run in (run for runs in groups.values() for run in runs):
+        _must_agree(groups[first][0], run)
     numbers: dict[str, Any] = {"divisions": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         means = panels.described(Clusters.nested(names[:, 0], names[:, 2]), values, list(QUANTITIES))
@@ -95,8 +101,6 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
             raise ConfigError(
                 f"labels={[first, label]}: both must have run the same episodes with the same seeds"
             )
-        for mine, other in zip(groups[first], groups[label], strict=True):
-            _must_agree(mine, other)
         clusters = Clusters.nested(who[:, 0], who[:, 2])
         means = panels.described(clusters, own - values, list(QUANTITIES))
         numbers["differences"][f"{first} - {label}"] = means

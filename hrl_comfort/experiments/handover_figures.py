@@ -39,11 +39,12 @@ def summarise(groups: Mapping[str, Sequence[Path]]) -> dict[str, Any]:
 
 
 def _summary(folders: Sequence[Path]) -> dict[str, Any]:
-    seams = [_rows(folder / SEAMS) for folder in folders]
-    subtasks = list(dict.fromkeys(row["subtask"] for row in seams[0]))
+    seams, chains = ([_rows(folder / name) for folder in folders] for name in (SEAMS, CHAIN))
+    subtasks, *others = [list(dict.fromkeys(row["subtask"] for row in rows)) for rows in seams]
+    if any(each != subtasks for each in others) or len({len(rows) for rows in chains}) > 1:
+        raise ConfigError(f"{folders[0]}: handovers of other subtasks do not go under the same label")
     found: dict[str, Any] = {"seams": {name: _seam(name, folders, seams) for name in subtasks}, "chain": []}
-    chains = [_rows(folder / CHAIN) for folder in folders]
-    for at in zip(*chains, strict=False):
+    for at in zip(*chains, strict=True):
         each = column(at, "success").tolist()
         mean = {"options": int(number(at[0]["options"])), "success": float(np.mean(each)), "seeds": each}
         found["chain"].append(mean)
@@ -65,9 +66,10 @@ def _seam(subtask: str, folders: Sequence[Path], seams: Sequence[Sequence[Row]])
     clusters, success = Clusters.nested(seed_of, spawn), np.array(values)
     means = panels.described(clusters, success, STARTS)
     whole, draws = clusters.means(success)
-    for k, start in enumerate(STARTS[1:], start=1):
-        interval = clusters.interval(draws[:, k] / draws[:, 0])
-        means[start]["of_own"] = {"mean": float(whole[k] / whole[0]), "ci95": interval}
+    if (draws[:, 0] > 0).all():  # a share of what may be nothing says nothing
+        for k, start in enumerate(STARTS[1:], start=1):
+            interval = clusters.interval(draws[:, k] / draws[:, 0])
+            means[start]["of_own"] = {"mean": float(whole[k] / whole[0]), "ci95": interval}
     return means
 
 
@@ -92,7 +94,7 @@ def draw(numbers: Mapping[str, Any]) -> Figure:
         for i, (label, each) in enumerate(numbers.items()):
             look: dict[str, Any] = {"color": (*CYCLE, BLACK)[i % 7], "marker": "o", "markersize": 4}
             for axis, name in zip(seams, subtasks, strict=True):
-                for k, start in enumerate(STARTS):
+                for k, start in enumerate(STARTS if name in each["seams"] else ()):
                     at = each["seams"][name][start]
                     mean, (low, high) = at["mean"], at["ci95"] or [at["mean"]] * 2
                     x = k + 0.16 * (i - (len(numbers) - 1) / 2)
@@ -121,6 +123,6 @@ def table(numbers: Mapping[str, Any]) -> str:
         chain = ", ".join(f"{100 * at['success']:.1f}" for at in each["chain"])
         for name, at in each["seams"].items():
             shares = [cell(at[start], "mean", 100, 1) for start in STARTS]
-            lines.append([label, name, *shares, cell(at["previous"]["of_own"], "mean", 1, 3), chain])
+            lines.append([label, name, *shares, cell(at["previous"].get("of_own"), "mean", 1, 3), chain])
     heads = ["", "subtask", *(f"from {start} starts, %" for start in STARTS), "previous / own"]
-    return panels.markdown([*heads, "1, 2, 3 options in a row, %"], lines)
+    return panels.markdown([*heads, "1, 2, … options in a row, %"], lines)

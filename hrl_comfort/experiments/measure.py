@@ -94,7 +94,7 @@ class Result:
 
     def write(self, output: Path, config: EvaluateConfig) -> None:
         """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
-        for stale in ("options.csv", "paths.csv", "video.mp4"):
+        for stale in ("summary.json", "options.csv", "paths.csv", "video.mp4"):
             (output / stale).unlink(missing_ok=True)
         write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
         if self.options:

@@ -8,8 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
-class Preempted(Exception):
-    """A training has stopped because it was told to; its checkpoint says where it goes on."""
+class Preempted(BaseException):
+    """A training has stopped because it was told to; its checkpoint says where it goes on.
+
+    No `Exception`: a sweep that notes the failures of its jobs stops too.
+    """
 
 
 @contextmanager

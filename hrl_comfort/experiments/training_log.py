@@ -17,6 +17,7 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
+from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files import write_text
@@ -43,14 +44,22 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        begun = any((folder / name).exists() for name in ("checkpoints", "policy.pt"))
-        if not resume and begun and (folder / "config.yaml").exists():
+        if not resume and _begun(folder):
             raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")
         if not resume and (folder / "meta.pt").exists():
             raise ConfigError(f"output={folder} already holds a controller; choose another")
         yield
     finally:
         os.close(descriptor)
+
+
+def _begun(folder: Path) -> bool:
+    """Return whether a run is there that is finished, or can be resumed."""
+    if checkpoint.resumable(folder / "checkpoints"):
+        return True
+    if (folder / "provenance.json").exists():
+        return bool(read_provenance(folder)["finished"])
+    return (folder / "policy.pt").exists()
 
 
 class MetricsLog:
