@@ -270,7 +270,7 @@ divisions() { # the cycle with three, two and one network, 200,000 decisions eac
             "policies.pick_place=$of/two/pick_place" "policies.return=$of/two/return"
         measure $to/one/eval task=cycle meta=scripted division=one "policies.cycle=$of/one/cycle"
         handover before _alone
-        handover after ''
+        handover after ""
     done
 }
 
