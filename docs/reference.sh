@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|seams|figures_divisions|expert
+# Remakes runs/reference, a part at a time: docs/reference.sh line|points|fine|approach|curriculum|comfort|comfort_10cm|comfort_cycle|sort|sort_learned|speed|fixed|forms|field|figures|figures_10cm|figures_cycle|figures_sort|divisions|seams|figures_divisions|figures_seams|expert
 # A policy that is there is not trained again; REFERENCE=DIR puts everything elsewhere; SEEDS='0 1' does some training
 # seeds of a part that has several, and JOBS=2 two of those at a time.
 set -euo pipefail
@@ -274,14 +274,12 @@ divisions() { # the cycle with three, two and one network, 200,000 decisions eac
     done
 }
 
-figures_divisions() { # from divisions and seams
+figures_divisions() { # from the evaluations of divisions
     of="$ref/hierarchy/seed*"
     "${hrl[@]}" figure kind=divisions "output=$ref/hierarchy/divisions.png" 'labels=[one,two,three]' \
         "evaluations=['$of/one/eval','$of/two/eval','$of/three/eval']"
     "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover.png" 'labels=[alone,chained]' \
         "evaluations=['$of/handover_before','$of/handover_after']"
-    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover_comfort.png" 'labels=[skills with levels]' \
-        "evaluations=['$of/handover_comfort']"
 }
 
 seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for each episode
@@ -292,6 +290,10 @@ seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for e
     done
 }
 
+figures_seams() { # from seams
+    "${hrl[@]}" figure kind=handover "output=$ref/hierarchy/handover_comfort.png" 'labels=[skills with levels]' \
+        "evaluations=['$ref/hierarchy/seed*/handover_comfort']"
+}
 learn() { # folder, overrides; alone, from starts made up, 30 cm to 10 cm; kept is the mean of some 2,000 updates
     train "$to/$1" experiment=reference agent.actor_tau=5e-4 "train_seed=$seed" "episode_seed=$seed" "${@:2}"
 }
