@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from hrl_comfort.compose import (
     save_config,
 )
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.experiments.again import Left, left
 
 OWN = {
     "report": ["run=runs"],
@@ -330,6 +332,29 @@ def test_a_sweep_that_is_started_again_does_only_what_is_left(tmp_path, monkeypa
 
     assert commands.main([*words, "agent.decisions=7"]) == 1  # another run by the same name
     assert "holds another run; choose another, or delete it" in capsys.readouterr().out
+
+
+def test_an_evaluation_is_done_again_where_its_policy_is_newer(tmp_path):
+    policy, folder = tmp_path / "policy.pt", tmp_path / "eval"
+    policy.touch()
+    config = compose("evaluate", [f"policy={policy}", f"output={folder}"])
+    assert left(config) is Left.ALL
+    save_config(config, folder / "config.yaml")
+    assert left(config) is Left.ALL  # it was stopped
+    (folder / "summary.json").touch()
+    os.utime(policy, (1, 1))
+    assert left(config) is Left.NOTHING
+    assert left(compose("evaluate", [f"policy={policy}", f"output={folder}", "episodes=7"])) is Left.ALL
+    os.utime(folder / "summary.json", (0, 0))
+    assert left(config) is Left.ALL
+
+
+def test_a_controllers_configuration_from_before_disturbances_loads(tmp_path):
+    save_config(compose("train_meta"), tmp_path / "config.yaml")
+    older = OmegaConf.load(tmp_path / "config.yaml")
+    del older["disturbance"]
+    OmegaConf.save(older, tmp_path / "config.yaml")
+    assert load_config(tmp_path).disturbance == "none"
 
 
 def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):

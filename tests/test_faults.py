@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 import time
+import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -50,6 +51,8 @@ def child(work: Callable[[], None]) -> int:
         code = PREEMPTED
     except OSError:
         code = OUT_OF_DISK
+    except Exception:  # noqa: BLE001  the parent sees the exit code, the reader this
+        traceback.print_exc()
     finally:
         os._exit(code)
 
@@ -59,6 +62,7 @@ def stopped(folder: Path) -> float:
     pid = child(lambda: go_on(folder))
     log = folder / "metrics.csv"
     while not log.exists() or len(log.read_text().splitlines()) < 2:
+        assert os.waitpid(pid, os.WNOHANG) == (0, 0), "it ended before its first row"
         time.sleep(0.01)
     os.kill(pid, signal.SIGTERM)
     told = time.monotonic()

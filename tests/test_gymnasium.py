@@ -73,6 +73,8 @@ def test_unseeded_environments_differ() -> None:
 def test_seeds_of_the_evaluation_set_are_refused() -> None:
     with pytest.raises(ConfigError, match=f"seed={FIRST_SEED} must be below"):
         gymnasium.make(IDS["reach"]).reset(seed=FIRST_SEED)
+    with pytest.raises(ConfigError, match=r"seed=\[1, 2\] must be one number"):
+        gymnasium.make_vec(IDS["reach"], num_envs=2).reset(seed=[1, 2])
 
 
 def test_a_choice_that_is_not_there_gets_the_command_lines_error() -> None:

@@ -121,12 +121,16 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:  # type: ignore[override]
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: Info | None = None
+    ) -> tuple[Array, Info]:
         """Begin an episode in every row; row r of seed s is the same however many rows there are.
 
         Raises:
-          ConfigError: `seed` is one of those kept for evaluation.
+          ConfigError: `seed` is one of those kept for evaluation, or a list: one seed gives all rows theirs.
         """
+        if isinstance(seed, list):
+            raise ConfigError(f"seed={seed} must be one number; every row's episodes follow from it")
         super().reset(seed=seed)
         return self._cells.reset(seed, self.np_random), {}
 

@@ -52,15 +52,26 @@ def bench_env(config: TrainConfig) -> Path:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows of env.csv as a Markdown table: medians, ranges and ratios."""
+    return medians(rows, COLUMNS, BARE, lambda mine, bare: mine / bare, "of bare rollout")
+
+
+def medians(
+    rows: Sequence[Row], columns: Sequence[str], peer: str, ratio: Callable[[float, float], float], head: str
+) -> str:
+    """Return measurements as a Markdown table, with each one's ratio to `peer` in the same rounds.
+
+    Columns are those of the CSV: the size, who was measured, the round, the rate.
+    """
+    size, name, _, rate_of = columns
     found: dict[tuple[str, str], list[float]] = {}
     for row in rows:
-        found.setdefault((row["rows"], row["loop"]), []).append(number(row["decisions_per_s"]))
+        found.setdefault((row[size], row[name]), []).append(number(row[rate_of]))
     lines = []
-    for (count, name), each in found.items():
-        ratios = [a / b for a, b in zip(each, found[count, BARE], strict=True)]
-        ratio = "" if name == BARE else f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
-        lines.append([count, name, spread(each), ratio])
-    return markdown(["rows", "loop", "decisions/s", "of bare rollout"], lines)
+    for (count, who), each in found.items():
+        ratios = [ratio(one, other) for one, other in zip(each, found[count, peer], strict=True)]
+        text = "" if who == peer else f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+        lines.append([count, who, spread(each), text])
+    return markdown([size, name, rate_of.replace("_per_", "/"), head], lines)
 
 
 def rate(step: Callable[[], None], rows: int) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import torch
@@ -21,10 +20,9 @@ from torchrl.objectives import SACLoss, SoftUpdate
 from hrl_comfort.agents.sac import Sac
 from hrl_comfort.compose import environment
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
-from hrl_comfort.experiments.bench import spread
+from hrl_comfort.experiments.bench import medians
 from hrl_comfort.experiments.measure import write_table
-from hrl_comfort.experiments.panels import markdown
-from hrl_comfort.experiments.statistics import Row, number, read_rows
+from hrl_comfort.experiments.statistics import Row, read_rows
 from hrl_comfort.sim.engine import Engine
 
 BATCHES = (256, 1028)
@@ -67,15 +65,7 @@ def bench_update(config: TrainConfig) -> Path:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows of update.csv as a Markdown table: medians, ranges and ratios."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        found.setdefault((row["batch"], row["learner"]), []).append(number(row["updates_per_s"]))
-    lines = []
-    for (batch, name), each in found.items():
-        ratios = [a / b for a, b in zip(found[batch, OURS], each, strict=True)]
-        ratio = "" if name == OURS else f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
-        lines.append([batch, name, spread(each), ratio])
-    return markdown(["batch", "learner", "updates/s", "ours / theirs"], lines)
+    return medians(rows, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
 
 
 def rate(update: Update) -> float:

@@ -79,18 +79,14 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     """
     all_of = {label: earnings(runs) for label, runs in groups.items()}
     (first, (who, own)), *rest = all_of.items()
-    for run in (run for runs in groups.values() for run in runs):
-        _must_agree(groups[first][0], run)
+    panels.check_alike(groups, SAME)
     numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         clusters = Clusters.nested(names[:, 0], names[:, 2])
         means = panels.described(clusters, values, list(PARTS))
         numbers["controllers"][label] = {"episodes": len(values), **means}
     for label, (names, values) in rest:
-        if names.shape != who.shape or (names != who).any():
-            raise ConfigError(
-                f"labels={[first, label]}: both must have run the same episodes with the same seeds"
-            )
+        panels.check_paired((first, label), who, names)
         for mine, other in zip(groups[first], groups[label], strict=False):
             if _skills(mine) != _skills(other):
                 raise ConfigError(
@@ -107,13 +103,6 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
             }
         numbers["differences"][f"{first} - {label}"] = found
     return numbers
-
-
-def _must_agree(mine: Run, other: Run) -> None:
-    """Raise ConfigError unless two evaluations are of the same thing; skills and controllers may differ."""
-    for section in SAME:
-        if mine.config.get(section) != other.config.get(section):
-            raise ConfigError(f"{mine.folder} and {other.folder} differ in {section}; compare like with like")
 
 
 def _skills(run: Run) -> dict[str, str]:

@@ -88,8 +88,7 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     """
     all_of = {label: episodes(runs) for label, runs in groups.items()}
     (first, (who, own)), *rest = all_of.items()
-    for run in (run for runs in groups.values() for run in runs):
-        _must_agree(groups[first][0], run)
+    panels.check_alike(groups, SAME)
     numbers: dict[str, Any] = {"divisions": {}, "differences": {}}
     for label, (names, values) in all_of.items():
         means = panels.described(Clusters.nested(names[:, 0], names[:, 2]), values, list(QUANTITIES))
@@ -97,20 +96,11 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
         cost = {name: float(np.mean([each[name] for each in took])) for name in took[0]}
         numbers["divisions"][label] = {"episodes": len(values), **cost, **means}
     for label, (names, values) in rest:
-        if names.shape != who.shape or (names != who).any():
-            raise ConfigError(
-                f"labels={[first, label]}: both must have run the same episodes with the same seeds"
-            )
+        panels.check_paired((first, label), who, names)
         clusters = Clusters.nested(who[:, 0], who[:, 2])
         means = panels.described(clusters, own - values, list(QUANTITIES))
         numbers["differences"][f"{first} - {label}"] = means
     return numbers
-
-
-def _must_agree(mine: Run, other: Run) -> None:
-    for section in SAME:
-        if mine.config.get(section) != other.config.get(section):
-            raise ConfigError(f"{mine.folder} and {other.folder} differ in {section}; compare like with like")
 
 
 def draw(numbers: Mapping[str, Any]) -> Figure:

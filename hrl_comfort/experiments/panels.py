@@ -9,10 +9,13 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.clusters import Clusters
 from hrl_comfort.experiments.comfort_table import cell
 from hrl_comfort.experiments.figures import BLUE, STYLE
+from hrl_comfort.experiments.run_folder import Run
 from hrl_comfort.experiments.statistics import Floats
 
 
@@ -40,6 +43,23 @@ def described(clusters: Clusters, values: Floats, names: Sequence[str]) -> dict[
         for k, name in enumerate(names)
         if np.isfinite(means[k])
     }
+
+
+def check_alike(groups: Mapping[str, Sequence[Run]], sections: Sequence[str]) -> None:
+    """Raise ConfigError unless all evaluations agree in these sections of their configuration."""
+    first, *others = [run for runs in groups.values() for run in runs]
+    for run in others:
+        for section in sections:
+            if first.config.get(section) != run.config.get(section):
+                raise ConfigError(
+                    f"{first.folder} and {run.folder} differ in {section}; compare like with like"
+                )
+
+
+def check_paired(labels: tuple[str, str], mine: NDArray[Any], other: NDArray[Any]) -> None:
+    """Raise ConfigError unless two labels have the same episodes (n, 3): seed, episode, spawn point."""
+    if mine.shape != other.shape or (mine != other).any():
+        raise ConfigError(f"labels={list(labels)}: both must have run the same episodes with the same seeds")
 
 
 def draw(groups: Mapping[str, Means], quantities: Mapping[str, Quantity]) -> Figure:

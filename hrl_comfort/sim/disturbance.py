@@ -1,4 +1,4 @@
-"""What goes wrong on purpose in an evaluation, once an episode.
+"""What goes wrong on purpose, once an episode.
 
 `drop`: the first ball taken is knocked out of the gripper and lies where it lay. `block`: a person stands at
 the table where the first ball belongs, and wanders off after a while.
