@@ -127,18 +127,23 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
             endings $to/${task}_second
             start=$ref/$to/${task}_second/endings.npz
         done
-        start=ik
-        for task in pick place return; do
-            more=() # place fails most
-            if [ $task = place ]; then more=(agent.decisions=160000); fi
-            train $to/$task experiment=comfort_skill_finer task=$task "${seeds[@]}" "task.start=$start" \
-                "${more[@]}" "initial_policy=$ref/$to/${task}_second"
-            endings $to/$task
-            start=$ref/$to/$task/endings.npz
-        done
+        refine comfort_skill_finer _second _third
+        refine comfort_skill_last _third ""
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
         measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}" \
             task.ball_jitter_m=0.075
+    done
+}
+
+refine() { # experiment, endings of the folders before and after: each skill trained on, place longest, for it fails most
+    start=ik
+    for task in pick place return; do
+        more=()
+        if [ $task = place ]; then more=(agent.decisions=160000); fi
+        train $to/$task$3 experiment=$1 task=$task "${seeds[@]}" "task.start=$start" "${more[@]}" \
+            "initial_policy=$ref/$to/$task$2"
+        endings $to/$task$3
+        start=$ref/$to/$task$3/endings.npz
     done
 }
 
