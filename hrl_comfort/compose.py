@@ -54,6 +54,7 @@ LATER: dict[str, Any] = {
     "human.stay_s": 4.0,
     "meta.tell": [],
     "agent.actor_tau": 1.0,
+    "agent.products": "highest",
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""

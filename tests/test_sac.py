@@ -313,3 +313,11 @@ def test_critics_may_learn_alone_first() -> None:
     assert not torch.equal(learner.critics.weights[0], critic)
     learner.update()
     assert any(not torch.equal(value, before[name]) for name, value in learner.actor.state_dict().items())
+
+
+def test_inner_precision_of_products_holds_for_the_update_alone() -> None:
+    seen = []
+    learner = filled(Sac(agent(products="medium"), D, A))
+    learner.normaliser.register_forward_hook(lambda *_: seen.append(torch.get_float32_matmul_precision()))
+    learner.update()
+    assert seen[0] == "medium" and torch.get_float32_matmul_precision() == "highest"

@@ -83,14 +83,18 @@ class Actor(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and standard deviation (B, A) before the tanh, of normalised (B, D) observations."""
+        mean, log_std = self._gaussian(observation)
+        return mean, log_std.exp()
+
+    def _gaussian(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         mean, log_std = self.body(observation).chunk(2, dim=-1)
-        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp()
+        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (B, A) and their log-probability (B,) for standard normal `noise` (B, A)."""
-        mean, std = self(observation)
-        raw = mean + std * noise
-        gaussian = -0.5 * noise.square() - std.log() - 0.5 * math.log(2 * math.pi)
+        mean, log_std = self._gaussian(observation)
+        raw = mean + log_std.exp() * noise
+        gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
         # log(1 - tanh(u)^2), written so that it does not underflow for large |u|
         squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
         return raw.tanh(), (gaussian - squash).sum(-1)
@@ -115,11 +119,10 @@ class TwinCritics(nn.Module):
     def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
         """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
         x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
-        last = len(self.weights) - 1
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if frozen:
-                weight, bias = weight.detach(), bias.detach()
-            x = torch.baddbmm(bias, x, weight)
-            if i < last:
-                x = x.relu_()
-        return x.squeeze(-1)
+        layers = [*zip(self.weights, self.biases, strict=True)]
+        if frozen:
+            layers = [(weight.detach(), bias.detach()) for weight, bias in layers]
+        for weight, bias in layers[:-1]:
+            x = torch.baddbmm(bias, x, weight).relu_()
+        weight, bias = layers[-1]
+        return (x * weight.mT).sum(-1) + bias[..., 0]  # a product with matrices one column wide is slower

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +88,17 @@ def imitation_loss(
     return ((mode - action).square().sum(-1) * better).sum()
 
 
+@contextmanager
+def products(precision: str) -> Iterator[None]:
+    """Let float32 matrix products be computed at this inner precision, and as before afterwards."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision(precision)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
 class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
@@ -164,6 +177,10 @@ class Sac:
         Raises:
             TrainingDiverged: a term is not finite; the parameters are left as they were.
         """
+        with products(self.config.products):
+            return self._update()
+
+    def _update(self) -> dict[str, float]:
         sample = self.buffer.sample()
         batch = Batch(
             observation=self.normaliser(sample["observation"]),

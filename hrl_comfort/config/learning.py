@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
 CURRICULA = ("off", "linear", "adaptive")
+PRODUCTS = ("highest", "high", "medium")
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class AgentConfig:
     """Initial value; it is learned from there."""
     target_entropy: float
     normalise: bool
+    products: str
+    """Inner precision of the learner's float32 matrix products (`torch.set_float32_matmul_precision`)."""
     guide: str | None
     """Who acts in `guided_rows`: `field`, `expert` or a policy. What it does is remembered as what is done
     otherwise: a way that exploration does not find."""
@@ -87,6 +90,7 @@ class AgentConfig:
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
+        one_of("agent.products", self.products, PRODUCTS)
         between("agent.guided_rows", self.guided_rows, 0, 65535)
         if self.guide == "":
             raise ConfigError("agent.guide='' names nobody; say agent.guide=null for none")
