@@ -70,6 +70,15 @@ class Normaliser(nn.Module):
         return result
 
 
+def tanh_gaussian(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """Return tanh(mean + std noise) (B, A) and its log-probability (B,), for standard normal `noise`."""
+    raw = mean + log_std.exp() * noise
+    gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
+    # log(1 - tanh(u)^2), written so that it does not underflow for large |u|
+    squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
+    return raw.tanh(), (gaussian - squash).sum(-1)
+
+
 class Actor(nn.Module):
     """Gaussian squashed by tanh into [-1, 1] (Haarnoja et al. 2018, appendix C)."""
 
@@ -92,12 +101,7 @@ class Actor(nn.Module):
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (B, A) and their log-probability (B,) for standard normal `noise` (B, A)."""
-        mean, log_std = self._gaussian(observation)
-        raw = mean + log_std.exp() * noise
-        gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
-        # log(1 - tanh(u)^2), written so that it does not underflow for large |u|
-        squash = 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
-        return raw.tanh(), (gaussian - squash).sum(-1)
+        return tanh_gaussian(*self._gaussian(observation), noise)
 
     def mode(self, observation: Tensor) -> Tensor:
         """Return the deterministic action (B, A): the tanh of the mean."""
@@ -118,11 +122,18 @@ class TwinCritics(nn.Module):
 
     def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
         """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
-        x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
         layers = [*zip(self.weights, self.biases, strict=True)]
         if frozen:
             layers = [(weight.detach(), bias.detach()) for weight, bias in layers]
+        x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
         for weight, bias in layers[:-1]:
             x = torch.baddbmm(bias, x, weight).relu_()
-        weight, bias = layers[-1]
-        return (x * weight.mT).sum(-1) + bias[..., 0]  # a product with matrices one column wide is slower
+        return narrow(x, *layers[-1])
+
+
+def narrow(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return x (2, B, in) times weight (2, in, 1), plus bias (2, 1, 1), as (2, B).
+
+    A batched product with matrices one column wide is slower.
+    """
+    return (x * weight.mT).sum(-1) + bias[..., 0]

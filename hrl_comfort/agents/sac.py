@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDict
@@ -40,11 +40,25 @@ class Batch:
     """(B,): gamma to the power of the decision's control steps; 0 where the episode terminated."""
 
 
+class Sampler(Protocol):
+    """Draws actions."""
+
+    def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (B, A) and their log-probability (B,) for standard normal `noise` (B, A)."""
+
+
+class Values(Protocol):
+    """Twin critics."""
+
+    def __call__(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+        """Return Q (2, B); `frozen` keeps gradients off the weights."""
+
+
 def sac_losses(
     batch: Batch,
-    actor: Actor,
-    critics: TwinCritics,
-    targets: TwinCritics,
+    actor: Sampler,
+    critics: Values,
+    targets: Values,
     log_alpha: Tensor,
     target_entropy: float,
     noise: Tensor,
