@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from hrl_comfort.config import (
@@ -25,7 +26,7 @@ VERBS = {
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "bench": "measure how fast the environment (bench env) or the learner (bench update) is",
+    "bench": "measure the environment (env), an update (update), learning (train), two cores (cores)",
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
@@ -93,21 +94,26 @@ def figure(overrides: list[str]) -> None:
     run(config)
 
 
+BENCHMARKS = {
+    "env": "hrl_comfort.experiments.bench:bench_env",
+    "update": "hrl_comfort.experiments.bench_update:bench_update",
+    "train": "hrl_comfort.experiments.bench_train:bench_train",
+    "cores": "hrl_comfort.experiments.bench_cores:bench_cores",
+}
+"""Imported when asked for; they need the simulator, and some of them peers."""
+
+
 def bench(words: list[str]) -> None:
-    """Run `hrl-comfort bench env` or `bench update`."""
-    if not words or words[0] not in ("env", "update"):
+    """Run one of the benchmarks."""
+    if not words or words[0] not in BENCHMARKS:
         what = words[0] if words else "(nothing)"
-        raise ConfigError(f"bench {what} is not known; say bench env or bench update")
+        raise ConfigError(f"bench {what} is not known; say bench {', '.join(BENCHMARKS)}")
     from hrl_comfort.compose import compose
 
     config = compose("train", words[1:])
     assert isinstance(config, TrainConfig)
-    if words[0] == "env":
-        from hrl_comfort.experiments.bench import bench_env as run
-    else:
-        from hrl_comfort.experiments.bench_update import bench_update as run
-
-    run(config)
+    module, name = BENCHMARKS[words[0]].split(":")
+    getattr(import_module(module), name)(config)
 
 
 def demo(overrides: list[str]) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter, sleep
 
 import pytest
 
 from hrl_comfort.__main__ import main
-from hrl_comfort.compose import compose
-from hrl_comfort.experiments import bench, bench_update
+from hrl_comfort.compose import compose, environment
+from hrl_comfort.config import TrainConfig
+from hrl_comfort.experiments import bench, bench_cores, bench_train, bench_update
 from hrl_comfort.experiments.statistics import read_rows
 
 
@@ -37,20 +39,91 @@ def test_ratios_are_the_medians_of_those_of_each_round() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", ["hrl-comfort", "TorchRL SACLoss"])
+@pytest.mark.parametrize("name", [name for name in bench_update.LEARNERS if "Stable" not in name])
 def test_every_learner_learns(name: str) -> None:
     agent = compose("train", ["agent.hidden=[16,16]"]).agent
-    update = bench_update.LEARNERS[name](agent, 9, 8)
-    update()
+    make, precision = bench_update.LEARNERS[name]
+    bench_update.at(precision or "medium", make(agent, 9, 8))()
 
 
 def test_the_peer_from_stable_baselines_learns() -> None:
     pytest.importorskip("stable_baselines3", reason="in the extra bench")
     agent = compose("train", ["agent.hidden=[16,16]"]).agent
-    bench_update.LEARNERS["Stable-Baselines3"](agent, 9, 8)()
+    bench_update.LEARNERS["Stable-Baselines3"][0](agent, 9, 8)()
 
 
 def test_without_the_peer_one_line_says_what_to_install(monkeypatch, capsys) -> None:
     monkeypatch.setattr(bench_update, "find_spec", lambda _: None)
     assert main(["bench", "update"]) == 1
     assert "pip install 'hrl-comfort[bench]'" in capsys.readouterr().err
+
+
+def race_config(folder: Path) -> TrainConfig:
+    """Return a training whose first update comes at once; nobody wins or loses by it."""
+    overrides = ["task=reach", "curriculum=off", "agent.warmup_decisions=20", "agent.batch_size=16"]
+    return compose("train", [*overrides, "agent.hidden=[16,16]", "engine.rows=4", f"output={folder}"])
+
+
+def test_a_race_ends_at_success_or_at_the_limit_and_checks_are_not_timed(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(bench_train, "LIMIT", 120)
+    checks = iter([False, True])
+    clock = bench_train.Clock(lambda act: next(checks), warmup=20)
+    assert bench_train.race(race_config(tmp_path), clock) == 100 and clock.reached
+    late = bench_train.Clock(lambda act: False, warmup=20)
+    assert bench_train.race(race_config(tmp_path), late) == 120 and not late.reached
+
+    slow = bench_train.Clock(lambda act: sleep(0.2) is not None, warmup=20)
+    began = perf_counter()
+    bench_train.race(race_config(tmp_path), slow)
+    assert slow.seconds < perf_counter() - began - 0.2
+
+
+def test_the_peer_races_on_the_same_cells(tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("stable_baselines3", reason="in the extra bench")
+    monkeypatch.setattr(bench_train, "LIMIT", 60)
+    monkeypatch.setattr(bench_train, "CHECK_EPISODES", 2)
+    config = race_config(tmp_path)
+    env = environment(config)
+    shares: list[float] = []
+
+    def check(act: bench_train.Act) -> bool:
+        shares.append(bench_train.success(env, act))
+        return False
+
+    made = bench_train.race_of_peer(config, env, 0, bench_train.Clock(check, 20), cells=2, updates=1)
+    assert made == 60 and len(shares) == 1 and 0.0 <= shares[0] <= 1.0
+
+
+def test_who_does_not_arrive_gets_no_time() -> None:
+    rows = [
+        {"learner": name, "seed": str(seed), "reached": str(reached), "decisions": "100", "seconds": seconds}
+        for name, seconds, reached in (
+            ("hrl-comfort", "2", True),
+            ("other", "6", True),
+            ("late", "50", False),
+        )
+        for seed in range(2)
+    ]
+    lines = bench_train.table(rows).splitlines()
+    assert lines[3] == "| other | 2 of 2 | 100 (100 to 100) | 6.0 (6.0 to 6.0) | 3.00 (3.00 to 3.00) |"
+    assert lines[4] == "| late | 0 of 2 | - | - | - |"
+
+
+def test_two_processes_are_held_to_what_two_loops_of_products_gain() -> None:
+    rates = {
+        ("training", "1"): 10,
+        ("training", "2"): 18,
+        ("matrix products", "1"): 5,
+        ("matrix products", "2"): 10,
+    }
+    rows = [
+        {"loop": loop, "processes": n, "round": "0", "rounds_per_s": str(rate)}
+        for (loop, n), rate in rates.items()
+    ]
+    assert bench_cores.table(rows).splitlines()[-1].endswith("| 0.90 (0.90 to 0.90) |")
+
+
+def test_a_training_and_products_have_a_rate(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(bench_cores, "SECONDS", 0.05)
+    for loop in (bench_cores.training, bench_cores.products):
+        assert loop(race_config(tmp_path)) > 0

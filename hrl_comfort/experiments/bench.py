@@ -69,8 +69,7 @@ def medians(
     lines = []
     for (count, who), each in found.items():
         ratios = [ratio(one, other) for one, other in zip(each, found[count, peer], strict=True)]
-        text = "" if who == peer else f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
-        lines.append([count, who, spread(each), text])
+        lines.append([count, who, ranged(each), "" if who == peer else ranged(ratios, 2)])
     return markdown([size, name, rate_of.replace("_per_", "/"), head], lines)
 
 
@@ -83,9 +82,9 @@ def rate(step: Callable[[], None], rows: int) -> float:
     return count * rows / (time.perf_counter() - begin)
 
 
-def spread(values: list[float]) -> str:
+def ranged(values: Sequence[float], digits: int = 0) -> str:
     """Return the median and the range."""
-    return f"{median(values):,.0f} ({min(values):,.0f} to {max(values):,.0f})"
+    return f"{median(values):,.{digits}f} ({min(values):,.{digits}f} to {max(values):,.{digits}f})"
 
 
 def engine_loop(env: EnvConfig, rows: int) -> Callable[[], None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.sac import Sac
+from hrl_comfort.agents.loss import TwinSACLoss
+from hrl_comfort.agents.sac import Sac, products
 from hrl_comfort.compose import environment
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.experiments.bench import medians
@@ -39,7 +41,8 @@ def bench_update(config: TrainConfig) -> Path:
     """Print gradient steps a second of each learner and our ratio to it; write update.csv and return it.
 
     Same network widths, observations, actions, batches and buffers; one update is a sample, all losses, the
-    optimiser's step and the targets'. Rounds are interleaved; ratios are medians of the rounds' ratios.
+    optimiser's step and the targets'. Peers are measured as they come and with our inner precision of
+    products. Rounds are interleaved; ratios are medians of the rounds' ratios.
 
     Raises:
       ConfigError: Stable-Baselines3 is not installed.
@@ -52,7 +55,10 @@ def bench_update(config: TrainConfig) -> Path:
     engine.close()
     rates: list[list[object]] = []
     for batch in BATCHES:
-        learners = {name: make(config.agent, width, batch) for name, make in LEARNERS.items()}
+        learners = {
+            name: at(precision or config.agent.products, make(config.agent, width, batch))
+            for name, (make, precision) in LEARNERS.items()
+        }
         for update in learners.values():
             update()
         for turn in range(ROUNDS):
@@ -66,6 +72,16 @@ def bench_update(config: TrainConfig) -> Path:
 def table(rows: Sequence[Row]) -> str:
     """Return the rows of update.csv as a Markdown table: medians, ranges and ratios."""
     return medians(rows, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
+
+
+def at(precision: str, update: Update) -> Update:
+    """Return the update with its float32 products computed at this inner precision."""
+
+    def exact() -> None:
+        with products(precision):
+            update()
+
+    return exact
 
 
 def rate(update: Update) -> float:
@@ -96,8 +112,8 @@ def ours(agent: AgentConfig, width: int, batch: int) -> Update:
     return learner.update
 
 
-def torchrl(agent: AgentConfig, width: int, batch: int) -> Update:
-    """Return an update by TorchRL's SACLoss, SoftUpdate and replay buffer, one fused Adam for all losses."""
+def torchrl(agent: AgentConfig, width: int, batch: int, kind: type[SACLoss] = SACLoss) -> Update:
+    """Return an update by TorchRL's loss, SoftUpdate and replay buffer, one fused Adam for all losses."""
     cells, activation = list(agent.hidden), nn.ReLU
     body = nn.Sequential(MLP(width, 12, num_cells=cells, activation_class=activation), NormalParamExtractor())
     policy = ProbabilisticActor(
@@ -107,7 +123,7 @@ def torchrl(agent: AgentConfig, width: int, batch: int) -> Update:
         return_log_prob=True,
     )
     critic = MLP(width + 6, 1, num_cells=cells, activation_class=activation)
-    loss = SACLoss(
+    loss = kind(
         policy,
         ValueOperator(critic, in_keys=["observation", "action"]),
         loss_function="l2",
@@ -170,8 +186,12 @@ def stable_baselines3(agent: AgentConfig, width: int, batch: int) -> Update:
 
 
 OURS = "hrl-comfort"
-LEARNERS: dict[str, Callable[[AgentConfig, int, int], Update]] = {
-    OURS: ours,
-    "TorchRL SACLoss": torchrl,
-    "Stable-Baselines3": stable_baselines3,
+LEARNERS: dict[str, tuple[Callable[[AgentConfig, int, int], Update], str | None]] = {
+    OURS: (ours, None),
+    "TorchRL SACLoss": (torchrl, "highest"),
+    "Stable-Baselines3": (stable_baselines3, "highest"),
+    "TorchRL SACLoss, our products": (torchrl, None),
+    "TorchRL with TwinSACLoss, our products": (partial(torchrl, kind=TwinSACLoss), None),
+    "Stable-Baselines3, our products": (stable_baselines3, None),
 }
+"""Name -> what makes its update, and its inner precision of products: `agent.products` if None."""

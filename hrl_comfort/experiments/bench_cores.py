@@ -1,0 +1,99 @@
+"""`hrl-comfort bench cores`: what a second training gains on a second core."""
+
+from __future__ import annotations
+
+import multiprocessing
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import torch
+import torchrl
+
+from hrl_comfort.compose import environment
+from hrl_comfort.config import TrainConfig
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.measure import write_table
+from hrl_comfort.experiments.panels import markdown
+from hrl_comfort.experiments.statistics import Row, number, read_rows
+from hrl_comfort.experiments.train import Training
+
+ROUNDS = 5
+SECONDS = 6.0
+"""Of each measurement."""
+SIZE = 256
+"""Of the square matrices that are multiplied."""
+TRAINING, PRODUCTS = "training", "matrix products"
+COLUMNS = ["loop", "processes", "round", "rounds_per_s"]
+Loop = Callable[[TrainConfig], float]
+
+
+def bench_cores(config: TrainConfig) -> Path:
+    """Print how much more two processes do than one, of training and of bare matrix products; write cores.csv.
+
+    Each process has one thread. Measurements are interleaved; the ratio says how much of what the cores
+    offer two trainings take.
+    """
+    found: list[list[object]] = []
+    loops: dict[str, Loop] = {TRAINING: training, PRODUCTS: products}
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        list(pool.map(products, [config] * 2))  # both processes have started and imported
+        for turn in range(ROUNDS):
+            for name, loop in loops.items():
+                for count in (1, 2):
+                    seeds = [replace(config, train_seed=k, episode_seed=k) for k in range(count)]
+                    found.append([name, count, turn, sum(pool.map(loop, seeds))])
+    path = Path(config.output) / "cores.csv"
+    write_table(path, COLUMNS, found)
+    print(table(read_rows(path)), end="")
+    return path
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows of cores.csv as a Markdown table: what the second process gains, by round."""
+    rates = {(row["loop"], row["processes"], row["round"]): number(row["rounds_per_s"]) for row in rows}
+    turns = sorted({row["round"] for row in rows})
+    gains = {
+        name: [rates[name, "2", turn] / rates[name, "1", turn] for turn in turns]
+        for name in (TRAINING, PRODUCTS)
+    }
+    lines = [
+        [name, f"{median(gain):.2f} ({min(gain):.2f} to {max(gain):.2f})"] for name, gain in gains.items()
+    ]
+    shares = [mine / bare for mine, bare in zip(gains[TRAINING], gains[PRODUCTS], strict=True)]
+    lines.append(
+        [f"{TRAINING} / {PRODUCTS}", f"{median(shares):.2f} ({min(shares):.2f} to {max(shares):.2f})"]
+    )
+    return markdown(["loop", "two processes / one"], lines)
+
+
+def training(config: TrainConfig) -> float:
+    """Return decisions a second of a training, updates and all."""
+    torch.set_num_threads(1)
+    torchrl.logger.setLevel("WARNING")
+    agent = replace(config.agent, warmup_decisions=0)
+    with tempfile.TemporaryDirectory() as folder:
+        env = CellEnv(environment(config), config.engine.rows, config.episode_seed)
+        trained = Training(replace(config, agent=agent), env, Path(folder))
+        while len(trained.learner.buffer) < agent.batch_size:
+            trained.decide()
+        before, began = trained.decisions, time.perf_counter()
+        while time.perf_counter() - began < SECONDS:
+            trained.decide()
+            trained.learn()
+        return (trained.decisions - before) / (time.perf_counter() - began)
+
+
+def products(config: TrainConfig) -> float:
+    """Return products of two matrices a second."""
+    torch.set_num_threads(1)
+    left, right = torch.rand(2, SIZE, SIZE)
+    count, began = 0, time.perf_counter()
+    while time.perf_counter() - began < SECONDS:
+        torch.mm(left, right)
+        count += 1
+    return count / (time.perf_counter() - began)
