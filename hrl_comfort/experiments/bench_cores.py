@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from statistics import median
 
 import torch
 import torchrl
@@ -17,6 +16,7 @@ import torchrl
 from hrl_comfort.compose import environment
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.bench import ranged
 from hrl_comfort.experiments.measure import write_table
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
@@ -33,7 +33,7 @@ Loop = Callable[[TrainConfig], float]
 
 
 def bench_cores(config: TrainConfig) -> Path:
-    """Print how much more two processes do than one, of training and of bare matrix products; write cores.csv.
+    """Print how much more two processes do than one, of training and of bare products; write cores.csv.
 
     Each process has one thread. Measurements are interleaved; the ratio says how much of what the cores
     offer two trainings take.
@@ -61,13 +61,9 @@ def table(rows: Sequence[Row]) -> str:
         name: [rates[name, "2", turn] / rates[name, "1", turn] for turn in turns]
         for name in (TRAINING, PRODUCTS)
     }
-    lines = [
-        [name, f"{median(gain):.2f} ({min(gain):.2f} to {max(gain):.2f})"] for name, gain in gains.items()
-    ]
+    lines = [[name, ranged(gain, 2)] for name, gain in gains.items()]
     shares = [mine / bare for mine, bare in zip(gains[TRAINING], gains[PRODUCTS], strict=True)]
-    lines.append(
-        [f"{TRAINING} / {PRODUCTS}", f"{median(shares):.2f} ({min(shares):.2f} to {max(shares):.2f})"]
-    )
+    lines.append([f"{TRAINING} / {PRODUCTS}", ranged(shares, 2)])
     return markdown(["loop", "two processes / one"], lines)
 
 
