@@ -55,6 +55,7 @@ LATER: dict[str, Any] = {
     "meta.tell": [],
     "agent.actor_tau": 1.0,
     "agent.products": "highest",
+    "agent.device": "cpu",
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""

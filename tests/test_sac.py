@@ -17,7 +17,7 @@ from torchrl.objectives import SACLoss
 from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.sac import TERMS, Batch, Sac, TrainingDiverged, imitation_loss, sac_losses
 from hrl_comfort.compose import compose
-from hrl_comfort.config import AgentConfig
+from hrl_comfort.config import AgentConfig, ConfigError
 
 B, D, A = 64, 7, 3
 
@@ -313,6 +313,28 @@ def test_critics_may_learn_alone_first() -> None:
     assert not torch.equal(learner.critics.weights[0], critic)
     learner.update()
     assert any(not torch.equal(value, before[name]) for name, value in learner.actor.state_dict().items())
+
+
+def test_a_device_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match=r"agent.device=cuda: .* agent.device=cpu"):
+        Sac(agent(device="cuda"), D, A)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here")
+def test_cuda_learns_what_the_cpu_learns_and_its_checkpoint_continues_there() -> None:
+    finals = []
+    for device in ("cpu", "cuda"):
+        torch.manual_seed(0)
+        learner = filled(Sac(agent(device=device, products="highest"), D, A))
+        for _ in range(5):
+            learner.update()
+        finals.append(learner)
+    continued = Sac(agent(), D, A)
+    continued.load_state_dict(finals[1].state_dict())
+    for cpu, cuda in zip(finals[0].actor.parameters(), continued.actor.parameters(), strict=True):
+        torch.testing.assert_close(cpu, cuda, rtol=1e-3, atol=1e-4)
+    assert finals[1].act(torch.zeros(2, D)).device.type == "cpu"
 
 
 def test_inner_precision_of_products_holds_for_the_update_alone() -> None:

@@ -27,6 +27,8 @@ class Normaliser(nn.Module):
     count: Tensor
     mean: Tensor
     variance: Tensor
+    _shift: Tensor
+    _scale: Tensor
 
     def __init__(self, observation_dim: int, enabled: bool = True) -> None:
         super().__init__()
@@ -34,6 +36,8 @@ class Normaliser(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(observation_dim, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(observation_dim, dtype=torch.float64))
+        for name in ("_shift", "_scale"):
+            self.register_buffer(name, torch.empty(observation_dim), persistent=False)
         self._refresh()
 
     def _refresh(self) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
 
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
-from hrl_comfort.config import AgentConfig
+from hrl_comfort.config import AgentConfig, ConfigError
 
 TERMS = ("critic_loss", "actor_loss", "alpha_loss", "alpha", "entropy", "q_mean")
 
@@ -102,6 +102,12 @@ def imitation_loss(
     return ((mode - action).square().sum(-1) * better).sum()
 
 
+def _device(name: str) -> torch.device:
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
+    return torch.device(name)
+
+
 @contextmanager
 def products(precision: str) -> Iterator[None]:
     """Let float32 matrix products be computed at this inner precision, and as before afterwards."""
@@ -118,20 +124,27 @@ class Sac:
 
     Draws from torch's global random state, so saving that and `state_dict` saves all there is.
     Gamma is per control step; every transition brings the number of control steps that it took.
+
+    Networks, buffer and updates live on `config.device`. Every random number is drawn on the CPU, and actions
+    are returned there, so the device changes a training by rounding only.
+
+    Raises:
+        ConfigError: there is no such device here.
     """
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
-        self.config = config
+        self.config, self.device = config, _device(config.device)
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)
-        self.normaliser = Normaliser(observation_dim, config.normalise)
-        self.actor = Actor(observation_dim, action_dim, hidden)
-        self.critics = TwinCritics(observation_dim, action_dim, hidden)
-        self.targets = TwinCritics(observation_dim, action_dim, hidden).requires_grad_(False)
+        self.normaliser = Normaliser(observation_dim, config.normalise).to(self.device)
+        self.actor = Actor(observation_dim, action_dim, hidden).to(self.device)
+        self.critics = TwinCritics(observation_dim, action_dim, hidden).to(self.device)
+        self.targets = TwinCritics(observation_dim, action_dim, hidden).to(self.device).requires_grad_(False)
         self.targets.load_state_dict(self.critics.state_dict())
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
-        self.log_alpha = torch.tensor(math.log(config.entropy_coefficient), requires_grad=True)
+        log_alpha = math.log(config.entropy_coefficient)
+        self.log_alpha = torch.tensor(log_alpha, device=self.device, requires_grad=True)
         self._parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
         self._critic_parameters: list[Tensor] = list(self.critics.parameters())
         self._actor_parameters: list[Tensor] = list(self.actor.parameters())
@@ -140,7 +153,7 @@ class Sac:
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
         self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.buffer_size),
+            storage=LazyTensorStorage(config.buffer_size, device=self.device),
             sampler=RandomSampler(),
             batch_size=config.batch_size,
             prefetch=None,
@@ -150,8 +163,8 @@ class Sac:
     @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
         """Return exploring actions (N, A) in [-1, 1] for raw observations (N, D)."""
-        noise = torch.randn(observation.shape[0], self.action_dim)
-        return self.actor.sample(self.normaliser(observation), noise)[0]
+        noise = torch.randn(observation.shape[0], self.action_dim).to(self.device)
+        return self.actor.sample(self.normaliser(observation.to(self.device)), noise)[0].cpu()
 
     def remember(
         self,
@@ -168,7 +181,7 @@ class Sac:
         A truncated episode goes on bootstrapping; only a terminated one does not. `guided` (N,) bool: the
         action is a guide's; none is, if not given.
         """
-        self.normaliser.update(observation)
+        self.normaliser.update(observation.to(self.device))
         guided = torch.zeros_like(terminated) if guided is None else guided
         discount = torch.where(terminated, 0.0, self.config.gamma ** steps.float())
         self.buffer.extend(
@@ -203,7 +216,7 @@ class Sac:
             next_observation=self.normaliser(sample["next_observation"]),
             discount=sample["discount"],
         )
-        noise, next_noise = torch.randn(2, *batch.action.shape)
+        noise, next_noise = torch.randn(2, *batch.action.shape).to(self.device)
         alpha = self.log_alpha.detach().exp()
         critic_loss, actor_loss, alpha_loss, entropy, q_mean = sac_losses(
             batch,

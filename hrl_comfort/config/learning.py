@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
 CURRICULA = ("off", "linear", "adaptive")
+DEVICES = ("cpu", "cuda")
 PRODUCTS = ("highest", "high", "medium")
 
 
@@ -61,6 +62,8 @@ class AgentConfig:
     """Initial value; it is learned from there."""
     target_entropy: float
     normalise: bool
+    device: str
+    """Where the learner's networks and buffer live; the cells are simulated on the CPU."""
     products: str
     """Inner precision of the learner's float32 matrix products (`torch.set_float32_matmul_precision`)."""
     guide: str | None
@@ -90,6 +93,7 @@ class AgentConfig:
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
+        one_of("agent.device", self.device, DEVICES)
         one_of("agent.products", self.products, PRODUCTS)
         between("agent.guided_rows", self.guided_rows, 0, 65535)
         if self.guide == "":
