@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ENDINGS_SEED, FIRST_SEED, ConfigError, EnvConfig, EvaluateConfig, TrainConfig
@@ -39,6 +40,26 @@ def test_place_begins_where_pick_ended(tmp_path: Path) -> None:
         assert np.isin(state.joint_target[row].numpy(), bank[:, 12:]).all()
     distance = (state.tcp_pos - state.ball_pos).norm(dim=-1)
     assert (distance < 0.3 + 0.05).all(), "the tool is at the ball"
+
+
+def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:
+    walking = ["human=random_walk", "comfort=conditioned"]
+    path = record_endings(chosen(*walking, f"endings='{tmp_path}/endings.npz'"))
+    with np.load(path) as file:
+        banks = [file[colour].astype(np.float64) for colour in ("orange", "pink")]
+    state = Engine(placing(path, *walking), 16, 0).reset()
+    for row, colour in enumerate(state.colour.tolist()):
+        here = torch.cat([state.joint_target[row], state.human_pos[row], state.level[row, None]]).numpy()
+        apart = np.abs(banks[colour][:, 12:] - here)
+        assert (apart.max(axis=1) < 1e-6).any(), "all of one ending"
+    assert len(set(state.level.tolist())) > 2
+
+
+def test_levels_that_a_training_does_not_have_are_refused(tmp_path: Path) -> None:
+    starts = np.column_stack([np.zeros((3, 20)), [1.0, 10.0, 11.0]])
+    np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)
+    with pytest.raises(ConfigError, match="levels that are not in 1 to 10"):
+        Engine(placing(tmp_path / "starts.npz", "comfort=conditioned"), 2, 0)
 
 
 def test_recording_again_gives_the_same_endings(tmp_path: Path) -> None:

@@ -18,7 +18,9 @@ from hrl_comfort.sim.engine import Engine
 
 
 def record_endings(config: EvaluateConfig) -> Path:
-    """Write the joints (M, 18) in which successful episodes end, by colour, to `config.endings`.
+    """Write how successful episodes end (`sim.starts`), by colour, to `config.endings`, float32.
+
+    With the joints goes where the person stood and the level in force, unless nobody is there.
 
     Episodes are drawn as in training, from seeds of their own: what is recorded becomes training data, and
     the evaluation set stays held out.
@@ -35,8 +37,8 @@ def record_endings(config: EvaluateConfig) -> Path:
     found: dict[str, list[np.ndarray]] = {colour: [] for colour in COLOURS}
     for begin in range(0, config.episodes, CHUNK):
         rows = min(CHUNK, config.episodes - begin)
-        for colour, joints in successes(config, rows, ENDINGS_SEED + begin // CHUNK):
-            found[colour].append(joints)
+        for colour, ending in successes(config, rows, ENDINGS_SEED + begin // CHUNK):
+            found[colour].append(ending)
     for colour, endings in found.items():
         if not endings:
             raise ConfigError(f"endings={str(path)!r}: no {colour} episode succeeded, so none is written")
@@ -48,15 +50,18 @@ def record_endings(config: EvaluateConfig) -> Path:
 
 
 def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
-    """Run one training-drawn episode in each of `rows` cells; return colour and joints (18,) of successes."""
+    """Run one training-drawn episode in each of `rows` cells; return colour and ending of successes."""
     engine = Engine(environment(config), rows, seed)
     controller = make_controller(config, None, engine, seed)
     engine.reset()
     found = []
     for moment in play(engine, controller):
         state = moment.outcome.state
-        joints = torch.cat([state.joint_pos, state.joint_vel, state.joint_target], dim=-1).numpy()
+        parts = [state.joint_pos, state.joint_vel, state.joint_target]
+        if config.human.motion != "none":
+            parts += [state.human_pos, moment.outcome.level[:, None]]
+        endings = torch.cat(parts, dim=-1).numpy().astype(np.float32)
         for row in torch.nonzero(moment.ended & moment.outcome.success).squeeze(-1).tolist():
-            found.append((COLOURS[int(state.colour[row])], joints[row].copy()))
+            found.append((COLOURS[int(state.colour[row])], endings[row].copy()))
     engine.close()
     return found

@@ -14,7 +14,7 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.people import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.starts import start_states
+from hrl_comfort.sim.starts import ARM, start_states
 from hrl_comfort.tasks import Subtask
 
 Array = NDArray[np.float64]
@@ -73,7 +73,8 @@ class Draws:
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
         """Yield one draw after the other for an episode, until one is taken.
 
-        In the second half, starts are those of inverse kinematics: none of the recorded ones was free.
+        In training a recorded start brings its person and its level, where it has them. In the second half,
+        starts are those of inverse kinematics: none of the recorded ones was free.
         """
         rng = self.generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
@@ -93,7 +94,19 @@ class Draws:
             bank = banks[colour % len(banks)]
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
-            yield Draw(balls, colours, noise, level, motion_id, spawn_id, spawn, start, points)
+            if len(start) > ARM and self._evaluation is None:
+                spawn_id, spawn = (
+                    -1,
+                    people.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0],
+                )
+                level = self._with_level(level, start[-1])
+            yield Draw(balls, colours, noise, level, motion_id, spawn_id, spawn, start[:ARM], points)
+
+    def _with_level(self, draws: Array, level: float) -> Array:
+        """Return the uniform numbers of an episode whose first level is this one, as drawn if NaN."""
+        if np.isnan(level):
+            return draws
+        return np.array([(level - 0.5) / self._config.comfort.levels, *draws[1:]])
 
     def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
         """Return where the balls lie (B, 3), m, and their colours (B,): the first one's is given."""

@@ -1,7 +1,9 @@
 """Where place and return begin: the tool has just reached the ball or a drop point.
 
 A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. A chained policy
-takes over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest.
+takes over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest. How a
+policy leaves the arm depends on where the person stood and on the level, so recorded starts may have these
+three numbers more: x, y (m) and the level, NaN where there was none.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 
+ARM, WHOLE = 18, 21
+"""Numbers of a start: of the arm alone, and with the person and the level."""
 MOST = 100.0
 """No angle in rad and no velocity in rad/s of an arm is larger."""
 COUNT = 96
@@ -32,18 +36,18 @@ SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
 
 
 def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
-    """Return the starts (M, 18) of a subtask: one array, or one a colour where the goal depends on it.
+    """Return the starts (M, 18 or 21) of a subtask: one array, or one a colour where the goal depends on it.
 
     `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
-    `task.start` is an .npz with arrays `orange` and `pink` (M, 18), as `evaluate endings=` records them.
+    `task.start` is an .npz with arrays `orange` and `pink`, as `evaluate endings=` records them.
 
     Raises:
-      ConfigError: the file is missing or of another form.
+      ConfigError: the file is missing or of another form, or of more levels than there are.
     """
     if start == "home":
         return [at_rest(scene.home[None])]
     if config.task.start != "ik":
-        return recorded(config.task.start)
+        return recorded(config.task.start, config.comfort.levels)
     precision, cell = config.task.precision, config.cell
     if start == "taken":
         goals = [(cell.ball_m, precision.take_m)]
@@ -58,8 +62,8 @@ def at_rest(joint_pos: Array) -> Array:
     return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
 
 
-def recorded(path: str) -> list[Array]:
-    """Return the recorded endings (M, 18) of each colour, orange first."""
+def recorded(path: str, levels: int) -> list[Array]:
+    """Return the recorded endings (M, 18 or 21) of each colour, orange first; `levels` there are."""
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
@@ -67,14 +71,18 @@ def recorded(path: str) -> list[Array]:
         banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
     except (LookupError, ValueError, OSError, EOFError, BadZipFile) as error:
         raise ConfigError(
-            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, 18)"
+            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {ARM}) or (M, {WHOLE})"
         ) from error
     for colour, bank in zip(("orange", "pink"), banks, strict=True):
-        if bank.ndim != 2 or bank.shape[1] != 18 or not len(bank) or not (np.abs(bank) < MOST).all():
+        shaped = bank.ndim == 2 and bank.shape[1] in (ARM, WHOLE) and len(bank)
+        if not shaped or not (np.abs(bank[:, : WHOLE - 1]) < MOST).all():
             raise ConfigError(
                 f"task.start={path!r}: {colour!r} has shape {bank.shape}; "
-                f"it must be (M, 18), finite, every value within ±{MOST:g}"
+                f"it must be (M, {ARM}) or (M, {WHOLE}), finite, every value within ±{MOST:g}"
             )
+        level = bank[:, WHOLE - 1 :]
+        if not (np.isnan(level) | ((level >= 1) & (level <= levels))).all():
+            raise ConfigError(f"task.start={path!r}: {colour!r} has levels that are not in 1 to {levels}")
     return banks
 
 
