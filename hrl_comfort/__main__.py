@@ -50,7 +50,7 @@ def train(overrides: list[str]) -> None:
     others = [line for line in overrides if not line.startswith("resume=")]
     if config.resume is not None and others:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
-    from hrl_comfort.experiments.train import train_cell
+    from hrl_comfort.experiments.train_cell import train_cell
 
     train_cell(config)
 

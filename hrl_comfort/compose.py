@@ -56,6 +56,7 @@ LATER: dict[str, Any] = {
     "agent.actor_tau": 1.0,
     "agent.products": "highest",
     "agent.device": "cpu",
+    "agent.successor": None,
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""

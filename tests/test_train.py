@@ -13,16 +13,20 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.agents.policy import load_policy, load_value
 from hrl_comfort.agents.sac import TERMS
+from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.compose import environment, load_config
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.experiments.train import Guide, Training, guide_of, train, train_cell
+from hrl_comfort.experiments.train import Guide, Training, train
+from hrl_comfort.experiments.train_cell import guide_of, successor_of, train_cell
 from hrl_comfort.experiments.training_log import claim
 from hrl_comfort.meta.options import make_policy
+from hrl_comfort.tasks import subtask
 from tests.point_env import LIMIT, PointEnv, Stopped, make_point_env, small_config
 
 
@@ -267,6 +271,58 @@ def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
     assert expected.abs().max() > 0
     torch.testing.assert_close(guide_of(config, env)(), expected)
     train_cell(config)
+
+
+def test_a_success_is_worth_what_the_successor_makes_of_it(tmp_path):
+    choices = ("curriculum=off", "task.precision.take_m=0.3", "agent.successor=next", "agent.gamma=0.5")
+    config = small_config(tmp_path, *choices)
+
+    def successor(success: Tensor) -> Tensor:
+        return success * 100.0
+
+    rewards = []
+    for value in (None, successor):
+        env = make_point_env(config)
+        training = Training(config, env, tmp_path, successor=value)
+        env.point[:4], env.point[4:] = 0.0, 0.9  # four are there at once
+        training.decide()
+        rewards.append(training.learner.buffer.storage[:8]["reward"])
+    expected = torch.zeros(8)
+    expected[:4] = 100.0 * 0.5 ** env.rand_step()["next", "decision_steps"][0, 0]
+    torch.testing.assert_close(rewards[1] - rewards[0], expected)
+    with pytest.raises(ConfigError, match="this environment knows no successor"):
+        train(small_config(tmp_path / "run", "agent.successor=next"), make_point_env)
+
+
+def trained(folder: Path, task: str, *overrides: str) -> Path:
+    choices = ("curriculum=off", "engine.rows=4", "agent.decisions=40", f"task={task}", *overrides)
+    return train_cell(small_config(folder, *choices))
+
+
+def test_in_the_cell_the_successor_sees_what_it_would_begin_with(tmp_path):
+    place = trained(tmp_path / "place", "place", "comfort=conditioned")
+    config = small_config(
+        tmp_path / "pick", "task=pick", "comfort=conditioned", "engine.rows=4", f"agent.successor={place}"
+    )
+    env = CellEnv(environment(config), 4, config.episode_seed)
+    value_of = successor_of(config, env)
+    env.rollout(1)
+    assert env.last is not None
+    values = value_of(torch.tensor([True, False, True, False]))
+    task = with_level(subtask("place", config.task.observation, 1), config.comfort.levels)
+    expected = load_value(place)(task.observe(env.last.state).float())
+    torch.testing.assert_close(values[[0, 2]], expected[[0, 2]])
+    assert values[[1, 3]].tolist() == [0.0, 0.0]
+
+
+def test_a_successor_that_begins_elsewhere_is_named(tmp_path):
+    pick = trained(tmp_path / "pick", "pick")
+    for task, named, problem in (
+        ("place", pick, "pick does not begin where place ends"),
+        ("place", "nowhere", "nowhere: no such file"),
+    ):
+        with pytest.raises(ConfigError, match=problem):
+            trained(tmp_path / "on", task, f"agent.successor={named}")
 
 
 def test_best_prefers_the_tighter_precision_then_the_higher_success(tmp_path):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.sac import Sac
 from hrl_comfort.config import ConfigError
 
@@ -32,6 +32,19 @@ class ActorPolicy:
             task, given = self.spec["task"], observation.shape[-1]
             raise ConfigError(f"the policy for {task} was trained on {expected} observations, got {given}")
         return self.actor.mode(self.normaliser(observation.float()))
+
+
+class ActorValue:
+    """What a trained policy's critics make of an observation, at the action that the policy takes there."""
+
+    def __init__(self, policy: ActorPolicy, critics: TwinCritics) -> None:
+        self.policy, self.critics = policy, critics
+
+    @torch.no_grad()
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return values (N,) of raw observations (N, D): the less sanguine critic's."""
+        action = self.policy(observation)
+        return self.critics(self.policy.normaliser(observation.float()), action).amin(0)
 
 
 def save_policy(
@@ -65,6 +78,22 @@ def load_policy(path: Path | str) -> ActorPolicy:
         raise ConfigError(f"policy={str(file)!r} is damaged: {str(error).splitlines()[0]}") from error
     _check_finite(file, state["networks"])
     return ActorPolicy(actor.requires_grad_(False), normaliser, spec)
+
+
+def load_value(path: Path | str) -> ActorValue:
+    """Read the policy of a policy file, a checkpoint or a run folder, and its critics.
+
+    Raises:
+        ConfigError: there is none, or it is damaged.
+    """
+    policy, file = load_policy(path), policy_file(Path(path))
+    spec = policy.spec
+    critics = TwinCritics(spec["observation_dim"], spec["action_dim"], spec["hidden"])
+    try:
+        critics.load_state_dict(checkpoint.load(file)["networks"]["critics"])
+    except (KeyError, RuntimeError) as error:
+        raise ConfigError(f"{file}: its critics are damaged: {str(error).splitlines()[0]}") from error
+    return ActorValue(policy, critics.requires_grad_(False))
 
 
 def policy_file(path: Path) -> Path:

@@ -73,6 +73,8 @@ class AgentConfig:
     """Of `engine.rows`; they count in no success share and in no row of metrics.csv."""
     imitation: float
     """Weight of the actor's squared distance from the guide's action, where the critics prefer that."""
+    successor: str | None
+    """The policy that takes over where this one succeeds: what that is worth to it counts as well."""
     log_every: int
     """Decisions between two rows of metrics.csv."""
     checkpoint_every: int
@@ -102,6 +104,8 @@ class AgentConfig:
             raise ConfigError(
                 f"agent.guided_rows={self.guided_rows} does not go with agent.guide={self.guide}"
             )
+        if self.successor == "":
+            raise ConfigError("agent.successor='' names nobody; say agent.successor=null for none")
         between("agent.imitation", self.imitation, 0.0, 1e6)
         between("agent.log_every", self.log_every, 1, 1e9)
         between("agent.checkpoint_every", self.checkpoint_every, 1, 1e9)

@@ -19,7 +19,7 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainC
 from hrl_comfort.experiments.endings import record_endings
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
-from hrl_comfort.experiments.train import train_cell
+from hrl_comfort.experiments.train_cell import train_cell
 
 LINE = ("pick", "place", "return")
 SHARE = {"pick": 0.25, "place": 1.0, "return": 0.8}

@@ -18,15 +18,12 @@ from torchrl.envs import EnvBase
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_initial_policy, save_policy
 from hrl_comfort.agents.sac import Sac
-from hrl_comfort.compose import environment, load_config, save_config
+from hrl_comfort.compose import load_config, save_config
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.curriculum import Curriculum
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import training_line
 from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
-from hrl_comfort.meta.options import make_policy
-from hrl_comfort.tasks import subtask
 
 FEWEST_EPISODES = 20
 """Episodes between two checkpoints below which neither can be called the best."""
@@ -36,17 +33,23 @@ SAME_PRECISION_M = 0.005
 
 Guide = Callable[[], Tensor]
 """() -> actions (guided rows, A) in [-1, 1] that a guide takes now."""
+Successor = Callable[[Tensor], Tensor]
+"""success (N,) bool of the latest decision -> value (N,) to the policy that takes over, 0 without success."""
+Make = Callable[[TrainConfig, Any], Any]
+"""(configuration, environment) -> a Guide or a Successor."""
 
 
 def train(
     config: TrainConfig,
     make_env: Callable[[TrainConfig], EnvBase],
-    make_guide: Callable[[TrainConfig, Any], Guide] | None = None,
+    make_guide: Make | None = None,
+    make_successor: Make | None = None,
 ) -> Path:
     """Train as `config` says and return the run folder.
 
     With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
-    it had never stopped. `make_env` gets the configuration in force, `make_guide` also the environment.
+    it had never stopped. `make_env` gets the configuration in force; `make_guide` and `make_successor`,
+    called where the configuration names one, also the environment.
 
     Raises:
         ConfigError: a choice is not allowed, or the folder is taken.
@@ -60,7 +63,9 @@ def train(
     with claim(folder, resume=resumes):
         config = _config_of(folder) if resumes else config
         env = make_env(config)
-        training = Training(config, env, folder, _guide(config, env, make_guide), resumes)
+        guide = _made("guide", config, env, make_guide)
+        successor = _made("successor", config, env, make_successor)
+        training = Training(config, env, folder, guide, successor, resumes)
         if resumes:
             saved = checkpoint.load_resumable(folder / "checkpoints")
             try:
@@ -74,14 +79,13 @@ def train(
     return folder
 
 
-def _guide(
-    config: TrainConfig, env: EnvBase, make_guide: Callable[[TrainConfig, Any], Guide] | None
-) -> Guide | None:
-    if config.agent.guide is None:
+def _made(what: str, config: TrainConfig, env: EnvBase, make: Make | None) -> Any:
+    named = getattr(config.agent, what)
+    if named is None:
         return None
-    if make_guide is None:
-        raise ConfigError(f"agent.guide={config.agent.guide}: this environment knows no guide")
-    return make_guide(config, env)
+    if make is None:
+        raise ConfigError(f"agent.{what}={named}: this environment knows no {what}")
+    return make(config, env)
 
 
 def _config_of(folder: Path) -> TrainConfig:
@@ -102,9 +106,11 @@ class Training:
         env: EnvBase,
         folder: Path,
         guide: Guide | None = None,
+        successor: Successor | None = None,
         resumes: bool = False,
     ) -> None:
-        self.config, self.env, self.folder, self.guide = config, env, folder, guide
+        self.config, self.env, self.folder = config, env, folder
+        self.guide, self.successor = guide, successor
         self.rows = env.batch_size[0]
         self.guided = torch.arange(self.rows) < config.agent.guided_rows
         self.reward_names: tuple[str, ...] = env.reward_names
@@ -183,13 +189,16 @@ class Training:
             action[self.guided] = self.guide().to(action.dtype)
         stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
         after = stepped["next"]
+        reward, steps = after["reward"][:, 0], after["decision_steps"][:, 0]
+        if self.successor is not None:
+            reward = reward + self.config.agent.gamma**steps * self.successor(after["success"][:, 0])
         self.learner.remember(
             observation,
             action,
-            after["reward"][:, 0],
+            reward,
             after["observation"],
             after["terminated"][:, 0],
-            after["decision_steps"][:, 0],
+            steps,
             self.guided,
         )
         self.decisions += self.rows
@@ -322,35 +331,3 @@ class Training:
             wall_seconds=round(self.seconds, 1),
             best=self.best,
         )
-
-
-def train_cell(config: TrainConfig) -> Path:
-    """Train in the batched cell; see `train`."""
-
-    def make_env(chosen: TrainConfig) -> EnvBase:
-        return CellEnv(environment(chosen), chosen.engine.rows, chosen.episode_seed)
-
-    return train(config, make_env, guide_of)
-
-
-def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
-    """Return what acts in the guided rows of `env`.
-
-    Raises:
-        ConfigError: there is no such policy, or it does not go with this training.
-    """
-    assert config.agent.guide is not None
-    episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
-    task = subtask(config.task.name, config.task.observation, config.task.balls)
-    if config.agent.guide == "random":
-        raise ConfigError("agent.guide=random shows nothing; choose field, expert or a run folder")
-    try:
-        act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
-    except ConfigError as error:
-        raise ConfigError(f"agent.guide={config.agent.guide}: {error}") from error
-
-    def guide() -> Tensor:
-        assert episodes.state is not None
-        return act(episodes.state.rows(rows))
-
-    return guide

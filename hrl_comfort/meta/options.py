@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from hrl_comfort.agents.policy import load_policy
+from hrl_comfort.agents.policy import ActorPolicy, load_policy
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.scene.workcell import Scene
@@ -141,6 +141,20 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
             f"{' or '.join(SCRIPTED)}"
         )
     actor = load_policy(source)
+    seen = observed_by(actor, source, task, config)
+
+    def act(state: State) -> Tensor:
+        return actor(seen.observe(state).float()).double()
+
+    return act
+
+
+def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfig) -> Subtask:
+    """Return `task` with the observations that the policy read from `source` was trained on.
+
+    Raises:
+      ConfigError: it was trained for another subtask, robot or decision length.
+    """
     meta, now = actor.spec["meta"], config.task
     if actor.spec["task"] != task.name:
         raise ConfigError(f"policy={source!r} was trained for {actor.spec['task']!r}, not for {task.name!r}")
@@ -165,8 +179,4 @@ def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, see
                 f"comfort.levels={config.comfort.levels}, but policy={source!r} was trained with {levels}"
             )
         seen = with_level(seen, levels)
-
-    def act(state: State) -> Tensor:
-        return actor(seen.observe(state).float()).double()
-
-    return act
+    return seen

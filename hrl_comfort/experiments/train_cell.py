@@ -1,0 +1,85 @@
+"""Training in the batched cell: what `train` takes from the simulator and from other policies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from hrl_comfort.agents.policy import load_value
+from hrl_comfort.compose import environment
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.train import Guide, Successor, train
+from hrl_comfort.meta.options import make_policy, observed_by
+from hrl_comfort.tasks import subtask
+
+BEGINS = {"pick": "taken", "place": "left"}
+"""A subtask's last stage -> where the subtask after it begins (`Subtask.start`)."""
+
+
+def train_cell(config: TrainConfig) -> Path:
+    """Train in the batched cell; see `train`."""
+
+    def make_env(chosen: TrainConfig) -> EnvBase:
+        return CellEnv(environment(chosen), chosen.engine.rows, chosen.episode_seed)
+
+    return train(config, make_env, guide_of, successor_of)
+
+
+def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
+    """Return what acts in the guided rows of `env`.
+
+    Raises:
+        ConfigError: there is no such policy, or it does not go with this training.
+    """
+    assert config.agent.guide is not None
+    episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
+    task = subtask(config.task.name, config.task.observation, config.task.balls)
+    if config.agent.guide == "random":
+        raise ConfigError("agent.guide=random shows nothing; choose field, expert or a run folder")
+    try:
+        act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
+    except ConfigError as error:
+        raise ConfigError(f"agent.guide={config.agent.guide}: {error}") from error
+
+    def guide() -> Tensor:
+        assert episodes.state is not None
+        return act(episodes.state.rows(rows))
+
+    return guide
+
+
+def successor_of(config: TrainConfig, env: CellEnv) -> Successor:
+    """Return the value of what `env` has come to, to the policy that takes over from this one.
+
+    With it a success is no end: its target bootstraps on the next option's value, as one policy's would in
+    the longer task. So a skill is paid for leaving the arm where the next one can go on.
+
+    Raises:
+        ConfigError: there is no such policy, it begins elsewhere, or it does not go with this training.
+    """
+    source = Path(config.agent.successor or "")
+    try:
+        value = load_value(source)
+        spec = value.policy.spec
+        task = subtask(spec["task"], spec["meta"]["observation"], config.task.balls)
+        seen = observed_by(value.policy, str(source), task, environment(config))
+    except ConfigError as error:
+        raise ConfigError(f"agent.successor={source}: {error}") from error
+    own = subtask(config.task.name, config.task.observation, config.task.balls)
+    if task.start != BEGINS.get(own.stages[-1].name):
+        raise ConfigError(f"agent.successor={source}: {task.name} does not begin where {own.name} ends")
+
+    def successor(success: Tensor) -> Tensor:
+        values = torch.zeros(len(success))
+        rows = success.nonzero()[:, 0]
+        if len(rows):
+            assert env.last is not None
+            state = env.last.state.rows(rows)
+            values[rows] = value(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
+        return values
+
+    return successor
