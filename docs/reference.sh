@@ -128,13 +128,26 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
             start=$ref/$to/${task}_second/endings.npz
         done
         refine comfort_skill_finer _second _third
-        refine comfort_skill_last _third ""
+        finish
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
         measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}" \
             task.ball_jitter_m=0.075
     done
 }
 
+finish() { # the last parts: back from where place ends, then place, paid for what it leaves to return
+    last=(experiment=comfort_skill_last "${seeds[@]}")
+    train $to/pick "${last[@]}" task=pick task.start=ik "initial_policy=$ref/$to/pick_third"
+    many $to/pick
+    many $to/place_third "task.start=$ref/$to/pick/endings.npz"
+    train $to/return "${last[@]}" task=return "task.start=$ref/$to/place_third/endings.npz" \
+        "initial_policy=$ref/$to/return_third"
+    train $to/place "${last[@]}" task=place agent.decisions=160000 "task.start=$ref/$to/pick/endings.npz" \
+        "agent.successor=$ref/$to/return" "initial_policy=$ref/$to/place_third"
+}
+many() { # folder, overrides: its endings anew, more of them
+    "${hrl[@]}" evaluate "policy=$ref/$1" episodes=6000 "endings=$ref/$1/endings.npz" "${@:2}"
+}
 refine() { # experiment, endings of the folders before and after: each skill trained on, place longest, for it fails most
     start=ik
     for task in pick place return; do
