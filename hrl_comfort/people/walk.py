@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -25,7 +25,10 @@ MARGIN_M = 1e-6
 
 @dataclass(frozen=True)
 class Walk:
-    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait."""
+    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait.
+
+    Of several instants (`along`) every field is (n, K, ...).
+    """
 
     position: Array
     yaw: Array
@@ -50,6 +53,11 @@ class Walk:
             replaced[field.name] = value
         return Walk(**replaced)
 
+    @classmethod
+    def along(cls, walks: Sequence[Walk]) -> Walk:
+        """Return K walks of the same people, one after the other, as one: (n, K, ...)."""
+        return cls(**{f.name: np.stack([getattr(w, f.name) for w in walks], axis=1) for f in fields(cls)})
+
 
 Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
 """(config, walk, noise (n, NOISE), tcp (n, 2)) -> position (n, 2) m and yaw (n,) rad proposed, a step on."""
@@ -71,8 +79,8 @@ class KeepOut:
 
 def length(vectors: Array) -> Array:
     """Return the lengths (...,) of vectors (..., 2); quicker than `np.linalg.norm` on short arrays."""
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.asarray(np.sqrt(x * x + y * y))
+    squares = vectors * vectors
+    return np.asarray(np.sqrt(squares[..., 0] + squares[..., 1]))
 
 
 def facing_base(position: Array) -> Array:
@@ -119,6 +127,6 @@ def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
 
 
 def gait(walk: Walk) -> tuple[Array, Array]:
-    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs."""
+    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs; (n, K) of walks along K instants."""
     swing = FULL_SWING_RAD * np.minimum(walk.speed_m_s / FULL_SWING_SPEED_M_S, 1.0)
     return 2 * np.pi * walk.walked_m / STRIDE_M, swing

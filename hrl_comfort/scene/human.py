@@ -67,15 +67,14 @@ def limb_poses(
     pitch = angle * _SWING / 2
     sink = (HIP_M - LEG_RADIUS_M) * (1 - np.cos(angle))
     half = yaw / 2
-    return np.stack(
-        np.broadcast_arrays(
-            x - _SIDE * np.sin(yaw),
-            y + _SIDE * np.cos(yaw),
-            floor_z + _TOP - sink,
-            np.cos(half) * np.cos(pitch),
-            -np.sin(half) * np.sin(pitch),
-            np.cos(half) * np.sin(pitch),
-            np.sin(half) * np.cos(pitch),
-        ),
-        axis=-1,
-    )
+    upright, leaning, cos_half, sin_half = np.cos(pitch), np.sin(pitch), np.cos(half), np.sin(half)
+    shape = np.broadcast_shapes(x.shape, y.shape, yaw.shape, pitch.shape, floor_z.shape)
+    poses = np.empty((*shape, 7))
+    poses[..., 0] = x - _SIDE * np.sin(yaw)
+    poses[..., 1] = y + _SIDE * np.cos(yaw)
+    poses[..., 2] = floor_z + _TOP - sink
+    poses[..., 3] = cos_half * upright
+    poses[..., 4] = -sin_half * leaning
+    poses[..., 5] = cos_half * leaning
+    poses[..., 6] = sin_half * upright
+    return poses

@@ -97,6 +97,7 @@ class Episodes:
         self.walk = people.begin(config.human, np.zeros((n, 2)))
         self.state: State | None = None
         self._planned: dict[str, Array] = {}
+        self._walks = self.walk
 
     # ---- beginning -------------------------------------------------------------------------------------
 
@@ -161,7 +162,6 @@ class Episodes:
         """
         task, substeps = self.config.task, self.config.engine.substeps
         n, steps = self.rows, task.steps_per_decision
-        assert self.state is not None
         action = np.clip(action, -1.0, 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
@@ -171,29 +171,17 @@ class Episodes:
         targets = self.joint_target[:, None] + ramp[None, :, None] * increment[:, None]
         targets = np.clip(targets, *self.scene.joint_range.T)
 
-        keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos[:, :2].numpy()
-        walks = []
-        for k in range(steps):
-            index = np.minimum(self.steps + k, self.noise.shape[1] - 1)
-            noise = self.noise[np.arange(n), index]
-            standing = np.flatnonzero(self._disturbance.stands(self.steps + k))
-            stood = self.walk.rows(standing)
-            self.walk = people.advance(self.config.human, self.walk, noise, tcp, keep_out)
-            self.walk = self.walk.put(standing, stood) if len(standing) else self.walk
-            walks.append(self.walk)
-        human = np.stack([walk.position for walk in walks], axis=1)
-        yaw = np.stack([walk.yaw for walk in walks], axis=1)
-        limbs = self._limbs(walks)
-        self._walks = walks
+        self._walks = self._walked(steps)
+        limbs = self._limbs(self._walks)
+        seen = self._seen(self._walks.position.reshape(-1, 2)).reshape(n, steps, 2)
         self._planned = {
             "joint_target": targets[:, substeps - 1 :: substeps],
-            "human_pos": human,
-            "human_yaw": yaw,
-            "human_seen": self._seen(human.reshape(-1, 2)).reshape(n, steps, 2),
+            "human_pos": self._walks.position,
+            "human_yaw": self._walks.yaw,
+            "human_seen": seen,
             "limbs": limbs,
         }
-        bodies = np.repeat(limbs, substeps, axis=1)
-        return self._pack(targets, bodies)
+        return self._pack(targets, limbs)
 
     def absorb(self, sensed: Array) -> Outcome:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
@@ -214,10 +202,7 @@ class Episodes:
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
-        taken = outcome.decision_steps.numpy()
-        for count in np.unique(taken[taken < len(self._walks)]):
-            rows = np.flatnonzero(taken == count)
-            self.walk = self.walk.put(rows, self._walks[count - 1].rows(rows))
+        self.walk = self._walks.rows((np.arange(self.rows), outcome.decision_steps.numpy() - 1))
         return outcome
 
     def aim(self, rows: Tensor, ball: Tensor) -> None:
@@ -231,37 +216,58 @@ class Episodes:
 
     # ---- pieces ----------------------------------------------------------------------------------------
 
-    def _limbs(self, walks: list[people.Walk]) -> Array:
-        """Return the limb poses (n, len(walks), 5, 7) of n people along their walks."""
-        phase, swing = np.stack([people.gait(walk) for walk in walks], axis=-1)
-        x, y = np.stack([walk.position for walk in walks], axis=1).transpose(2, 0, 1)
-        yaw = np.stack([walk.yaw for walk in walks], axis=1)
-        return limb_poses(x, y, yaw, phase, swing, self.scene.floor_z)
+    def _walked(self, steps: int) -> people.Walk:
+        """Return the walk (N, steps, ...) of everybody over so many control steps from now on."""
+        assert self.state is not None
+        keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos[:, :2].numpy()
+        times = self.steps[:, None] + np.arange(steps)
+        stands = self._disturbance.stands(times)
+        noise = self.noise[np.arange(self.rows)[:, None], np.minimum(times, self.noise.shape[1] - 1)]
+        walk, walks = self.walk, []
+        for k in range(steps):
+            before, walk = walk, people.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
+            standing = np.flatnonzero(stands[:, k])
+            walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
+            walks.append(walk)
+        return people.Walk.along(walks)
+
+    def _limbs(self, walk: people.Walk) -> Array:
+        """Return the limb poses (n, K, 5, 7) of n people along a walk (n, K, ...)."""
+        phase, swing = people.gait(walk)
+        x, y = walk.position[..., 0], walk.position[..., 1]
+        return limb_poses(x, y, walk.yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
         return people.seen_position(self.config.human, position, self.draws.spawns)
 
     def _control(self, rows: NDArray[np.int64]) -> Array:
         """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
-        return self._pack(self.start[rows, None, 12:], self._limbs([self.walk.rows(rows)]), rows)[:, 0]
+        standing = people.Walk.along([self.walk.rows(rows)])
+        return self._pack(self.start[rows, None, 12:], self._limbs(standing), rows)[:, 0]
 
     def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
-        """Return control vectors (N, S, ncontrol): servo targets, mocap positions, mocap quaternions."""
-        n, steps = targets.shape[:2]
-        props = np.zeros((n, steps, len(self.scene.mocap) - len(LIMBS), 7))
-        props[..., 0], props[..., 3] = FAR_AWAY_M, 1.0
+        """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
+
+        targets (n, K * s, 6) rad, s to a control step; limbs (n, K, 5, 7) stay put over a control step.
+        """
+        n, steps, bodies = len(targets), limbs.shape[1], len(self.scene.mocap)
+        control = np.empty((n, steps, targets.shape[1] // steps, self.scene.ncontrol))
+        control[..., :6] = targets.reshape(*control.shape[:3], 6)
+        position, quaternion = (part.reshape(*control.shape[:3], bodies, -1)
+                                for part in np.split(control[..., 6:], [3 * bodies], axis=-1))  # fmt: skip
+        position[..., : len(LIMBS), :] = limbs[:, :, None, :, :3]
+        quaternion[..., : len(LIMBS), :] = limbs[:, :, None, :, 3:]
+        props = position[..., len(LIMBS) :, :]
+        props[...], quaternion[..., len(LIMBS) :, :] = (FAR_AWAY_M, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
         if self.subtask.stages[0].name == "reach":
             count = len(self.subtask.stages)
-            props[:, :, 2 : 2 + count, :3] = self.points[rows][:, None, :count]
+            props[..., 2 : 2 + count, :] = self.points[rows][:, None, None, :count]
         else:
             balls = self.balls[rows] if self.state is None else drawn(self.state, self.subtask).numpy()[rows]
             for index in range(self.config.task.balls):
                 prop = ball_props(index)[self.colours[rows][:, index]]
-                props[np.arange(n), :, prop, :3] = balls[:, index, None]
-        bodies = np.concatenate([limbs, props], axis=2)
-        return np.concatenate(
-            [targets, bodies[..., :3].reshape(n, steps, -1), bodies[..., 3:].reshape(n, steps, -1)], axis=-1
-        )
+                props[np.arange(n), :, :, prop] = balls[:, index, None, None]
+        return control.reshape(n, -1, self.scene.ncontrol)
 
     def _next_level(self, outcome: Outcome) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
@@ -311,7 +317,7 @@ class Episodes:
             "human_pos": walk.position[:, None],
             "human_yaw": walk.yaw[:, None],
             "human_seen": self._seen(walk.position)[:, None],
-            "limbs": self._limbs([walk]),
+            "limbs": self._limbs(people.Walk.along([walk])),
         }
         moving = {name: value[:, 0] for name, value in self._moving(sensed[:, None], planned).items()}
         scale = self.precision[rows] / task.precision.take_m
