@@ -13,7 +13,11 @@ from hrl_comfort.tasks import State, Subtask
 
 def in_stage(name: str, stage: Tensor, task: Subtask) -> Tensor:
     """Return (N,) whether the stage (N,) has this name; when all are done it has none."""
-    return torch.tensor([*(item.name == name for item in task.stages), False])[stage]
+    found = torch.zeros_like(stage, dtype=torch.bool)
+    for index, item in enumerate(task.stages):
+        if item.name == name:
+            found = found | (stage == index)
+    return found
 
 
 def aimed(state: State, rows: Tensor, ball: Tensor, task: Subtask) -> State:
@@ -37,6 +41,8 @@ def aimed(state: State, rows: Tensor, ball: Tensor, task: Subtask) -> State:
 def noted(state: State, before: Tensor, task: Subtask) -> State:
     """Return the state with what was placed since the stages `before` (N,), aimed at the next ball if due."""
     further = state.stage > before
+    if not further.any():
+        return state
     rows = torch.nonzero(in_stage("place", before, task) & further).squeeze(1)
     if len(rows):
         placed = state.placed.clone()
@@ -50,12 +56,13 @@ def noted(state: State, before: Tensor, task: Subtask) -> State:
 
 def drawn(state: State, task: Subtask) -> Tensor:
     """Return where the balls are drawn (N, B, 3): on their table, on the gripper or at a drop point."""
-    last = len(task.stages) - 1
-    over = state.stage > last
-    index = state.stage.clamp(max=last)
+    held, left = in_stage("place", state.stage, task), in_stage("return", state.stage, task)
+    over = state.stage >= len(task.stages)
     # A lone pick ends with the ball on the gripper; whatever else is over has left it at its drop point.
-    held = in_stage("place", state.stage, task) | (over & in_stage("pick", index, task))
-    left = in_stage("return", state.stage, task) | (over & ~in_stage("pick", index, task))
-    own = torch.nn.functional.one_hot(state.target, state.balls.shape[1]).bool()
+    if task.stages[-1].name == "pick":
+        held = held | over
+    else:
+        left = left | over
+    own = state.target[:, None] == torch.arange(state.balls.shape[1])
     balls = torch.where((state.placed | (own & left[:, None]))[..., None], state.drops, state.balls)
     return torch.where((own & held[:, None])[..., None], state.tcp_pos[:, None], balls)

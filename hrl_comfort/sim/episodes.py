@@ -121,10 +121,8 @@ class Episodes:
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             sensed = probe(self.start[pending, :12], self._control(pending))
-            self._set_state(pending, sensed)
-            assert self.state is not None
-            index = torch.from_numpy(pending)
-            state = self.state.rows(index)
+            state = self._begun(pending, sensed)
+            self._put(pending, state)
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | self.subtask.failure(state)).numpy()
             pending = pending[bad]
@@ -181,7 +179,8 @@ class Episodes:
             "human_seen": seen,
             "limbs": limbs,
         }
-        return self._pack(targets, limbs)
+        assert self.state is not None
+        return self._pack(targets, limbs, drawn(self.state, self.subtask).numpy())
 
     def absorb(self, sensed: Array) -> Outcome:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
@@ -196,9 +195,7 @@ class Episodes:
         outcome = judge(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
         state = noted(outcome.state.with_(level=level), before, self.subtask)
-        held = in_stage("place", state.stage, self.subtask)
-        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
-        self.state = state.with_(stage=state.stage - lost.long())  # it has to be picked again
+        self.state = self._disturbed(state)
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
@@ -243,12 +240,14 @@ class Episodes:
     def _control(self, rows: NDArray[np.int64]) -> Array:
         """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
         standing = people.Walk.along([self.walk.rows(rows)])
-        return self._pack(self.start[rows, None, 12:], self._limbs(standing), rows)[:, 0]
+        targets, limbs = self.start[rows, None, 12:], self._limbs(standing)
+        return self._pack(targets, limbs, self.balls[rows], rows)[:, 0]
 
-    def _pack(self, targets: Array, limbs: Array, rows: Any = slice(None)) -> Array:
+    def _pack(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-        targets (n, K * s, 6) rad, s to a control step; limbs (n, K, 5, 7) stay put over a control step.
+        targets (n, K * s, 6) rad, s to a control step; limbs (n, K, 5, 7) stay put over a control step, balls
+        (n, B, 3) m over all of them.
         """
         n, steps, bodies = len(targets), limbs.shape[1], len(self.scene.mocap)
         control = np.empty((n, steps, targets.shape[1] // steps, self.scene.ncontrol))
@@ -263,15 +262,24 @@ class Episodes:
             count = len(self.subtask.stages)
             props[..., 2 : 2 + count, :] = self.points[rows][:, None, None, :count]
         else:
-            balls = self.balls[rows] if self.state is None else drawn(self.state, self.subtask).numpy()[rows]
             for index in range(self.config.task.balls):
                 prop = ball_props(index)[self.colours[rows][:, index]]
                 props[np.arange(n), :, :, prop] = balls[:, index, None, None]
         return control.reshape(n, -1, self.scene.ncontrol)
 
+    def _disturbed(self, state: State) -> State:
+        """Return the state in which balls are lost that are to be: they have to be picked again."""
+        if self._disturbance.kind != "drop":
+            return state
+        held = in_stage("place", state.stage, self.subtask)
+        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
+        return state.with_(stage=state.stage - lost.long())
+
     def _next_level(self, outcome: Outcome) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
         assert self.state is not None
+        if self.config.comfort.source == "none":
+            return self.state.level
         travelled = (outcome.state.tcp_pos - self.state.tcp_pos).norm(dim=-1)
         taken = outcome.decision_steps
         speed = travelled / (taken * CONTROL_STEP_S)
@@ -308,8 +316,8 @@ class Episodes:
             tensors[name] = torch.from_numpy(sensed[..., at[key]].any(axis=-1))
         return tensors
 
-    def _set_state(self, rows: NDArray[np.int64], sensed: Array) -> None:
-        """Put the first instant of the episodes of `rows` into the state."""
+    def _begun(self, rows: NDArray[np.int64], sensed: Array) -> State:
+        """Return the first instant (r rows) of the episodes of `rows`."""
         n, task = len(rows), self.config.task
         walk = self.walk.rows(rows)
         planned = {
@@ -325,7 +333,7 @@ class Episodes:
         def constant(value: Array) -> Tensor:
             return torch.from_numpy(np.broadcast_to(value, (n, *np.shape(value))).copy())
 
-        fresh = State(
+        return State(
             **moving,
             tcp_home=constant(self._home_tcp()),
             joint_home=constant(self.scene.home),
@@ -346,13 +354,15 @@ class Episodes:
             home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_deg)),
             steps=torch.zeros(n, dtype=torch.int64),
         )
-        if self.state is None:
-            if n != self.rows:
-                raise ConfigError("the first reset must reset every row")
+
+    def _put(self, rows: NDArray[np.int64], fresh: State) -> None:
+        """Let the state be `fresh` (r rows) in `rows`."""
+        if self.state is not None:
+            self.state = self.state.put(torch.from_numpy(rows), fresh)
+        elif len(rows) == self.rows:
             self.state = fresh
-            return
-        index = torch.from_numpy(rows)
-        self.state = self.state.put(index, fresh)
+        else:
+            raise ConfigError("the first reset must reset every row")
 
     def _home_tcp(self) -> Array:
         if self._tcp_home is None:

@@ -76,40 +76,49 @@ def judge(
     """Judge K control steps from the state `before` (N rows) and the fields (N, K, ...) that changed.
 
     `weights` (T,) are those of the subtask's reward terms, `limit_steps` (N,) the time limits. A decision
-    ends where its stage or its episode
-    does, so within its valid steps the stage in force is the one it began with.
+    ends where its stage or its episode does, so within its valid steps the stage in force is the one it began
+    with.
     """
     n, count = moving["tcp_pos"].shape[:2]
     row = torch.arange(n).repeat_interleave(count)
-    begun = before.rows(row)
-    steps = (before.steps[:, None] + torch.arange(1, count + 1)).flatten()
-    after = begun.with_(steps=steps, **{name: value.flatten(0, 1) for name, value in moving.items()})
-    after = after.with_(stage=subtask.next_stage(after))
-    earlier = {
-        name: torch.cat([getattr(before, name)[:, None], value[:, :-1]], dim=1).flatten(0, 1)
-        for name, value in moving.items()
+    steps = before.steps[:, None] + torch.arange(1, count + 1)
+    constant = {
+        name: value.index_select(0, row)
+        for name, value in vars(before).items()
+        if name not in moving and name != "steps"
     }
-    previous = begun.with_(steps=steps - 1, **earlier)
+    later = {name: value.flatten(0, 1) for name, value in moving.items()}
+    preceding = torch.arange(-1, n * count - 1)
+    preceding[::count] = torch.arange(n * count, n * count + n)
+    earlier = {
+        name: torch.cat([value, getattr(before, name)]).index_select(0, preceding)
+        for name, value in later.items()
+    }
+    previous = State(**constant, **earlier, steps=(steps - 1).flatten())
+    after = State(**constant, **later, steps=steps.flatten())
+    after = after.with_(stage=subtask.next_stage(after))
 
     failed, finished = subtask.failure(after), subtask.success(after)
-    out_of_time = steps >= limit_steps[row]
-    over = ((after.stage > begun.stage) | failed | out_of_time).view(n, count)
-    last = torch.where(over.any(dim=1), over.int().argmax(dim=1), count - 1)
+    out_of_time = (steps >= limit_steps[:, None]).flatten()
+    over = ((after.stage > previous.stage) | failed | out_of_time).view(n, count)
+    over[:, -1] = True
+    last = over.int().argmax(dim=1)
     valid = torch.arange(count) <= last[:, None]
 
     gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
     earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
-    at = torch.arange(n) * count + last
-    terminated = (failed | finished)[at]
-    final = {name: getattr(after, name)[at] for name in (*moving, "steps", "stage")}
+    at = torch.arange(0, n * count, count) + last
+    final = {name: getattr(after, name).index_select(0, at) for name in (*moving, "steps", "stage")}
+    failed, finished, out_of_time = failed[at], finished[at], out_of_time[at]
+    terminated = failed | finished
     return Outcome(
         state=before.with_(**final),
         reward_terms=earned.sum(dim=1),
         step_rewards=earned.sum(dim=-1),
         # A collision in the step that completes the task is a failure.
-        success=(finished & ~failed)[at],
+        success=finished & ~failed,
         terminated=terminated,
-        truncated=out_of_time[at] & ~terminated,
+        truncated=out_of_time & ~terminated,
         valid=valid,
         instants=after,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -78,25 +78,19 @@ class State:
     @property
     def drops(self) -> Tensor:
         """(N, B, 3) m, the drop point of each ball's colour."""
-        points = torch.stack([self.orange_drop, self.pink_drop], dim=1)
-        return points.gather(1, self.colours[..., None].expand(-1, -1, 3))
+        pink = (self.colours == 1)[..., None]
+        return torch.where(pink, self.pink_drop[:, None], self.orange_drop[:, None])
 
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
-        return State(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
+        return State(**{name: value.index_select(0, index) for name, value in vars(self).items()})
 
     def with_(self, **changes: Tensor) -> State:
         """Return a copy with the given fields replaced."""
-        return replace(self, **changes)
+        return State(**(vars(self) | changes))
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are `other`'s, this one left as it is."""
-
-        def replaced(mine: Tensor, theirs: Tensor) -> Tensor:
-            fresh = mine.clone()
-            fresh[index] = theirs
-            return fresh
-
-        return State(
-            **{f.name: replaced(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
-        )
+        theirs = vars(other)
+        return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in vars(self).items()})
