@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.config import FAR_AWAY_M
 
@@ -12,7 +13,7 @@ def human_distance(tcp_pos: Tensor, human_pos: Tensor) -> Tensor:
 
     The distance of the paper's figures and of its released code.
     """
-    return (tcp_pos[..., :2] - human_pos).norm(dim=-1)
+    return vector_norm(tcp_pos[..., :2] - human_pos, dim=-1)
 
 
 def present(human_pos: Tensor) -> Tensor:

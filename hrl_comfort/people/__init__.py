@@ -75,18 +75,13 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
         offset = position - walk.spawn
         shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
         position = walk.spawn + offset * shrink[:, None]
-        blocked = keep_out.entered(position)
-        if blocked.any():
-            slid = position.copy()
+        blocked = np.flatnonzero(keep_out.entered(position))
+        if len(blocked):
             discs = KeepOut(keep_out.centres[blocked], keep_out.radius_m)
-            nearest = np.linalg.norm(slid[blocked][:, None] - discs.centres, axis=-1).argmin(axis=1)
-            centre = discs.centres[np.arange(len(nearest)), nearest]
-            out = slid[blocked] - centre
-            span = np.maximum(length(out), 1e-9)[:, None]
-            slid[blocked] = centre + out / span * (keep_out.radius_m + 1e-9)
-            still_in = keep_out.entered(slid)
-            too_far = np.linalg.norm(slid - walk.spawn, axis=-1) > config.bound_m + 1e-9
-            position = np.where((blocked & (still_in | too_far))[:, None], walk.position, slid)
+            slid = discs.rim(position[blocked])
+            too_far = length(slid - walk.spawn[blocked]) > config.bound_m + 1e-9
+            stays = discs.entered(slid) | too_far
+            position[blocked] = np.where(stays[:, None], walk.position[blocked], slid)
     walked = length(position - walk.position)
     speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
     return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)
@@ -106,7 +101,8 @@ def around(goals: Array, radius_m: float, rows: int) -> KeepOut:
 
 def training_spawns(config: HumanConfig) -> NDArray[np.int64]:
     """Return the indices of the spawn points that training uses."""
-    return np.array([i for i in range(len(config.spawns_m)) if i not in set(config.held_out)], dtype=np.int64)
+    held_out = set(config.held_out)
+    return np.array([i for i in range(len(config.spawns_m)) if i not in held_out], dtype=np.int64)
 
 
 def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
@@ -132,7 +128,7 @@ def training_spawn(
     for _ in range(ATTEMPTS):
         index = -1
         if at_point:
-            index = int(rng.choice(indices))
+            index = int(indices[rng.integers(len(indices))])
             place = outside(jittered_spawn(config, spawns[index][None], rng.random((1, 2))), keep_out)[0]
         else:
             radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,7 @@ MARGIN_M = 1e-6
 
 @dataclass(frozen=True)
 class Walk:
-    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait.
-
-    Of several instants (`along`) every field is (n, K, ...).
-    """
+    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait."""
 
     position: Array
     yaw: Array
@@ -40,11 +36,11 @@ class Walk:
     step: NDArray[np.int64]
     """(n,) control steps walked."""
 
-    def rows(self, index: Any) -> Walk:
-        """Return the walks of the rows `index` selects."""
-        return Walk(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+    def rows(self, index: NDArray[np.int64]) -> Walk:
+        """Return the walks of the rows `index`."""
+        return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
-    def put(self, index: Any, other: Walk) -> Walk:
+    def put(self, index: NDArray[np.int64], other: Walk) -> Walk:
         """Return a walk whose rows at `index` are `other`'s."""
         replaced = {}
         for field in fields(self):
@@ -55,8 +51,9 @@ class Walk:
 
     @classmethod
     def along(cls, walks: Sequence[Walk]) -> Walk:
-        """Return K walks of the same people, one after the other, as one: (n, K, ...)."""
-        return cls(**{f.name: np.stack([getattr(w, f.name) for w in walks], axis=1) for f in fields(cls)})
+        """Return K walks of n people, one after the other, as one of n * K rows, a person's K together."""
+        stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
+        return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
 
 
 Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
@@ -75,6 +72,14 @@ class KeepOut:
         if not self.centres.shape[1]:
             return np.zeros(len(position), dtype=bool)
         return np.asarray((length(position[:, None] - self.centres) < self.radius_m).any(axis=1))
+
+    def rim(self, position: Array) -> Array:
+        """Return position (n, 2) moved straight out to just beyond the rim of the nearest disc."""
+        offset = position[:, None] - self.centres
+        nearest = np.arange(len(position)), length(offset).argmin(axis=1)
+        out = offset[nearest]
+        span = np.maximum(length(out), 1e-9)[:, None]
+        return np.asarray(self.centres[nearest] + out / span * (self.radius_m + 1e-9))
 
 
 def length(vectors: Array) -> Array:
@@ -127,6 +132,6 @@ def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
 
 
 def gait(walk: Walk) -> tuple[Array, Array]:
-    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs; (n, K) of walks along K instants."""
+    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs."""
     swing = FULL_SWING_RAD * np.minimum(walk.speed_m_s / FULL_SWING_SPEED_M_S, 1.0)
     return 2 * np.pi * walk.walked_m / STRIDE_M, swing

@@ -64,11 +64,12 @@ def limb_poses(
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
     angle = swing_rad * np.sin(phase)
-    pitch = angle * _SWING / 2
+    swung = angle / 2
     sink = (HIP_M - LEG_RADIUS_M) * (1 - np.cos(angle))
     half = yaw / 2
-    upright, leaning, cos_half, sin_half = np.cos(pitch), np.sin(pitch), np.cos(half), np.sin(half)
-    shape = np.broadcast_shapes(x.shape, y.shape, yaw.shape, pitch.shape, floor_z.shape)
+    upright = np.where(_SWING == 0.0, 1.0, np.cos(swung))
+    leaning, cos_half, sin_half = np.sin(swung) * _SWING, np.cos(half), np.sin(half)
+    shape = np.broadcast_shapes(x.shape, y.shape, yaw.shape, upright.shape, floor_z.shape)
     poses = np.empty((*shape, 7))
     poses[..., 0] = x - _SIDE * np.sin(yaw)
     poses[..., 1] = y + _SIDE * np.cos(yaw)

@@ -65,6 +65,7 @@ class Draws:
         cell = config.cell
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = people.moved_spawns(config.human, self.goals[:, :2])
+        self._centres = people.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.limit_steps + config.task.steps_per_decision
         longest = longest_limit_steps(config.task.limit_steps, config.comfort)
         self.horizon = longest + config.task.steps_per_decision
@@ -79,10 +80,11 @@ class Draws:
         rng = self.generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
         if self._evaluation is None:
-            later = self.generator(row, episode, LATER_STREAM)
-            noise = rng.random((self._plain_horizon, people.NOISE))
-            more = later.random((self.horizon - self._plain_horizon, people.NOISE))
-            motion_id, noise = -1, np.concatenate([noise, more])
+            motion_id, noise = -1, rng.random((self._plain_horizon, people.NOISE))
+            if self.horizon > self._plain_horizon:
+                later = self.generator(row, episode, LATER_STREAM)
+                more = later.random((self.horizon - self._plain_horizon, people.NOISE))
+                noise = np.concatenate([noise, more])
         else:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
@@ -112,7 +114,7 @@ class Draws:
         """Return where the balls lie (B, 3), m, and their colours (B,): the first one's is given."""
         task = self._config.task
         count, slots = task.balls, np.array(task.ball_slots_m)
-        balls = np.tile(self.goals[0], (count, 1))
+        balls = self.goals[:1].repeat(count, axis=0)
         balls[:, :2] += slots[rng.permutation(len(slots))[:count]]
         balls[:, :2] += task.ball_jitter_m * rng.uniform(-1, 1, (count, 2))
         colours = rng.integers(2, size=count) if task.colour == "random" else np.full(count, colour)
@@ -123,10 +125,9 @@ class Draws:
         """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""
         n = len(points)
         if self._on_points:
-            goals = points[:, : self._on_points, :2]
+            centres = np.concatenate([points[:, : self._on_points, :2], np.zeros((n, 1, 2))], axis=1)
         else:
-            goals = np.broadcast_to(self.goals[None, :, :2], (n, 3, 2))
-        centres = np.concatenate([goals, np.zeros((n, 1, 2))], axis=1)
+            centres = np.broadcast_to(self._centres, (n, *self._centres.shape[1:]))
         return people.KeepOut(centres, self._config.human.keep_out_m)
 
     def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort import people
 from hrl_comfort.comfort.adapt import TERM, limit_steps, with_comfort
@@ -120,8 +121,11 @@ class Episodes:
             self.source.begin(pending)
             fresh = people.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
-            sensed = probe(self.start[pending, :12], self._control(pending))
-            state = self._begun(pending, sensed)
+            limbs = self._limbs(fresh)
+            # The control holds the robot and the human where they begin.
+            control = self._pack(self.start[pending, None, 12:], limbs, self.balls[pending], pending)[:, 0]
+            sensed = probe(self.start[pending, :12], control)
+            state = self._begun(pending, fresh, limbs, sensed)
             self._put(pending, state)
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | self.subtask.failure(state)).numpy()
@@ -144,9 +148,10 @@ class Episodes:
         self.points[row], self.walk.spawn[row] = draw.points, draw.spawn
 
     def _disturb(self, row: int) -> None:
-        rng = self.draws.generator(row, int(self.episode[row]), DISTURBANCE_STREAM)
-        self._disturbance.begin(row, rng)
-        if self._disturbance.kind == "block":
+        if self._disturbance.kind == "drop":
+            rng = self.draws.generator(row, int(self.episode[row]), DISTURBANCE_STREAM)
+            self._disturbance.begin(row, rng)
+        elif self._disturbance.kind == "block":
             drop = self._drops[self.colours[row, 0], :2]
             self.spawn_id[row] = -1
             self.walk.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
@@ -159,7 +164,7 @@ class Episodes:
         Joint targets are ramped at up to `max_step_deg` a control step. The human walks on meanwhile.
         """
         task, substeps = self.config.task, self.config.engine.substeps
-        n, steps = self.rows, task.steps_per_decision
+        steps = task.steps_per_decision
         action = np.clip(action, -1.0, 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
@@ -171,12 +176,11 @@ class Episodes:
 
         self._walks = self._walked(steps)
         limbs = self._limbs(self._walks)
-        seen = self._seen(self._walks.position.reshape(-1, 2)).reshape(n, steps, 2)
         self._planned = {
-            "joint_target": targets[:, substeps - 1 :: substeps],
+            "joint_target": targets[:, substeps - 1 :: substeps].reshape(-1, 6),
             "human_pos": self._walks.position,
             "human_yaw": self._walks.yaw,
-            "human_seen": seen,
+            "human_seen": self._seen(self._walks.position),
             "limbs": limbs,
         }
         assert self.state is not None
@@ -190,7 +194,8 @@ class Episodes:
         """
         assert self.state is not None
         substeps = self.config.engine.substeps
-        moving = self._moving(sensed[:, substeps - 1 :: substeps], self._planned)
+        sensed = sensed[:, substeps - 1 :: substeps].reshape(-1, sensed.shape[-1])
+        moving = self._moving(sensed, self._planned)
         limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
         outcome = judge(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
@@ -199,7 +204,8 @@ class Episodes:
         outcome = replace(outcome, state=self.state)
         self.steps = self.state.steps.numpy().copy()
         self.joint_target = self.state.joint_target.numpy().copy()
-        self.walk = self._walks.rows((np.arange(self.rows), outcome.decision_steps.numpy() - 1))
+        last = outcome.decision_steps.numpy() - 1
+        self.walk = self._walks.rows(np.arange(self.rows) * self.config.task.steps_per_decision + last)
         return outcome
 
     def aim(self, rows: Tensor, ball: Tensor) -> None:
@@ -214,7 +220,7 @@ class Episodes:
     # ---- pieces ----------------------------------------------------------------------------------------
 
     def _walked(self, steps: int) -> people.Walk:
-        """Return the walk (N, steps, ...) of everybody over so many control steps from now on."""
+        """Return everybody's walk over so many control steps from now on, N * steps rows."""
         assert self.state is not None
         keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos[:, :2].numpy()
         times = self.steps[:, None] + np.arange(steps)
@@ -229,33 +235,26 @@ class Episodes:
         return people.Walk.along(walks)
 
     def _limbs(self, walk: people.Walk) -> Array:
-        """Return the limb poses (n, K, 5, 7) of n people along a walk (n, K, ...)."""
+        """Return the limb poses (n, 5, 7) of n people."""
         phase, swing = people.gait(walk)
-        x, y = walk.position[..., 0], walk.position[..., 1]
-        return limb_poses(x, y, walk.yaw, phase, swing, self.scene.floor_z)
+        return limb_poses(*walk.position.T, walk.yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
         return people.seen_position(self.config.human, position, self.draws.spawns)
 
-    def _control(self, rows: NDArray[np.int64]) -> Array:
-        """Return the control (r, ncontrol) that holds the robot and the human where they begin."""
-        standing = people.Walk.along([self.walk.rows(rows)])
-        targets, limbs = self.start[rows, None, 12:], self._limbs(standing)
-        return self._pack(targets, limbs, self.balls[rows], rows)[:, 0]
-
     def _pack(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-        targets (n, K * s, 6) rad, s to a control step; limbs (n, K, 5, 7) stay put over a control step, balls
-        (n, B, 3) m over all of them.
+        targets (n, K * s, 6) rad, s to a control step; limbs (n * K, 5, 7) stay put over a control step,
+        balls (n, B, 3) m over all of them.
         """
-        n, steps, bodies = len(targets), limbs.shape[1], len(self.scene.mocap)
+        n, steps, places = len(targets), len(limbs) // len(targets), 6 + 3 * len(self.scene.mocap)
         control = np.empty((n, steps, targets.shape[1] // steps, self.scene.ncontrol))
         control[..., :6] = targets.reshape(*control.shape[:3], 6)
-        position, quaternion = (part.reshape(*control.shape[:3], bodies, -1)
-                                for part in np.split(control[..., 6:], [3 * bodies], axis=-1))  # fmt: skip
-        position[..., : len(LIMBS), :] = limbs[:, :, None, :, :3]
-        quaternion[..., : len(LIMBS), :] = limbs[:, :, None, :, 3:]
+        position = control[..., 6:places].reshape(*control.shape[:3], -1, 3)
+        quaternion = control[..., places:].reshape(*control.shape[:3], -1, 4)
+        limbs = limbs.reshape(n, steps, 1, len(LIMBS), 7)
+        position[..., : len(LIMBS), :], quaternion[..., : len(LIMBS), :] = limbs[..., :3], limbs[..., 3:]
         props = position[..., len(LIMBS) :, :]
         props[...], quaternion[..., len(LIMBS) :, :] = (FAR_AWAY_M, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
         if self.subtask.stages[0].name == "reach":
@@ -280,7 +279,7 @@ class Episodes:
         assert self.state is not None
         if self.config.comfort.source == "none":
             return self.state.level
-        travelled = (outcome.state.tcp_pos - self.state.tcp_pos).norm(dim=-1)
+        travelled = vector_norm(outcome.state.tcp_pos - self.state.tcp_pos, dim=-1)
         taken = outcome.decision_steps
         speed = travelled / (taken * CONTROL_STEP_S)
         distance = human_distance(outcome.state.tcp_pos, outcome.state.human_pos)
@@ -293,18 +292,18 @@ class Episodes:
         return torch.from_numpy(self.source.advance(now))
 
     def _moving(self, sensed: Array, planned: dict[str, Array]) -> dict[str, Tensor]:
-        """Return the fields of State that change within an episode, (N, K, ...), from sensor readings."""
+        """Return the fields of State that change within an episode, (n, ...), from readings (n, nsensor)."""
         at = self.scene.sensors
-        planned = dict(planned)
-        limbs = planned.pop("limbs")
+        limbs = planned["limbs"]
         arrays: dict[str, Array] = {
-            "joint_pos": sensed[..., at["joint_pos"]],
-            "joint_vel": sensed[..., at["joint_vel"]],
-            "tcp_pos": sensed[..., at["tcp_pos"]],
             **planned,
+            "joint_pos": sensed[:, at["joint_pos"]],
+            "joint_vel": sensed[:, at["joint_vel"]],
+            "tcp_pos": sensed[:, at["tcp_pos"]],
         }
+        del arrays["limbs"]
         if self._arm is None:
-            arrays["arm_distance"] = np.full(sensed.shape[:-1], np.nan)
+            arrays["arm_distance"] = np.full(len(sensed), np.nan)
         else:
             arrays["arm_distance"] = self._arm(arrays["joint_pos"], limbs)
         tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in arrays.items()}
@@ -313,28 +312,26 @@ class Episodes:
             ("table_collision", "table"),
             ("self_collision", "self"),
         ):
-            tensors[name] = torch.from_numpy(sensed[..., at[key]].any(axis=-1))
+            tensors[name] = torch.from_numpy(sensed[:, at[key]].any(axis=1))
         return tensors
 
-    def _begun(self, rows: NDArray[np.int64], sensed: Array) -> State:
-        """Return the first instant (r rows) of the episodes of `rows`."""
+    def _begun(self, rows: NDArray[np.int64], walk: people.Walk, limbs: Array, sensed: Array) -> State:
+        """Return the first instant of the episodes of `rows` (r,), whose people are at `walk`."""
         n, task = len(rows), self.config.task
-        walk = self.walk.rows(rows)
         planned = {
-            "joint_target": self.start[rows, None, 12:],
-            "human_pos": walk.position[:, None],
-            "human_yaw": walk.yaw[:, None],
-            "human_seen": self._seen(walk.position)[:, None],
-            "limbs": self._limbs(people.Walk.along([walk])),
+            "joint_target": self.start[rows, 12:],
+            "human_pos": walk.position,
+            "human_yaw": walk.yaw,
+            "human_seen": self._seen(walk.position),
+            "limbs": limbs,
         }
-        moving = {name: value[:, 0] for name, value in self._moving(sensed[:, None], planned).items()}
         scale = self.precision[rows] / task.precision.take_m
 
         def constant(value: Array) -> Tensor:
-            return torch.from_numpy(np.broadcast_to(value, (n, *np.shape(value))).copy())
+            return torch.from_numpy(value).repeat(n, 1)
 
         return State(
-            **moving,
+            **self._moving(sensed, planned),
             tcp_home=constant(self._home_tcp()),
             joint_home=constant(self.scene.home),
             ball_pos=torch.from_numpy(self.balls[rows, 0]),

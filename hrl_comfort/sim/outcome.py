@@ -73,52 +73,54 @@ class Outcome:
 def judge(
     subtask: Subtask, weights: Tensor, limit_steps: Tensor, before: State, moving: dict[str, Tensor]
 ) -> Outcome:
-    """Judge K control steps from the state `before` (N rows) and the fields (N, K, ...) that changed.
+    """Judge K control steps from the state `before` (N rows) and the fields (N * K, ...) that changed.
 
     `weights` (T,) are those of the subtask's reward terms, `limit_steps` (N,) the time limits. A decision
     ends where its stage or its episode does, so within its valid steps the stage in force is the one it began
     with.
     """
-    n, count = moving["tcp_pos"].shape[:2]
-    row = torch.arange(n).repeat_interleave(count)
+    n = len(before.steps)
+    count = len(moving["tcp_pos"]) // n
+    first = torch.arange(0, n * count, count)
+    row = torch.arange(n)[:, None].expand(n, count).flatten()
+    preceding = torch.arange(-1, n * count - 1)
+    preceding[first] = torch.arange(n * count, n * count + n)  # where `before` is appended to the K steps
     steps = before.steps[:, None] + torch.arange(1, count + 1)
     constant = {
         name: value.index_select(0, row)
         for name, value in vars(before).items()
         if name not in moving and name != "steps"
     }
-    later = {name: value.flatten(0, 1) for name, value in moving.items()}
-    preceding = torch.arange(-1, n * count - 1)
-    preceding[::count] = torch.arange(n * count, n * count + n)
     earlier = {
         name: torch.cat([value, getattr(before, name)]).index_select(0, preceding)
-        for name, value in later.items()
+        for name, value in moving.items()
     }
     previous = State(**constant, **earlier, steps=(steps - 1).flatten())
-    after = State(**constant, **later, steps=steps.flatten())
+    after = State(**constant, **moving, steps=steps.flatten())
     after = after.with_(stage=subtask.next_stage(after))
 
-    failed, finished = subtask.failure(after), subtask.success(after)
-    out_of_time = (steps >= limit_steps[:, None]).flatten()
-    over = ((after.stage > previous.stage) | failed | out_of_time).view(n, count)
+    moved_on = (after.stage > previous.stage) | subtask.failure(after)
+    over = moved_on.view(n, count) | (steps >= limit_steps[:, None])
     over[:, -1] = True
     last = over.int().argmax(dim=1)
     valid = torch.arange(count) <= last[:, None]
-
     gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
     earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
-    at = torch.arange(0, n * count, count) + last
-    final = {name: getattr(after, name).index_select(0, at) for name in (*moving, "steps", "stage")}
-    failed, finished, out_of_time = failed[at], finished[at], out_of_time[at]
+
+    at = first + last
+    ended = before.with_(
+        **{name: getattr(after, name).index_select(0, at) for name in (*moving, "steps", "stage")}
+    )
+    failed, finished = subtask.failure(ended), subtask.success(ended)
     terminated = failed | finished
     return Outcome(
-        state=before.with_(**final),
+        state=ended,
         reward_terms=earned.sum(dim=1),
         step_rewards=earned.sum(dim=-1),
         # A collision in the step that completes the task is a failure.
         success=finished & ~failed,
         terminated=terminated,
-        truncated=out_of_time & ~terminated,
+        truncated=(ended.steps >= limit_steps) & ~terminated,
         valid=valid,
         instants=after,
     )

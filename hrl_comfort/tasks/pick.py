@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.tasks import observations, rewards
 from hrl_comfort.tasks.state import State
@@ -16,7 +17,7 @@ def goal(state: State) -> Tensor:
 
 def distance(state: State) -> Tensor:
     """Return the distance (N,) from tool centre point to ball, m."""
-    return (state.ball_pos - state.tcp_pos).norm(dim=-1)
+    return vector_norm(state.ball_pos - state.tcp_pos, dim=-1)
 
 
 def done(state: State) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.tasks import observations, rewards
 from hrl_comfort.tasks.state import State
@@ -16,7 +17,7 @@ def reach_point(index: int) -> Stage:
         return state.points[:, index]
 
     def distance(state: State) -> Tensor:
-        return (state.points[:, index] - state.tcp_pos).norm(dim=-1)
+        return vector_norm(state.points[:, index] - state.tcp_pos, dim=-1)
 
     def done(state: State) -> Tensor:
         return distance(state) < state.take

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Change, Stage
@@ -54,7 +55,7 @@ def arrival_speed(before: State, after: State) -> Tensor:
 
     Whoever acts next takes over the arm in motion, beside a table: fast arrivals end in it.
     """
-    return torch.where(after.stage > before.stage, after.joint_vel.norm(dim=-1), 0.0)
+    return torch.where(after.stage > before.stage, vector_norm(after.joint_vel, dim=-1), 0.0)
 
 
 def human_collision(before: State, after: State) -> Tensor:
@@ -82,7 +83,7 @@ def late(before: State, after: State) -> Tensor:
 
 def return_shaping(before: State, after: State) -> Tensor:
     """-ln(d + 1) / 10, d the distance in metres of the tool from its home: the released code's shaping."""
-    return -torch.log1p((after.tcp_pos - after.tcp_home).norm(dim=-1)) / 10.0
+    return -torch.log1p(vector_norm(after.tcp_pos - after.tcp_home, dim=-1)) / 10.0
 
 
 def standard(stages: tuple[Stage, ...]) -> dict[str, Change]:
