@@ -75,13 +75,13 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
         offset = position - walk.spawn
         shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
         position = walk.spawn + offset * shrink[:, None]
-        blocked = np.flatnonzero(keep_out.entered(position))
+        (blocked,) = keep_out.entered(position).nonzero()
         if len(blocked):
-            discs = KeepOut(keep_out.centres[blocked], keep_out.radius_m)
-            slid = discs.rim(position[blocked])
-            too_far = length(slid - walk.spawn[blocked]) > config.bound_m + 1e-9
+            discs = KeepOut(keep_out.centres.take(blocked, axis=0), keep_out.radius_m)
+            slid = discs.rim(position.take(blocked, axis=0))
+            too_far = length(slid - walk.spawn.take(blocked, axis=0)) > config.bound_m + 1e-9
             stays = discs.entered(slid) | too_far
-            position[blocked] = np.where(stays[:, None], walk.position[blocked], slid)
+            position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
     walked = length(position - walk.position)
     speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
     return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)

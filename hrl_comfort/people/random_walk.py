@@ -12,7 +12,7 @@ def random_walk(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tu
     """Jitter by up to `jitter_m` an axis or, with `forward_probability`, step `forward_m` to the base."""
     jitter = (2 * noise[:, :2] - 1) * config.jitter_m
     yaw = facing_base(walk.position)
-    forward = config.forward_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    forward = config.forward_m * np.array([np.cos(yaw), np.sin(yaw)]).T
     move = np.where(noise[:, 2:] < config.forward_probability, forward, jitter)
     position = walk.position + move
     return position, facing_base(position)

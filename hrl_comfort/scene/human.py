@@ -69,8 +69,7 @@ def limb_poses(
     half = yaw / 2
     upright = np.where(_SWING == 0.0, 1.0, np.cos(swung))
     leaning, cos_half, sin_half = np.sin(swung) * _SWING, np.cos(half), np.sin(half)
-    shape = np.broadcast_shapes(x.shape, y.shape, yaw.shape, upright.shape, floor_z.shape)
-    poses = np.empty((*shape, 7))
+    poses = np.empty((*np.broadcast(x, y, yaw, upright, floor_z).shape, 7))
     poses[..., 0] = x - _SIDE * np.sin(yaw)
     poses[..., 1] = y + _SIDE * np.cos(yaw)
     poses[..., 2] = floor_z + _TOP - sink

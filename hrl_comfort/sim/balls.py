@@ -5,7 +5,9 @@ All are functions of State; which stages pick and which place is the subtask's t
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.tasks import State, Subtask
@@ -54,15 +56,14 @@ def noted(state: State, before: Tensor, task: Subtask) -> State:
     return aimed(state, rows, left[rows].int().argmax(dim=1), task) if len(rows) else state
 
 
-def drawn(state: State, task: Subtask) -> Tensor:
-    """Return where the balls are drawn (N, B, 3): on their table, on the gripper or at a drop point."""
-    held, left = in_stage("place", state.stage, task), in_stage("return", state.stage, task)
-    over = state.stage >= len(task.stages)
+def drawn(state: State, task: Subtask) -> NDArray[np.float64]:
+    """Return where the balls are drawn (N, B, 3), m: on their table, on the gripper or at a drop point."""
+    names = [stage.name for stage in task.stages]
     # A lone pick ends with the ball on the gripper; whatever else is over has left it at its drop point.
-    if task.stages[-1].name == "pick":
-        held = held | over
-    else:
-        left = left | over
-    own = state.target[:, None] == torch.arange(state.balls.shape[1])
-    balls = torch.where((state.placed | (own & left[:, None]))[..., None], state.drops, state.balls)
-    return torch.where((own & held[:, None])[..., None], state.tcp_pos[:, None], balls)
+    names.append("place" if names[-1] == "pick" else "return")
+    stage, count = state.stage.numpy(), state.balls.shape[1]
+    own = state.target.numpy()[:, None] == np.arange(count)
+    held, left = (np.array([name == which for name in names])[stage, None] for which in ("place", "return"))
+    dropped = state.placed.numpy() | (own & left)
+    balls = np.where(dropped[..., None], state.drops.numpy(), state.balls.numpy())
+    return np.where((own & held)[..., None], state.tcp_pos.numpy()[:, None], balls)

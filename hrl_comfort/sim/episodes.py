@@ -165,14 +165,15 @@ class Episodes:
         """
         task, substeps = self.config.task, self.config.engine.substeps
         steps = task.steps_per_decision
-        action = np.clip(action, -1.0, 1.0)
+        action = np.minimum(np.maximum(action, -1.0), 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
         else:
             increment = self._hand.increments(self.joint_target, action)
         ramp = np.arange(1, steps * substeps + 1) / substeps
-        targets = self.joint_target[:, None] + ramp[None, :, None] * increment[:, None]
-        targets = np.clip(targets, *self.scene.joint_range.T)
+        targets = self.joint_target[:, None] + ramp[:, None] * increment[:, None]
+        lowest, highest = self.scene.joint_range.T
+        targets = np.minimum(np.maximum(targets, lowest), highest)
 
         self._walks = self._walked(steps)
         limbs = self._limbs(self._walks)
@@ -184,7 +185,7 @@ class Episodes:
             "limbs": limbs,
         }
         assert self.state is not None
-        return self._pack(targets, limbs, drawn(self.state, self.subtask).numpy())
+        return self._pack(targets, limbs, drawn(self.state, self.subtask))
 
     def absorb(self, sensed: Array) -> Outcome:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
@@ -202,10 +203,11 @@ class Episodes:
         state = noted(outcome.state.with_(level=level), before, self.subtask)
         self.state = self._disturbed(state)
         outcome = replace(outcome, state=self.state)
-        self.steps = self.state.steps.numpy().copy()
+        steps = self.state.steps.numpy().copy()
+        first = np.arange(self.rows) * self.config.task.steps_per_decision
+        self.walk = self._walks.rows(first + (steps - self.steps - 1))
+        self.steps = steps
         self.joint_target = self.state.joint_target.numpy().copy()
-        last = outcome.decision_steps.numpy() - 1
-        self.walk = self._walks.rows(np.arange(self.rows) * self.config.task.steps_per_decision + last)
         return outcome
 
     def aim(self, rows: Tensor, ball: Tensor) -> None:
@@ -237,7 +239,8 @@ class Episodes:
     def _limbs(self, walk: people.Walk) -> Array:
         """Return the limb poses (n, 5, 7) of n people."""
         phase, swing = people.gait(walk)
-        return limb_poses(*walk.position.T, walk.yaw, phase, swing, self.scene.floor_z)
+        x, y = walk.position.T
+        return limb_poses(x, y, walk.yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
         return people.seen_position(self.config.human, position, self.draws.spawns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -81,10 +82,7 @@ def judge(
     """
     n = len(before.steps)
     count = len(moving["tcp_pos"]) // n
-    first = torch.arange(0, n * count, count)
-    row = torch.arange(n)[:, None].expand(n, count).flatten()
-    preceding = torch.arange(-1, n * count - 1)
-    preceding[first] = torch.arange(n * count, n * count + n)  # where `before` is appended to the K steps
+    row, preceding, first = _order(n, count)
     steps = before.steps[:, None] + torch.arange(1, count + 1)
     constant = {
         name: value.index_select(0, row)
@@ -124,3 +122,16 @@ def judge(
         valid=valid,
         instants=after,
     )
+
+
+@lru_cache(maxsize=16)
+def _order(n: int, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return indices for n rows of K = `count` instants, a row's together; they are not to be written to.
+
+    The row of each instant (n * K,); the instant before each (n * K,), where the n that came before all are
+    appended; each row's first instant (n,).
+    """
+    instants = torch.arange(n * count).view(n, count)
+    came_before = torch.arange(n * count, n * count + n)[:, None]
+    preceding = torch.cat([came_before, instants[:, :-1]], dim=1)
+    return torch.arange(n).repeat_interleave(count), preceding.flatten(), instants[:, 0].clone()
