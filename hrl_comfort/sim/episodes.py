@@ -97,7 +97,7 @@ class Episodes:
         self.steps = np.zeros(n, dtype=np.int64)
         self.walk = people.begin(config.human, np.zeros((n, 2)))
         self.state: State | None = None
-        self._planned: dict[str, Array] = {}
+        self._planned: dict[str, NDArray[Any]] = {}
         self._walks = self.walk
 
     # ---- beginning -------------------------------------------------------------------------------------
@@ -175,13 +175,15 @@ class Episodes:
         lowest, highest = self.scene.joint_range.T
         targets = np.minimum(np.maximum(targets, lowest), highest)
 
-        self._walks = self._walked(steps)
+        times = self.steps[:, None] + np.arange(steps)
+        self._walks = self._walked(times)
         limbs = self._limbs(self._walks)
         self._planned = {
             "joint_target": targets[:, substeps - 1 :: substeps].reshape(-1, 6),
             "human_pos": self._walks.position,
             "human_yaw": self._walks.yaw,
             "human_seen": self._seen(self._walks.position),
+            "steps": times.reshape(-1) + 1,
             "limbs": limbs,
         }
         assert self.state is not None
@@ -221,15 +223,14 @@ class Episodes:
 
     # ---- pieces ----------------------------------------------------------------------------------------
 
-    def _walked(self, steps: int) -> people.Walk:
-        """Return everybody's walk over so many control steps from now on, N * steps rows."""
+    def _walked(self, times: NDArray[np.int64]) -> people.Walk:
+        """Return everybody's walk, N * K rows, over the control steps that begin at `times` (N, K)."""
         assert self.state is not None
-        keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos[:, :2].numpy()
-        times = self.steps[:, None] + np.arange(steps)
+        keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos.numpy()[:, :2]
         stands = self._disturbance.stands(times)
         noise = self.noise[np.arange(self.rows)[:, None], np.minimum(times, self.noise.shape[1] - 1)]
         walk, walks = self.walk, []
-        for k in range(steps):
+        for k in range(times.shape[1]):
             before, walk = walk, people.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
             standing = np.flatnonzero(stands[:, k])
             walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
@@ -294,11 +295,11 @@ class Episodes:
         )
         return torch.from_numpy(self.source.advance(now))
 
-    def _moving(self, sensed: Array, planned: dict[str, Array]) -> dict[str, Tensor]:
+    def _moving(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
         """Return the fields of State that change within an episode, (n, ...), from readings (n, nsensor)."""
         at = self.scene.sensors
         limbs = planned["limbs"]
-        arrays: dict[str, Array] = {
+        arrays = {
             **planned,
             "joint_pos": sensed[:, at["joint_pos"]],
             "joint_vel": sensed[:, at["joint_vel"]],
@@ -326,6 +327,7 @@ class Episodes:
             "human_pos": walk.position,
             "human_yaw": walk.yaw,
             "human_seen": self._seen(walk.position),
+            "steps": np.zeros(n, dtype=np.int64),
             "limbs": limbs,
         }
         scale = self.precision[rows] / task.precision.take_m
@@ -352,7 +354,6 @@ class Episodes:
             take=torch.from_numpy(self.precision[rows].copy()),
             leave=torch.from_numpy(scale * task.precision.leave_m),
             home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_deg)),
-            steps=torch.zeros(n, dtype=torch.int64),
         )
 
     def _put(self, rows: NDArray[np.int64], fresh: State) -> None:

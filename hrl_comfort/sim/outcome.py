@@ -83,22 +83,18 @@ def judge(
     n = len(before.steps)
     count = len(moving["tcp_pos"]) // n
     row, preceding, first = _order(n, count)
-    steps = before.steps[:, None] + torch.arange(1, count + 1)
     constant = {
-        name: value.index_select(0, row)
-        for name, value in vars(before).items()
-        if name not in moving and name != "steps"
+        name: value.index_select(0, row) for name, value in vars(before).items() if name not in moving
     }
     earlier = {
         name: torch.cat([value, getattr(before, name)]).index_select(0, preceding)
         for name, value in moving.items()
     }
-    previous = State(**constant, **earlier, steps=(steps - 1).flatten())
-    after = State(**constant, **moving, steps=steps.flatten())
+    previous, after = State(**constant, **earlier), State(**constant, **moving)
     after = after.with_(stage=subtask.next_stage(after))
 
     moved_on = (after.stage > previous.stage) | subtask.failure(after)
-    over = moved_on.view(n, count) | (steps >= limit_steps[:, None])
+    over = moved_on.view(n, count) | (after.steps.view(n, count) >= limit_steps[:, None])
     over[:, -1] = True
     last = over.int().argmax(dim=1)
     valid = torch.arange(count) <= last[:, None]
@@ -106,9 +102,7 @@ def judge(
     earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
 
     at = first + last
-    ended = before.with_(
-        **{name: getattr(after, name).index_select(0, at) for name in (*moving, "steps", "stage")}
-    )
+    ended = before.with_(**{name: getattr(after, name).index_select(0, at) for name in (*moving, "stage")})
     failed, finished = subtask.failure(ended), subtask.success(ended)
     terminated = failed | finished
     return Outcome(
