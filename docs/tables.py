@@ -7,7 +7,7 @@ runs/reference, is what `hrl-comfort figure kind=levels` or `kind=speed` writes 
 several series of levels stands after `<!-- series: FILE -->`; its file is that of `kind=plane`. One of
 controllers stands after `<!-- controllers: FILE -->`, of divisions after `<!-- divisions: FILE -->`, of
 handovers after `<!-- handover: FILE -->`; their files are those of the `kind` of the same name. One of
-benchmarks stands after `<!-- bench env: FILE -->` or `<!-- bench update: FILE -->`.
+benchmarks stands after `<!-- bench env: FILE -->` or another of OTHERS.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_comfort.experiments.bench import table as environment
+from hrl_comfort.experiments.bench_start import table as start
 from hrl_comfort.experiments.bench_update import table as update
 from hrl_comfort.experiments.comfort_table import markdown, series
 from hrl_comfort.experiments.controller_returns import table as controllers
@@ -34,7 +35,7 @@ SERIES = re.compile(r"(<!-- series: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 OTHERS: dict[str, Callable[[Any], str]] = {
     "controllers": controllers, "divisions": divisions, "handover": handover,
-    "bench env": environment, "bench update": update,
+    "bench env": environment, "bench update": update, "bench start": start,
 }  # fmt: skip
 """What one file, by itself, is a table of."""
 OTHER = re.compile(rf"(<!-- ({'|'.join(OTHERS)}): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)

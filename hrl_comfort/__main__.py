@@ -26,7 +26,7 @@ VERBS = {
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about the runs in a folder (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "bench": "measure the environment (env), an update (update), learning (train), two cores (cores)",
+    "bench": "measure the environment (env), updates (update), learning (train), cores, starts (start)",
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
@@ -105,13 +105,18 @@ BENCHMARKS = {
 
 def bench(words: list[str]) -> None:
     """Run one of the benchmarks."""
-    if not words or words[0] not in BENCHMARKS:
+    if not words or words[0] not in (*BENCHMARKS, "start"):
         what = words[0] if words else "(nothing)"
-        raise ConfigError(f"bench {what} is not known; say bench {', '.join(BENCHMARKS)}")
+        raise ConfigError(f"bench {what} is not known; say bench {', '.join(BENCHMARKS)} or start")
     from hrl_comfort.compose import compose
 
     config = compose("train", words[1:])
     assert isinstance(config, TrainConfig)
+    if words[0] == "start":
+        from hrl_comfort.experiments.bench_start import bench_start
+
+        bench_start(config, words[1:])
+        return
     module, name = BENCHMARKS[words[0]].split(":")
     getattr(import_module(module), name)(config)
 

@@ -9,8 +9,8 @@ import pytest
 
 from hrl_comfort.__main__ import main
 from hrl_comfort.compose import compose, environment
-from hrl_comfort.config import TrainConfig
-from hrl_comfort.experiments import bench, bench_cores, bench_train, bench_update
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.experiments import bench, bench_cores, bench_start, bench_train, bench_update
 from hrl_comfort.experiments.statistics import read_rows
 
 
@@ -127,3 +127,25 @@ def test_a_training_and_products_have_a_rate(tmp_path: Path, monkeypatch) -> Non
     monkeypatch.setattr(bench_cores, "SECONDS", 0.05)
     for loop in (bench_cores.training, bench_cores.products):
         assert loop(race_config(tmp_path)) > 0
+
+
+def test_the_start_of_every_command_is_measured_in_every_round(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(bench_start, "REPEATS", 1)
+    assert main(["bench", "start", "engine.rows=2", "agent.hidden=[8]", f"output={tmp_path}"]) == 0
+    rows = read_rows(tmp_path / "start.csv")
+    measured = [(row["command"], row["round"]) for row in rows]
+    assert measured == [(bench_start.HELP, "0"), (bench_start.STEP, "0")]
+    assert all(float(row["seconds"]) > 0 for row in rows)
+    assert capsys.readouterr().out == bench_start.table(rows)
+
+
+def test_a_training_that_makes_no_step_is_no_measurement() -> None:
+    config = compose("train")
+    assert isinstance(config, TrainConfig)
+    with pytest.raises(ConfigError, match=r"made no step: hrl-comfort: agent\.tau=7\.0 is"):
+        bench_start.step_s(config, ["agent.tau=7"])
+
+
+def test_seconds_are_told_as_medians_with_their_range() -> None:
+    rows = [{"command": "a", "round": str(k), "seconds": str(s)} for k, s in enumerate((3, 1, 2.5))]
+    assert bench_start.table(rows).splitlines()[2:] == ["| a | 2.50 (1.00 to 3.00) |"]

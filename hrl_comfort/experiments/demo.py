@@ -2,6 +2,8 @@
 
 Each subtask is trained from where the one before it ended: pick from home, place from recorded endings of
 pick, return from recorded endings of place. Then every policy and their chain are evaluated.
+
+What trains and evaluates takes seconds to import: it is imported once every choice has been checked.
 """
 
 from __future__ import annotations
@@ -16,10 +18,6 @@ from rich.table import Table
 
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
-from hrl_comfort.experiments.endings import record_endings
-from hrl_comfort.experiments.evaluate import evaluate
-from hrl_comfort.experiments.report import report
-from hrl_comfort.experiments.train_cell import train_cell
 
 LINE = ("pick", "place", "return")
 SHARE = {"pick": 0.25, "place": 1.0, "return": 0.8}
@@ -44,6 +42,8 @@ def demo(overrides: list[str]) -> Path:
             raise ConfigError(f"{key}={chosen[key]} is not the demo's to choose: it trains {', '.join(LINE)}")
     compose("evaluate", [f"episodes={episodes}"])  # a bad value is named before the training, not after
     trainings = compose_line(output, {"experiment": "demo", **chosen})
+    from hrl_comfort.experiments.report import report
+
     policies = train_line(trainings)
     evaluate_line(output, policies, episodes)
     page = report(ReportConfig(run=str(output), output=None, video=True))
@@ -66,6 +66,8 @@ def compose_line(output: Path, chosen: dict[str, str]) -> dict[str, TrainConfig]
 
 def train_line(trainings: dict[str, TrainConfig]) -> dict[str, Path]:
     """Train the subtasks in order, each from recorded endings of the one before; return their folders."""
+    from hrl_comfort.experiments.train_cell import train_cell
+
     folders: dict[str, Path] = {}
     start = "ik"
     for name, config in trainings.items():
@@ -77,6 +79,8 @@ def train_line(trainings: dict[str, TrainConfig]) -> dict[str, Path]:
 
 def endings_of(folder: Path) -> Path:
     """Record how the trained policy of `folder` leaves the arm; return the file."""
+    from hrl_comfort.experiments.endings import record_endings
+
     path = folder / "endings.npz"
     config = compose("evaluate", [f"policy='{folder}'", f"episodes={ENDINGS_EPISODES}", f"endings='{path}'"])
     assert isinstance(config, EvaluateConfig)
@@ -106,6 +110,8 @@ def evaluate_line(output: Path, policies: dict[str, Path], episodes: str) -> Non
 
 def run_evaluation(overrides: list[str]) -> None:
     """Compose and run one evaluation."""
+    from hrl_comfort.experiments.evaluate import evaluate
+
     config = compose("evaluate", overrides)
     assert isinstance(config, EvaluateConfig)
     evaluate(config)
