@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -60,6 +60,7 @@ LATER: dict[str, Any] = {
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""
+DEEP = "holds itself, or lists too deep in lists to be read"
 T = TypeVar("T")
 
 
@@ -100,6 +101,8 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
             return _freeze(ROOTS[root], hydra_compose(root, known))
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
+    except RecursionError:
+        raise ConfigError(f"{' '.join(known)} {DEEP}") from None
 
 
 def environment(config: TrainConfig | MetaTrainConfig | EvaluateConfig) -> EnvConfig:
@@ -126,6 +129,10 @@ def load_config(path: str | Path) -> Config:
         raise ConfigError(f"{file}: {one_line(error)}") from error
     except (YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} is not YAML: {one_line(error)}") from error
+    except RecursionError:
+        raise ConfigError(f"{file} {DEEP}") from None
+    except OSError as error:  # also what OmegaConf makes of a file that is a lone number or word
+        raise ConfigError(f"{file} cannot be read: {one_line(error)}") from error
     raise ConfigError(f"{file} has not the keys of a {', '.join(ROOTS)} configuration")
 
 
@@ -157,11 +164,13 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     for line in overrides:
         try:
             parsed = OverridesParser.create().parse_override(line)
-        except HydraException as error:
+        except (HydraException, ValueError) as error:  # the latter at a number of thousands of digits
             raise ConfigError(
                 f"{line!r} is not an override; write key=value, such as human=arc, and a value of other "
                 "than letters, digits and ./-_ in quotes: \"output='my run'\""
             ) from error
+        except RecursionError:
+            raise ConfigError(f"{line} {DEEP}") from None
         if parsed.is_sweep_override() and not sweep:
             raise ConfigError(f"{line} holds several values; add -m to run each, or write [a,b] for a list")
         known.append(_checked(root, parsed, line))
@@ -175,7 +184,8 @@ def one_line(error: Exception) -> str:
     if chain:
         cause = next((e for e in chain if e.full_key), chain[0])
         what = (cause.msg or str(cause)).splitlines()[0]
-        return f"{cause.full_key}: {what}" if cause.full_key and cause.full_key not in what else what
+        key = str(cause.full_key or "")
+        return f"{key}: {what}" if key not in what else what
     return " ".join(str(error).replace("\t", " ").split())
 
 
@@ -295,12 +305,27 @@ def _freeze(cls: type[T], node: Any) -> T:
     return built
 
 
-def _built(cls: Any, tree: Any) -> Any:
-    values = {
-        name: _built(hint, tree[name]) if dataclasses.is_dataclass(hint) else tree[name]
-        for name, hint in get_type_hints(cls).items()
-    }
+def _built(cls: Any, tree: Any, before: str = "") -> Any:
+    values = {}
+    for name, hint in get_type_hints(cls).items():
+        if dataclasses.is_dataclass(hint):
+            values[name] = _built(hint, tree[name], f"{before}{name}.")
+        else:
+            _check_inside(before + name, tree[name], hint)
+            values[name] = tree[name]
     return cls(**values)
+
+
+def _check_inside(key: str, value: Any, hint: Any) -> None:
+    """Raise ConfigError where a list or dict stands in `value` that has no place there: OmegaConf lets it."""
+    if get_origin(hint) not in (list, dict):
+        return
+    kind = get_args(hint)[-1]
+    for each in value.values() if isinstance(value, dict) else value:
+        if isinstance(each, dict) or isinstance(each, list) is not (get_origin(kind) is list):
+            wanted = getattr(kind, "__name__", kind)
+            raise ConfigError(f"{key}={value!r} holds {each!r}, which is not of type {wanted}")
+        _check_inside(key, each, kind)
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)

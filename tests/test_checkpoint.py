@@ -121,3 +121,37 @@ def test_a_run_folder_means_its_policy_or_else_its_newest_good_checkpoint(tmp_pa
         assert policy_file(tmp_path).name == "step_000000010.pt"
     write_policy(tmp_path / "policy.pt")
     assert policy_file(tmp_path).name == "policy.pt"
+
+
+def test_one_wrong_bit_is_found_by_the_checksums_of_the_file(tmp_path):
+    path = tmp_path / "policy.pt"
+    actor, _ = write_policy(path)
+    weights = actor.state_dict()["body.0.weight"].numpy().tobytes()
+    content = bytearray(path.read_bytes())
+    content[content.index(weights)] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="is not what its checksum says"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda state: state["networks"]["actor"]["body.0.weight"].mul_(1e38), "not always finite"),
+        (lambda state: state["networks"]["normaliser"]["variance"].mul_(-1), "not always finite"),
+        (lambda state: state["networks"]["normaliser"]["mean"].fill_(1e300), "mean is not finite"),
+        (lambda state: state["networks"].update(actor=[]), "its actor is not there"),
+        (lambda state: state["spec"].update(hidden=["8"]), "its spec is"),
+        (lambda state: state["spec"].update(hidden=[10**6]), "is damaged"),
+        (lambda state: state["spec"].update(normalise=torch.zeros(0)), "its normalise is not of type bool"),
+        (lambda state: state["spec"].pop("task"), "its task is not of type str"),
+    ],
+)
+def test_a_policy_with_something_else_in_it_is_refused(tmp_path, change, says):
+    path = tmp_path / "policy.pt"
+    write_policy(path)
+    state = checkpoint.load(path)
+    change(state)
+    checkpoint.save(path, state)
+    with pytest.raises(ConfigError, match=says):
+        load_policy(path)

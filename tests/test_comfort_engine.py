@@ -13,7 +13,7 @@ from torch import Tensor
 
 from hrl_comfort.comfort.terms import FORMS
 from hrl_comfort.compose import compose, environment
-from hrl_comfort.config import EnvConfig, EvaluateConfig
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.evaluate import evaluate
@@ -337,3 +337,9 @@ def test_the_mean_level_of_an_episode_is_over_its_control_steps(tmp_path: Path) 
         assert float(row["comfort_level_mean"]) == pytest.approx(
             (10 * first + steps - first) / steps, abs=1e-6
         )
+
+
+def test_an_episode_so_long_that_its_walk_fills_the_memory_is_refused() -> None:
+    long = ("comfort.beta=0.5", "comfort.levels=1000", "task.limit_steps=100000")
+    with pytest.raises(ConfigError, match="is 100000000 control steps at level 1"):
+        Engine(configured("comfort=conditioned", *long), 1, 0)

@@ -46,6 +46,12 @@ def test_worked_example_of_distance_fails_with_the_other_thresholds(threshold: s
     assert terms.distance_term(number(0.45), number(6), config).item() < -0.1
 
 
+def test_an_arm_within_a_body_is_as_near_as_one_that_touches_it() -> None:
+    config = comfort(form="logarithmic")
+    inside, touching = (terms.distance_term(number(d), number(3), config).item() for d in (-1.0, 0.0))
+    assert inside == touching
+
+
 def test_worked_example_of_joint_increments_holds() -> None:
     config = comfort(speed_form="paper")
     assert terms.speed_term(number(0.85), number(4), 2.0, config).item() == -0.1

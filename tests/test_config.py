@@ -121,6 +121,13 @@ def test_the_paper_experiment_is_the_papers():
         (["train", "pick"], "'pick' is not an override; write key=value"),
         (["train", "a=["], "'a=[' is not an override"),
         (["train", "agent={"], "'agent={' is not an override"),
+        (["train", "agent.tau=" + "[" * 900 + "]" * 900], "lists too deep in lists to be read"),
+        (["train", "train_seed=" + "9" * 5000], "is not an override"),
+        (["train", "task=" + "a" * 5000], " … "),
+        (
+            ["train", "cell.ball_m=[-2,-1e300,0.2]"],
+            "-1e+300, 0.2] must be 3 finite numbers",
+        ),
         (["train", "hydra.nothing=1"], "hydra.nothing"),
         (["train", "-m", "task=pick,plce"], "task=plce is not a choice"),
         (["evaluate", "levels=[1,4,1]"], "levels=[1, 4, 1] names a level twice"),
@@ -186,6 +193,9 @@ def test_a_configuration_from_before_a_key_loads_as_if_it_said_what_was_so_then(
         ("run: x\nvideo: true\n", "has not the keys of"),
         ("run: x\noutput: null\nvideo: perhaps\n", "video: Value 'perhaps'"),
         ("- a list\n", "has not the keys of"),
+        ("true\n", "cannot be read"),
+        ("a: " + "[" * 900 + "]" * 900, "too deep"),
+        ("&a [*a]\n", "holds itself"),
     ],
 )
 def test_a_broken_configuration_file_is_named(text, says, tmp_path):
@@ -195,6 +205,14 @@ def test_a_broken_configuration_file_is_named(text, says, tmp_path):
     with pytest.raises(ConfigError, match=says) as error:
         load_config(file)
     assert str(file) in str(error.value)
+
+
+def test_a_list_in_a_file_holds_nothing_but_what_it_should(tmp_path):
+    file = tmp_path / "config.yaml"
+    save_config(compose("train", ["human.held_out=[3]"]), file)
+    file.write_text(file.read_text().replace("held_out:\n  - 3\n", "held_out:\n  - 3: {}\n"))
+    with pytest.raises(ConfigError, match=r"held_out=.* holds {3: {}}, which is not of type int"):
+        load_config(file)
 
 
 def test_a_policy_is_evaluated_as_it_was_trained_unless_said_otherwise(tmp_path):

@@ -241,6 +241,7 @@ def test_playback_is_interpolated_the_short_way_round_and_held_at_its_end(tmp_pa
         ("t,x,y,yaw\n0,0,0\n", "line 2.*four"),
         ("t,x,y,yaw\n0,0,zero,0\n", "line 2.*zero"),
         ("t,x,y,yaw\n0,0,0,0\n1,0,0,0\n1,0,0,0\n", "line 4"),
+        ("t,x,y,yaw\n0,1e300,0,0\n", "line 2 has x, y or yaw beyond"),
     ],
 )
 def test_a_bad_motion_file_is_refused_and_its_line_named(tmp_path: Path, text: str, says: str) -> None:
@@ -248,6 +249,13 @@ def test_a_bad_motion_file_is_refused_and_its_line_named(tmp_path: Path, text: s
     file.write_text(text)
     with pytest.raises(ConfigError, match=says):
         people.begin(human("playback", file=str(file)), np.zeros((1, 2)))
+
+
+def test_a_motion_file_may_begin_with_the_mark_that_spreadsheets_write(tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    file.write_text("t,x,y,yaw\n0,1,2,0\n", encoding="utf-8-sig")
+    walk = people.begin(human("playback", file=str(file)), np.zeros((1, 2)))
+    assert walk.position.tolist() == [[1.0, 2.0]]
 
 
 def test_a_missing_motion_file_is_named() -> None:

@@ -8,7 +8,7 @@ import re
 import warnings
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import torch
 
@@ -25,12 +25,16 @@ def save(path: Path, state: dict[str, Any]) -> None:
 
 
 def load(path: Path) -> dict[str, Any]:
-    """Read what `save` wrote; nothing but plain data is ever unpickled.
+    """Read what `save` wrote; nothing but plain data is ever unpickled, and nothing of a damaged file.
 
     Raises:
         ConfigError: the file is missing, cut short, or not one of ours.
     """
     try:
+        with ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise BadZipFile(f"{damaged} is not what its checksum says")
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; a checkpoint or policy.pt is needed") from None

@@ -15,6 +15,8 @@ from torch import Tensor, nn
 LOG_STD_MIN, LOG_STD_MAX = -10.0, 2.0
 NORMALISED_LIMIT = 5.0
 """Normalised observations are clamped to this many standard deviations."""
+FARTHEST = 1e6
+"""No observation, normalised or not, is larger."""
 
 
 class Normaliser(nn.Module):
@@ -93,6 +95,14 @@ class Actor(nn.Module):
         for fan_in, fan_out in pairwise(sizes):
             layers += [nn.Linear(fan_in, fan_out), nn.ReLU(inplace=True)]
         self.body = nn.Sequential(*layers, nn.Linear(sizes[-1], 2 * action_dim))
+
+    def bounded(self) -> bool:
+        """Return whether no observation makes a layer exceed what float32 holds."""
+        layers = [layer for layer in self.body if isinstance(layer, nn.Linear)]
+        reach = torch.full((layers[0].in_features,), FARTHEST)
+        for layer in layers:
+            reach = layer.weight.abs() @ reach + layer.bias.abs()
+        return bool(reach.isfinite().all())
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and standard deviation (B, A) before the tanh, of normalised (B, D) observations."""

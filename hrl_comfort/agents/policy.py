@@ -14,6 +14,13 @@ from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.sac import Sac
 from hrl_comfort.config import ConfigError
 
+SPEC: dict[str, type] = {
+    "task": str, "observation_dim": int, "action_dim": int, "hidden": list, "normalise": bool, "meta": dict,
+}  # fmt: skip
+"""What a policy file says of its policy."""
+PLAIN = (str, int, float, bool, type(None))
+WIDEST = 10**6
+
 
 class ActorPolicy:
     """A trained actor behind its normaliser; acts with the mode of its distribution.
@@ -54,7 +61,7 @@ def save_policy(
 
     The critics go in too: they are small, and training can then go on from the file alone.
     """
-    missing = {"task", "observation_dim", "action_dim", "hidden", "normalise", "meta"} - spec.keys()
+    missing = SPEC.keys() - spec.keys()
     if missing:
         raise ConfigError(f"policy spec lacks {', '.join(sorted(missing))}")
     checkpoint.save(path, {"networks": networks, "spec": spec, "counters": counters or {}})
@@ -63,20 +70,17 @@ def save_policy(
 def load_policy(path: Path | str) -> ActorPolicy:
     """Read the policy of a policy file, a checkpoint or a run folder."""
     file = policy_file(Path(path))
-    state = checkpoint.load(file)
-    if "spec" not in state:
-        raise ConfigError(
-            f"policy={str(file)!r} is not a policy file; checkpoints/step_*.pt and policy.pt are"
-        )
-    spec = state["spec"]
+    spec, networks = _read("policy", file)
     try:
-        actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
-        actor.load_state_dict(state["networks"]["actor"])
-        normaliser = Normaliser(spec["observation_dim"], spec["normalise"])
-        normaliser.load_state_dict(state["networks"]["normaliser"])
-    except (KeyError, TypeError, RuntimeError) as error:
+        with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
+            actor = Actor(spec["observation_dim"], spec["action_dim"], spec["hidden"])
+            normaliser = Normaliser(spec["observation_dim"], spec["normalise"])
+        actor.load_state_dict(networks["actor"], assign=True)
+        normaliser.load_state_dict(networks["normaliser"], assign=True)
+    except (KeyError, RuntimeError) as error:
         raise ConfigError(f"policy={str(file)!r} is damaged: {str(error).splitlines()[0]}") from error
-    _check_finite(file, state["networks"])
+    if not actor.float().bounded() or (normaliser.variance < 0).any():
+        raise ConfigError(f"policy={str(file)!r} is damaged: its actions are not always finite")
     return ActorPolicy(actor.requires_grad_(False), normaliser, spec)
 
 
@@ -124,9 +128,7 @@ def load_initial_policy(learner: Sac, path: Path) -> None:
         ConfigError: the file does not hold networks of the learner's shape.
     """
     file = policy_file(path)
-    state = checkpoint.load(file)
-    if "spec" not in state:
-        raise ConfigError(f"initial_policy={file} is not a policy file")
+    spec, networks = _read("initial_policy", file)
     mine = {
         "observation_dim": learner.observation_dim,
         "action_dim": learner.action_dim,
@@ -134,17 +136,35 @@ def load_initial_policy(learner: Sac, path: Path) -> None:
         "normalise": learner.config.normalise,
     }
     for key, value in mine.items():
-        if state["spec"][key] != value:
-            raise ConfigError(f"initial_policy={file} has {key}={state['spec'][key]}, this training {value}")
-    _check_finite(file, state["networks"])
+        if spec[key] != value:
+            raise ConfigError(f"initial_policy={file} has {key}={spec[key]}, this training {value}")
     try:
-        learner.load_networks(state["networks"])
+        learner.load_networks(networks)
     except (KeyError, RuntimeError) as error:
         raise ConfigError(f"initial_policy={file} is damaged: {str(error).splitlines()[0]}") from error
 
 
-def _check_finite(file: Path, networks: dict[str, Any]) -> None:
+def _read(key: str, file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return spec and networks of a policy file, each thing in them of the kind it should be."""
+    state = checkpoint.load(file)
+    if "spec" not in state or "networks" not in state:
+        raise ConfigError(
+            f"{key}={str(file)!r} is not a policy file; checkpoints/step_*.pt and policy.pt are"
+        )
+    spec, networks = state["spec"], state["networks"]
+    for name, kind in SPEC.items():
+        if not isinstance(spec, dict) or type(spec.get(name)) is not kind:
+            raise ConfigError(f"{key}={str(file)!r} is damaged: its {name} is not of type {kind.__name__}")
+    sizes = [spec["observation_dim"], spec["action_dim"], *spec["hidden"]]
+    sized = all(type(size) is int and 1 <= size <= WIDEST for size in sizes)
+    if not sized or any(type(value) not in PLAIN for value in spec["meta"].values()):
+        raise ConfigError(f"{key}={str(file)!r} is damaged: its spec is {spec}")
     for part in ("actor", "critics", "normaliser"):
-        for name, tensor in networks.get(part, {}).items():
-            if not tensor.isfinite().all():
+        tensors = networks.get(part, {}) if isinstance(networks, dict) else None
+        if not isinstance(tensors, dict):
+            raise ConfigError(f"{key}={str(file)!r} is damaged: its {part} is not there")
+        for name, tensor in tensors.items():
+            numbers = isinstance(tensor, Tensor) and tensor.is_floating_point()
+            if not numbers or not tensor.float().isfinite().all():
                 raise ConfigError(f"{file} is damaged: {part} {name} is not finite")
+    return spec, networks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffe
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.config import AgentConfig, ConfigError
 
+FLOAT_BYTES = 4
 TERMS = ("critic_loss", "actor_loss", "alpha_loss", "alpha", "entropy", "q_mean")
 
 
@@ -119,6 +121,16 @@ def products(precision: str) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
+def _check_memory(transitions: int, numbers: int) -> None:
+    needed = transitions * numbers * FLOAT_BYTES
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > there:
+        raise ConfigError(
+            f"agent.buffer_size={transitions} takes {needed / 1e9:.0f} GB; "
+            f"this machine has {there / 1e9:.0f} GB"
+        )
+
+
 class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
@@ -129,10 +141,11 @@ class Sac:
     are returned there, so the device changes a training by rounding only.
 
     Raises:
-        ConfigError: there is no such device here.
+        ConfigError: there is no such device here, or the replay buffer is larger than this machine's memory.
     """
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
+        _check_memory(config.buffer_size, 2 * observation_dim + action_dim + 3)
         self.config, self.device = config, _device(config.device)
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)

@@ -73,8 +73,11 @@ def linear(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
 
 
 def logarithmic(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
-    """-0.1 + ln((1 + d) / (1 + theta)), d and theta in m: likewise tried, not printed; this is ours."""
-    return OFFSET + torch.log1p(distance) - torch.log1p(theta)
+    """-0.1 + ln((1 + d) / (1 + theta)), d and theta in m: likewise tried, not printed; this is ours.
+
+    Nothing is nearer than touching: where an arm is within a body, d < 0, it counts as 0.
+    """
+    return OFFSET + torch.log1p(distance.clamp(min=0.0)) - torch.log1p(theta)
 
 
 def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-import math
+LONGEST_LINE = 1000
+"""Of a message; a value may be a whole file by mistake."""
+FARTHEST = 1000.0
+"""Of a coordinate in m and an angle in degrees; farther is a mistake, and squares of it may overflow."""
 
 
 class ConfigError(ValueError):
-    """A choice that is not allowed; the message names the key, its value and what is allowed."""
+    """A choice that is not allowed; the message names the key, its value and what is allowed.
+
+    It is one line that can be read, whatever the value is: what cannot be printed is escaped, and of what is
+    too long the middle, which is the value's, is left out.
+    """
+
+    def __init__(self, message: str) -> None:
+        line = "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in message)
+        half = LONGEST_LINE // 2
+        super().__init__(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}")
 
 
 def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
@@ -16,8 +28,8 @@ def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def between(key: str, value: float, low: float, high: float) -> None:
-    """Raise ConfigError unless `value` is finite and in [low, high]."""
-    if not (math.isfinite(value) and low <= value <= high):
+    """Raise ConfigError unless `value` is in [low, high], which are finite; NaN is in no range."""
+    if not low <= value <= high:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 
@@ -27,7 +39,7 @@ def widths(key: str, value: list[int]) -> None:
         raise ConfigError(f"{key}={list(value)!r} must be layer widths from 1 to 8192")
 
 
-def point(key: str, value: list[float], size: int) -> None:
-    """Raise ConfigError unless `value` is `size` finite numbers."""
-    if len(value) != size or not all(math.isfinite(v) for v in value):
-        raise ConfigError(f"{key}={list(value)!r} must be {size} finite numbers")
+def point(key: str, value: list[float], size: int, farthest: float = FARTHEST) -> None:
+    """Raise ConfigError unless `value` is `size` numbers within ±`farthest`."""
+    if len(value) != size or not all(abs(v) <= farthest for v in value):
+        raise ConfigError(f"{key}={list(value)!r} must be {size} finite numbers within ±{farthest:g}")

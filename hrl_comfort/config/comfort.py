@@ -11,6 +11,7 @@ SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "ls
 FORMS = ("paper", "reference", "linear", "logarithmic", "bounded", "eased")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
+LATEST_S = 1e9
 SPEED_FORMS = ("paper", "hinge")
 
 
@@ -140,7 +141,7 @@ class ComfortConfig:
             raise ConfigError(
                 f"comfort.schedule_levels={levels} must be as many as comfort.schedule_s={times}"
             )
-        point("comfort.schedule_s", times, len(times))
+        point("comfort.schedule_s", times, len(times), LATEST_S)
         if times and (times[0] != 0 or any(after <= before for before, after in pairwise(times))):
             raise ConfigError(f"comfort.schedule_s={times} must start at 0 and rise")
         for level in levels:

@@ -163,10 +163,10 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
         ("task.action", now.action),
         ("task.steps_per_decision", now.steps_per_decision),
     ):
-        theirs = meta[key.removeprefix("task.")]
+        theirs = meta.get(key.removeprefix("task."))
         if theirs != ours:
             raise ConfigError(f"{key}={ours}, but policy={source!r} was trained with {key}={theirs}")
-    seen = subtask(task.name, meta["observation"], config.task.balls)
+    seen = subtask(task.name, str(meta.get("observation")), config.task.balls)
     levels = meta.get("levels")  # policies of version 0.1 do not say: they know of no level
     if levels is not None:
         if config.comfort.source == "none":

@@ -106,13 +106,16 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
     if "network" not in state or "spec" not in state:
         raise ConfigError(f"policies.meta={source!r} is not a trained controller; its folder holds meta.pt")
     spec = state["spec"]
-    if spec.get("names") != options or spec["levels"] != levels:
+    if spec.get("names") != options or spec.get("levels") != levels:
         raise ConfigError(
-            f"policies.meta={source!r} chooses among {spec.get('names')} at {spec['levels']} levels; "
+            f"policies.meta={source!r} chooses among {spec.get('names')} at {spec.get('levels')} levels; "
             f"here there are {options} at {levels} (meta.tell, task.balls)"
         )
-    network = make_network(spec["observation_dim"], len(options), spec["hidden"])
-    network.load_state_dict(state["network"])
+    try:
+        network = make_network(spec["observation_dim"], len(options), spec["hidden"])
+        network.load_state_dict(state["network"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise ConfigError(f"policies.meta={source!r} is damaged: {str(error).splitlines()[0]}") from error
 
     @torch.no_grad()
     def choose(decision: Decision) -> Tensor:

@@ -11,6 +11,8 @@ import numpy as np
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
 from hrl_comfort.people.walk import Array, Walk
 
+FARTHEST = 1000.0
+"""m and rad; farther is a mistake, and squares of it may overflow."""
 HEADER = ["t", "x", "y", "yaw"]
 
 
@@ -33,7 +35,7 @@ def read_motion(path: str) -> tuple[Array, Array]:
     if not Path(path).is_file():
         raise ConfigError(f"human.file={path!r} does not exist; it must be a CSV of t,x,y,yaw")
     try:
-        lines = list(csv.reader(Path(path).read_text(encoding="utf-8").splitlines()))
+        lines = list(csv.reader(Path(path).read_text(encoding="utf-8-sig").splitlines()))
     except UnicodeDecodeError:
         raise ConfigError(f"human.file={path!r} is not text; it must be a CSV of t,x,y,yaw") from None
     if not lines or [name.strip() for name in lines[0]] != HEADER:
@@ -49,6 +51,10 @@ def read_motion(path: str) -> tuple[Array, Array]:
         if len(values) != 4 or not np.isfinite(values).all():
             raise ConfigError(
                 f"human.file={path!r}: line {number} is not four finite numbers: {','.join(line)}"
+            )
+        if not (np.abs(values[1:]) <= FARTHEST).all():
+            raise ConfigError(
+                f"human.file={path!r}: line {number} has x, y or yaw beyond ±{FARTHEST:g}: {','.join(line)}"
             )
         if rows and values[0] <= rows[-1][0]:
             raise ConfigError(

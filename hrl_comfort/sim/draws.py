@@ -23,6 +23,8 @@ POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Random points of `reach` lie in this annulus round the base."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
+LONGEST_STEPS = 1_000_000
+"""Of an episode: the random numbers of its walk are drawn, and kept, from the start."""
 LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM = 1, 2, 3, 4
 """Of random numbers for levels, for walks beyond `task.limit_steps`, for balls and for disturbances: streams
 of their own, so that with them or without, the rest of an episode is the same."""
@@ -68,6 +70,11 @@ class Draws:
         self._centres = people.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.limit_steps + config.task.steps_per_decision
         longest = longest_limit_steps(config.task.limit_steps, config.comfort)
+        if longest > LONGEST_STEPS:
+            raise ConfigError(
+                f"task.limit_steps={config.task.limit_steps} is {longest} control steps at level 1 of "
+                f"comfort.levels={config.comfort.levels}; at most {LONGEST_STEPS} are allowed"
+            )
         self.horizon = longest + config.task.steps_per_decision
         self._starts = start_states(scene, config, task.start)
 
