@@ -7,7 +7,6 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from hrl_comfort.experiments.preemption import Preempted
 VERBS = {
     "train": "teach one subtask to one policy, or a controller above them (train meta)",
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
-    "report": "write one HTML file about the runs in a folder (run=DIR)",
+    "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
     "bench": "measure the environment (env), updates (update), learning (train), cores, starts (start)",
     "demo": "train, evaluate, chain and report, in minutes",
@@ -73,10 +72,10 @@ def evaluate(overrides: list[str]) -> None:
 
 
 def report(overrides: list[str]) -> None:
-    """Run `hrl-comfort report`."""
-    from hrl_comfort.compose import compose
+    """Run `hrl-comfort report`; a folder alone is its run."""
+    from hrl_comfort.compose import compose, override
 
-    config = compose("report", overrides)
+    config = compose("report", [override("run", each) if Path(each).is_dir() else each for each in overrides])
     assert isinstance(config, ReportConfig)
     from hrl_comfort.experiments.report import report as run
 
@@ -137,78 +136,6 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "demo": demo,
 }
 
-SWEPT = ("train", "evaluate")
-
-
-def multirun(verb: str, overrides: list[str]) -> None:
-    """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder."""
-    from hydra import version
-    from hydra._internal.hydra import Hydra
-    from hydra._internal.utils import create_config_search_path
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from hrl_comfort.compose import check_overrides, config_dir, one_line
-
-    if verb not in SWEPT:
-        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
-    if any(line.split("=")[0] == "resume" for line in overrides):
-        raise ConfigError("resume does not go with -m: give one run at a time")
-    outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
-    rest = [line for line in overrides if not line.startswith("output=")]
-    rest = [*check_overrides(verb, rest, sweep=True), *(line for each in outputs for line in _folders(each))]
-    version.setbase("1.3")
-    try:
-        hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
-        (jobs,) = hydra_app.multirun(verb, partial(_job, verb), rest, with_log_configuration=False)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(one_line(error)) from error
-    finally:
-        GlobalHydra.instance().clear()
-    failed = 0
-    for job in jobs:
-        what, problem = job.return_value
-        failed += problem is not None
-        where = job.hydra_cfg.hydra.runtime.output_dir
-        print(f"{what}: {' '.join(job.overrides)}: {problem or where}")
-    if failed:
-        raise ConfigError(f"{failed} of {len(jobs)} jobs failed")
-
-
-def _folders(output: str) -> list[str]:
-    """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
-    output = output.strip("'\"")
-    head, sign, tail = output.partition("${")
-    if not sign:
-        return [f"hydra.sweep.dir='{output}'"]
-    above, _, name = head.rpartition("/")
-    return [f"hydra.sweep.dir='{above or '.'}'", f"hydra.sweep.subdir='{name}{sign}{tail}'"]
-
-
-def _job(verb: str, _: object) -> tuple[str, str | None]:
-    """Run what is left of one job of a sweep; return what was done and what stopped it: the others go on."""
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.hydra_config import HydraConfig
-
-    from hrl_comfort.compose import compose, override
-    from hrl_comfort.experiments.again import Left, left
-
-    job = HydraConfig.get()
-    folder = job.runtime.output_dir
-    words = [*(str(line) for line in job.overrides.task), override("output", folder)]
-    GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
-    try:
-        config = compose(verb, words)
-        assert isinstance(config, TrainConfig | EvaluateConfig)
-        rest = left(config)
-        if rest is not Left.NOTHING:
-            RUN[verb]([override("resume", folder)] if rest is Left.REST else words)
-    except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
-        kind = "" if isinstance(error, ERRORS) else f"{type(error).__name__}: "
-        return "failed", " ".join(f"{kind}{error}".split())
-    return rest.value, None
-
 
 def help_text() -> str:
     """Return the verbs and, by group, what can be chosen."""
@@ -241,7 +168,12 @@ def main(words: list[str] | None = None) -> int:
             raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(RUN)}")
         sweep = {"-m", "--multirun"} & set(rest)
         overrides = [word for word in rest if word not in ("-m", "--multirun")]
-        multirun(verb, overrides) if sweep else RUN[verb](overrides)
+        if sweep:
+            from hrl_comfort.experiments.sweep import multirun
+
+            multirun(verb, RUN[verb], overrides)
+        else:
+            RUN[verb](overrides)
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

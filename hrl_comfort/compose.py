@@ -191,7 +191,7 @@ def one_line(error: Exception) -> str:
 
 def _checked(root: str, parsed: Override, line: str) -> str:
     key, allowed = parsed.key_or_group, groups(root)
-    if key.split(".")[0] == "hydra":
+    if re.split("[./]", key)[0] == "hydra":
         return line
     if key in allowed:
         values = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]

@@ -26,6 +26,7 @@ from hrl_comfort.compose import (
 )
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, left
+from hrl_comfort.experiments.sweep_record import find_jobs, planned
 
 OWN = {
     "report": ["run=runs"],
@@ -305,7 +306,14 @@ def test_a_sweep_gives_each_job_its_folder_and_reports_the_failing_one(tmp_path,
     assert "failed: policy=bad: bad holds no run" in out
     assert f"done: policy=a: {tmp_path}/0\n" in out
     assert error == "hrl-comfort: 1 of 3 jobs failed\n"
+    assert [job.state for job in find_jobs(tmp_path).values()] == ["done", "failed", "done"]
+    assert planned(tmp_path) == [job.overrides for job in find_jobs(tmp_path).values()]
     assert [(tmp_path / job / "done.txt").read_text() for job in ("0", "2")] == ["a", "b"]
+
+
+def test_a_report_takes_a_folder_by_itself(tmp_path, capsys):
+    assert commands.main(["report", str(tmp_path)]) == 1
+    assert f"run={str(tmp_path)!r} holds no run" in capsys.readouterr().err
 
 
 def test_a_sweep_names_its_folders_as_asked(tmp_path, monkeypatch, capsys):
@@ -350,6 +358,7 @@ def test_a_sweep_that_is_started_again_does_only_what_is_left(tmp_path, monkeypa
 
     assert commands.main([*words, "agent.decisions=7"]) == 1  # another run by the same name
     assert "holds another run; choose another, or delete it" in capsys.readouterr().out
+    assert all("agent.decisions=7" not in job.overrides for job in find_jobs(tmp_path).values())
 
 
 def test_an_evaluation_is_done_again_where_its_policy_is_newer(tmp_path):

@@ -13,6 +13,10 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.training_log import read_provenance
 
 
+class OtherRunError(ConfigError):
+    """The folder of a job holds a run that is none of this sweep."""
+
+
 class Left(Enum):
     """What is left to do of a job."""
 
@@ -27,7 +31,8 @@ def left(config: TrainConfig | EvaluateConfig) -> Left:
     An evaluation is finished while its summary is newer than every policy of it.
 
     Raises:
-      ConfigError: the folder holds another training, or is damaged.
+      OtherRunError: the folder holds another training.
+      ConfigError: it is damaged.
     """
     folder = Path(config.output)
     if not (folder / "config.yaml").is_file():
@@ -37,7 +42,7 @@ def left(config: TrainConfig | EvaluateConfig) -> Left:
     if isinstance(config, EvaluateConfig):
         return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
     if not same:
-        raise ConfigError(f"output={folder} holds another run; choose another, or delete it")
+        raise OtherRunError(f"output={folder} holds another run; choose another, or delete it")
     if (folder / "provenance.json").is_file() and read_provenance(folder)["finished"]:
         return Left.NOTHING
     return Left.REST if checkpoint.resumable(folder / "checkpoints") else Left.ALL

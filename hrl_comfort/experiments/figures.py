@@ -90,13 +90,16 @@ def _grid(columns: int, heights: Sequence[float], height: float) -> tuple[Figure
     return figure, axes
 
 
+def smoothed(y: Floats) -> Floats:
+    """Return the trailing mean (n,) of a logged quantity that is long enough to be noisy, or else it."""
+    return y if len(y) <= 30 else _trailing_mean(y, max(3, len(y) // 25))
+
+
 def _curve(axis: Axes, x: Floats, y: Floats, colour: str, label: str | None = None) -> None:
-    """Draw a logged quantity: as it is, and its trailing mean when it is long enough to be noisy."""
-    if len(y) <= 30:
-        axis.plot(x, y, color=colour, label=label)
-        return
-    axis.plot(x, y, color=colour, alpha=0.22, linewidth=0.7)
-    axis.plot(x, _trailing_mean(y, max(3, len(y) // 25)), color=colour, label=label)
+    """Draw a logged quantity: smoothed, over itself where that is something else."""
+    if len(y) > 30:
+        axis.plot(x, y, color=colour, alpha=0.22, linewidth=0.7)
+    axis.plot(x, smoothed(y), color=colour, label=label)
 
 
 def _thousands(table: Mapping[str, Floats]) -> Floats:

@@ -29,6 +29,7 @@ from hrl_comfort.experiments.run_folder import (
     row_of,
 )
 from hrl_comfort.experiments.statistics import KEYS, Floats, Row
+from hrl_comfort.experiments.sweep_report import sweep_report
 from hrl_comfort.files import write_text
 
 SHOWN_PATHS = 4
@@ -222,8 +223,14 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
 
 
 def report(config: ReportConfig) -> Path:
-    """Write the page about `config.run` to `config.output` (report.html in the run), and return its path."""
+    """Write the page about `config.run` to `config.output` (report.html in the run), and return its path.
+
+    A folder that holds the jobs of a sweep has a page of its own kind.
+    """
     folder = Path(config.run)
+    output = Path(config.output) if config.output else folder / "report.html"
+    if folder.is_dir() and sweep_report(folder, output):
+        return output
     runs = find_runs(folder)
     video, no_video = _video(runs, config.video)
     kinds, endings = _endings(runs)
@@ -231,10 +238,9 @@ def report(config: ReportConfig) -> Path:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    template = (
-        resources.files("hrl_comfort.experiments").joinpath("report.html.j2").read_text(encoding="utf-8")
-    )
-    page = environment.from_string(template).render(
+    files = resources.files("hrl_comfort.experiments")
+    page = environment.from_string(files.joinpath("report.html.j2").read_text(encoding="utf-8")).render(
+        style=files.joinpath("report.css").read_text(encoding="utf-8"),
         title=folder.resolve().name,
         runs=runs,
         headline=headline(runs),
@@ -249,6 +255,5 @@ def report(config: ReportConfig) -> Path:
         video=video,
         no_video=no_video,
     )
-    output = Path(config.output) if config.output else folder / "report.html"
     write_text(output, page)
     return output

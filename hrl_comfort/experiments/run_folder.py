@@ -52,7 +52,7 @@ class Run:
 
 
 NEEDED = {
-    "metrics.csv": ("decisions", "success", "precision_m"),
+    "metrics.csv": ("decisions", "episodes", "success", "return", "steps", "precision_m"),
     "timing.csv": ("seconds",),
     "episodes.csv": ("episode", "success"),
     "checkpoints.csv": ("decisions", "success"),

@@ -119,6 +119,17 @@ def describe(values: Floats, seeds: Sequence[str], share: bool = False) -> dict[
     return {"mean": float(kept.mean()), "iqm": interquartile_mean(kept), "ci95": ci95}
 
 
+def seed_interval(values: Floats) -> tuple[float, float] | None:
+    """Return Student's 95 % interval of the mean of `values` (n,), one a seed; None of fewer than two.
+
+    With two to five seeds a bootstrap of them is far too narrow.
+    """
+    if len(values) < 2:
+        return None
+    half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
+    return float(values.mean()) - half, float(values.mean()) + half
+
+
 def probability_of_improvement(x: Floats, y: Floats, resamples: int = RESAMPLES) -> dict[str, Any]:
     """Return P(X > Y), ties counted half, of scores `x` (n,) and `y` (m,), with its bootstrap ci95.
 
