@@ -25,6 +25,7 @@ from omegaconf.errors import OmegaConfBaseException
 from hrl_comfort.compose import check_overrides, compose, config_dir, one_line, override
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, OtherRunError, left
+from hrl_comfort.experiments.own_process import JobKilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.run_folder import read_run
 from hrl_comfort.experiments.statistics import column
@@ -34,7 +35,7 @@ from hrl_comfort.experiments.training_end import training_end
 SWEPT = ("train", "evaluate")
 Run = Callable[[list[str]], None]
 """What runs a verb with its overrides."""
-ERRORS = (ConfigError, FloatingPointError, OSError)
+ERRORS = (ConfigError, FloatingPointError, JobKilledError, OSError)
 """Failures whose message says it all; of others the class is named too."""
 EXTRAS = {
     "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
@@ -133,17 +134,23 @@ def _say_from_records(folder: Path, command: str, broke: str) -> None:
 
 
 def _of_plugins(overrides: list[str]) -> list[str]:
-    """Return what the chosen sweeper has to be told; raise ConfigError where an extra is missing."""
-    chosen = dict(
-        line.split("=", 1) for line in overrides if line.startswith(("hydra/launcher", "hydra/sweeper"))
-    )
-    for key, name in chosen.items():
-        extra, module = EXTRAS.get(name, ("", ""))
+    """Return what the chosen sweeper has to be told besides; raise ConfigError where an extra is missing."""
+    chosen = dict(line.split("=", 1) for line in overrides if line.startswith("hydra/"))
+    for key in ("hydra/launcher", "hydra/sweeper"):
+        extra, module = EXTRAS.get(chosen.get(key, ""), ("", ""))
         if extra and find_spec(module) is None:
-            raise ConfigError(f"{key}={name} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
-    searches = chosen.get("hydra/sweeper") == "optuna"
-    said = any(line.startswith("hydra.sweeper.direction=") for line in overrides)
-    return ["hydra.sweeper.direction=maximize"] if searches and not said else []
+            what = f"{key}={chosen[key]}"
+            raise ConfigError(f"{what} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
+    if chosen.get("hydra/sweeper") != "optuna":
+        return []
+    wanted = {"hydra.sweeper.direction": "maximize"}
+    if chosen.get("hydra/sweeper/sampler") != "grid":  # which draws nothing
+        wanted["hydra.sweeper.sampler.seed"] = "0"  # so that the same command asks for the same trials
+    return [
+        f"{key}={value}"
+        for key, value in wanted.items()
+        if not any(line.startswith(f"{key}=") for line in overrides)
+    ]
 
 
 def _folders(output: str) -> list[str]:
@@ -162,6 +169,7 @@ def job(verb: str, run: Run, command: str, _: object) -> Ended:
     folder = Path(hydra.runtime.output_dir)
     overrides = tuple(str(line) for line in hydra.overrides.task)
     launcher, sweeper = (hydra.runtime.choices[f"hydra/{each}"] for each in ("launcher", "sweeper"))
+    shared = launcher == "joblib" and hydra.launcher.n_jobs != 1  # its processes serve several jobs
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
     GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
@@ -171,7 +179,8 @@ def job(verb: str, run: Run, command: str, _: object) -> Ended:
         rest = left(config)
         record.write(folder)
         if rest is not Left.NOTHING:
-            run([override("resume", folder)] if rest is Left.REST else words)
+            what = [override("resume", folder)] if rest is Left.REST else words
+            run_apart(verb, what) if shared else run(what)
         replace(record, state="done").write(folder)
         return Ended(rest.value, str(folder), success=math.nan if sweeper == "basic" else _success(folder))
     except Preempted as stopped:
