@@ -186,9 +186,11 @@ sort_learned() { # a controller that learns
     done
 }
 
-sorting() { # seed; sets what its evaluations have in common
+sorting() { # seed; sets what its evaluations have in common. Skills that have begun from endings at any level: they
+    # may be told another one than the skill before them was
     to=comfort/seed$1
-    skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
+    skills=("policies.pick=$ref/$to/pick_third" "policies.place=$ref/$to/place_third"
+        "policies.return=$ref/$to/return_third")
     meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
 }
 
@@ -302,7 +304,8 @@ figures_divisions() { # from the evaluations of divisions
 
 seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for each episode
     for seed in ${SEEDS:-0 1 2}; do
-        sorting $seed
+        to=comfort/seed$seed
+        skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
         "${hrl[@]}" evaluate handover task=cycle meta=scripted comfort=conditioned episodes=1000 \
             task.ball_jitter_m=0.075 "output=$ref/hierarchy/seed$seed/handover_comfort" "${skills[@]}"
     done
