@@ -136,6 +136,27 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "demo": demo,
 }
 
+SWEPT = ("train", "evaluate")
+
+
+def sweep(verb: str, overrides: list[str]) -> None:
+    """Run `verb` once for every combination of the swept overrides.
+
+    What runs the jobs takes seconds to import: it is imported once every choice has been checked.
+    """
+    if verb not in SWEPT:
+        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
+    if any(line.split("=")[0] == "resume" for line in overrides):
+        raise ConfigError("resume does not go with -m: give one run at a time")
+    from hrl_comfort.compose import check_overrides
+
+    outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
+    rest = [line for line in overrides if not line.startswith("output=")]
+    checked = check_overrides(verb, rest, sweep=True)
+    from hrl_comfort.experiments.sweep import multirun
+
+    multirun(verb, RUN[verb], checked, outputs)
+
 
 def help_text() -> str:
     """Return the verbs and, by group, what can be chosen."""
@@ -166,14 +187,9 @@ def main(words: list[str] | None = None) -> int:
     try:
         if verb not in RUN:
             raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(RUN)}")
-        sweep = {"-m", "--multirun"} & set(rest)
+        swept = {"-m", "--multirun"} & set(rest)
         overrides = [word for word in rest if word not in ("-m", "--multirun")]
-        if sweep:
-            from hrl_comfort.experiments.sweep import multirun
-
-            multirun(verb, RUN[verb], overrides)
-        else:
-            RUN[verb](overrides)
+        sweep(verb, overrides) if swept else RUN[verb](overrides)
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

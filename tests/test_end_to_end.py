@@ -16,7 +16,8 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainC
 from hrl_comfort.experiments.demo import demo
 from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
-from hrl_comfort.experiments.train import Training, train_cell
+from hrl_comfort.experiments.train import Training
+from hrl_comfort.experiments.train_cell import train_cell
 
 SMALL = [
     "task=pick", "agent.decisions=960", "agent.warmup_decisions=160", "agent.hidden=[16,16]",

@@ -22,7 +22,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
-from hrl_comfort.compose import check_overrides, compose, config_dir, one_line, override
+from hrl_comfort.compose import compose, config_dir, one_line, override
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, OtherRunError, left
 from hrl_comfort.experiments.own_process import JobKilledError, run_apart
@@ -32,7 +32,6 @@ from hrl_comfort.experiments.statistics import column
 from hrl_comfort.experiments.sweep_record import Job, find_jobs, planned
 from hrl_comfort.experiments.training_end import training_end
 
-SWEPT = ("train", "evaluate")
 Run = Callable[[list[str]], None]
 """What runs a verb with its overrides."""
 ERRORS = (ConfigError, FloatingPointError, JobKilledError, OSError)
@@ -64,19 +63,15 @@ class Ended:
         return self.success
 
 
-def multirun(verb: str, run: Run, overrides: list[str]) -> None:
+def multirun(verb: str, run: Run, checked: list[str], outputs: list[str]) -> None:
     """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder.
+
+    `checked` is what `compose.check_overrides` returns, `outputs` what `output=` says.
 
     Raises:
       ConfigError: a choice is not allowed, or jobs are not done; the others have gone on.
     """
-    if verb not in SWEPT:
-        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
-    if any(line.split("=")[0] == "resume" for line in overrides):
-        raise ConfigError("resume does not go with -m: give one run at a time")
-    outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
-    rest = [line for line in overrides if not line.startswith("output=")]
-    rest = [*check_overrides(verb, rest, sweep=True), *(line for each in outputs for line in _folders(each))]
+    rest = [*checked, *(line for each in outputs for line in _folders(each))]
     rest += _of_plugins(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
