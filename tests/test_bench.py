@@ -125,7 +125,7 @@ def test_two_processes_are_held_to_what_two_loops_of_products_gain() -> None:
 
 def test_a_training_and_products_have_a_rate(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(bench_cores, "SECONDS", 0.05)
-    for loop in (bench_cores.training, bench_cores.products):
+    for loop in (bench_cores.training, bench_cores.multiplying):
         assert loop(race_config(tmp_path)) > 0
 
 

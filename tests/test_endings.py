@@ -55,6 +55,19 @@ def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:
     assert len(set(state.level.tolist())) > 2
 
 
+def test_no_training_begins_with_a_person_at_a_held_out_spawn_point(tmp_path: Path) -> None:
+    config = placing(tmp_path / "starts.npz", "comfort=conditioned")
+    unseen = np.array(config.human.spawns_m)[config.human.held_out[0]]
+    starts = np.zeros((3, 21))
+    starts[:, 18:20], starts[:, 20] = [[1.2, 0.9], unseen, unseen + 0.01], [1.0, 2.0, 3.0]
+    np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)
+    kept = Engine(config, 2, 0).episodes.draws
+    assert [bank[:, 20].tolist() for bank in kept._starts] == [[1.0], [1.0]]
+    np.savez(tmp_path / "starts.npz", orange=starts[1:], pink=starts[1:])
+    with pytest.raises(ConfigError, match=r"human\.spawn_margin_m=0\.1 of a held-out spawn point"):
+        Engine(config, 2, 0)
+
+
 def test_levels_that_a_training_does_not_have_are_refused(tmp_path: Path) -> None:
     starts = np.column_stack([np.zeros((3, 20)), [1.0, 10.0, 11.0]])
     np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)

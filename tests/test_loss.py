@@ -18,6 +18,9 @@ B, D, A = 32, 7, 3
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
+NORM = ("norm_class", "norm_kwargs")
+
+
 def loss_of(kind: type[SACLoss], seed: int = 0, distribution: Any = TanhNormal, **options: Any) -> SACLoss:
     torch.manual_seed(seed)
     body = nn.Sequential(MLP(D, 2 * A, num_cells=[16, 16]), NormalParamExtractor())
@@ -27,8 +30,10 @@ def loss_of(kind: type[SACLoss], seed: int = 0, distribution: Any = TanhNormal, 
         distribution_class=distribution,
         return_log_prob=True,
     )
+    norm = {name: options.pop(name) for name in NORM if name in options}
     critic = ValueOperator(
-        MLP(D + A, 1, num_cells=[16, 16], activation_class=nn.ReLU), in_keys=["observation", "action"]
+        MLP(D + A, 1, num_cells=[16, 16], activation_class=nn.ReLU, **norm),
+        in_keys=options.pop("in_keys", ["observation", "action"]),
     )
     chosen = {"loss_function": "l2", "target_entropy": -float(A), "alpha_init": 0.3, **options}
     loss = kind(actor, critic, **chosen)
@@ -63,9 +68,11 @@ def moved_apart(loss: SACLoss) -> SACLoss:
     return loss
 
 
-@pytest.mark.parametrize("steps", [False, True])
-def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(steps: bool) -> None:
-    theirs, ours = (moved_apart(loss_of(kind)) for kind in (SACLoss, TwinSACLoss))
+@pytest.mark.parametrize(("steps", "options"), [(False, {}), (True, {}), (False, {"max_alpha": 0.1})])
+def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(
+    steps: bool, options: dict[str, Any]
+) -> None:
+    theirs, ours = (moved_apart(loss_of(kind, **options)) for kind in (SACLoss, TwinSACLoss))
     results = []
     for loss in (theirs, ours):
         torch.manual_seed(2)
@@ -117,7 +124,9 @@ def test_same_training_as_with_torchrls_loss() -> None:
         ({"num_qvalue_nets": 3}, "num_qvalue_nets=2"),
         ({"reduction": "sum"}, "reduction=mean"),
         ({"delay_actor": True}, "delay_actor=False"),
-        ({"distribution": torch.distributions.Normal}, "actor_network=TanhNormal"),
+        ({"distribution": torch.distributions.Normal}, "actor_network=one module and TanhNormal"),
+        ({"norm_class": nn.LayerNorm, "norm_kwargs": {"normalized_shape": 16}}, "qvalue_network=an nn.Seq"),
+        ({"in_keys": ["action", "observation"]}, "qvalue_network.in_keys=what the actor sees"),
     ],
 )
 def test_what_it_does_not_take_is_refused_by_name(options: dict[str, Any], word: str) -> None:

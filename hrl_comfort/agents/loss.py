@@ -32,9 +32,17 @@ class TwinSACLoss(SACLoss):
     def __init__(self, *networks: Any, **options: Any) -> None:
         super().__init__(*networks, **options)
         critic = getattr(self.qvalue_network, "module", None)
-        linear = isinstance(critic, nn.Sequential) and isinstance(critic[-1], nn.Linear)
-        drawn = self.actor_network[-1]
+        plain = (
+            isinstance(critic, nn.Sequential)
+            and isinstance(critic[-1], nn.Linear)
+            and all(
+                layer.bias is not None if isinstance(layer, nn.Linear) else not list(layer.parameters())
+                for layer in critic
+            )
+        )
+        drawn, seen = self.actor_network[-1], self.actor_network.in_keys
         squashed = drawn.distribution_class is TanhNormal and not drawn.distribution_kwargs
+        in_order = list(self.qvalue_network.in_keys) == [*seen, self.tensor_keys.action]
         allowed = {
             "value_network": (self._version == 2, "none"),
             "num_qvalue_nets": (self.num_qvalue_nets == 2, "2"),
@@ -42,8 +50,12 @@ class TwinSACLoss(SACLoss):
             "reduction": (self.reduction == "mean", "mean"),
             "skip_done_states": (not self.skip_done_states, "False"),
             "delay_actor": (not self.delay_actor, "False"),
-            "qvalue_network": (linear, "an nn.Sequential that ends in an nn.Linear"),
-            "actor_network": (squashed, "TanhNormal over [-1, 1]"),
+            "qvalue_network": (plain, "an nn.Sequential of nn.Linear with bias that ends in one"),
+            "qvalue_network.in_keys": (in_order, "what the actor sees, then the action,"),
+            "actor_network": (
+                squashed and len(self.actor_network) == 2,
+                "one module and TanhNormal over [-1, 1]",
+            ),
         }
         for name, (fits, value) in allowed.items():
             if not fits:
@@ -56,6 +68,7 @@ class TwinSACLoss(SACLoss):
         reward, done and terminated (B, 1); where a transition took several steps, `steps_to_next_obs` (B, 1).
         """
         keys, after = self.tensor_keys, tensordict.get("next")
+        alpha = self._alpha  # which keeps log_alpha within its bounds
         estimator = self.value_estimator
         if not isinstance(estimator, TD0Estimator):
             raise ValueError(f"TwinSACLoss takes TD0 targets only, not {type(estimator).__name__}")
@@ -83,7 +96,7 @@ class TwinSACLoss(SACLoss):
             next_noise,
         )
         losses = {"loss_actor": actor_loss, "loss_qvalue": critic_loss, "loss_alpha": alpha_loss}
-        return TensorDict({**losses, "alpha": self._alpha, "entropy": entropy}, batch_size=[])
+        return TensorDict({**losses, "alpha": alpha, "entropy": entropy}, batch_size=[])
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return the actor's actions (B, A) and their log-probability (B,) for standard normal `noise`."""

@@ -145,8 +145,9 @@ class Sac:
     """
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
-        _check_memory(config.buffer_size, 2 * observation_dim + action_dim + 3)
         self.config, self.device = config, _device(config.device)
+        if self.device.type == "cpu":
+            _check_memory(config.buffer_size, 2 * observation_dim + action_dim + 3)
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)
         self.normaliser = Normaliser(observation_dim, config.normalise).to(self.device)
@@ -221,7 +222,8 @@ class Sac:
             return self._update()
 
     def _update(self) -> dict[str, float]:
-        sample = self.buffer.sample()
+        index = torch.randint(len(self.buffer), (self.config.batch_size,))
+        sample = self.buffer[index.to(self.device)]
         batch = Batch(
             observation=self.normaliser(sample["observation"]),
             action=sample["action"],

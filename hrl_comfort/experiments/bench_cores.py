@@ -39,9 +39,9 @@ def bench_cores(config: TrainConfig) -> Path:
     offer two trainings take.
     """
     found: list[list[object]] = []
-    loops: dict[str, Loop] = {TRAINING: training, PRODUCTS: products}
+    loops: dict[str, Loop] = {TRAINING: training, PRODUCTS: multiplying}
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(products, [config] * 2))  # both processes have started and imported
+        list(pool.map(multiplying, [config] * 2))  # both processes have started and imported
         for turn in range(ROUNDS):
             for name, loop in loops.items():
                 for count in (1, 2):
@@ -71,7 +71,7 @@ def training(config: TrainConfig) -> float:
     """Return decisions a second of a training, updates and all."""
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")
-    agent = replace(config.agent, warmup_decisions=0)
+    agent = replace(config.agent, warmup_decisions=0, guide=None, guided_rows=0, successor=None)
     with tempfile.TemporaryDirectory() as folder:
         env = CellEnv(environment(config), config.engine.rows, config.episode_seed)
         trained = Training(replace(config, agent=agent), env, Path(folder))
@@ -84,7 +84,7 @@ def training(config: TrainConfig) -> float:
         return (trained.decisions - before) / (time.perf_counter() - began)
 
 
-def products(config: TrainConfig) -> float:
+def multiplying(config: TrainConfig) -> float:
     """Return products of two matrices a second."""
     torch.set_num_threads(1)
     left, right = torch.rand(2, SIZE, SIZE)

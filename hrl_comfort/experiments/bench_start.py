@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,13 +12,13 @@ from hrl_comfort.compose import override
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.experiments.bench import ranged
 from hrl_comfort.experiments.measure import write_table
+from hrl_comfort.experiments.own_process import COMMAND
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
 
 REPEATS = 5
 LOOK_S = 0.01
 """Between two looks at whether the training has made its first step."""
-COMMAND = (sys.executable, "-m", "hrl_comfort")
 HELP, STEP = "hrl-comfort --help", "hrl-comfort train, to its first step"
 COLUMNS = ["command", "round", "seconds"]
 

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.agents.policy import ActorPolicy
+from hrl_comfort.agents.sac import products
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
@@ -47,8 +48,12 @@ class Clock:
     """Seconds spent in training; checks are not training, and begin when updates do."""
 
     def __init__(self, check: Callable[[Act], bool], warmup: int) -> None:
-        self._check, self._began, self._checked = check, time.perf_counter(), warmup // CHECK_EVERY
+        self._check, self._began, self._checked = check, 0.0, warmup // CHECK_EVERY
         self.seconds, self.reached = 0.0, False
+
+    def start(self) -> None:
+        """Let the training begin: what it needs is there."""
+        self._began = time.perf_counter()
 
     def done(self, act: Act, decisions: int) -> bool:
         """Return whether the race is over after so many decisions, checking if that is due."""
@@ -64,8 +69,9 @@ class Clock:
 def bench_train(config: TrainConfig) -> Path:
     """Print how long each learner takes to GOAL success, and how much longer than ours; return train.csv.
 
-    The same task, network widths, batch, rates and discount for all; every learner normalises what it
-    observes. A learner has arrived when its deterministic policy succeeds in GOAL of the checked episodes.
+    The same task, network widths, batch, rates, discount and inner precision of products for all; every
+    learner normalises what it observes. A learner has arrived when its deterministic policy succeeds in GOAL
+    of the checked episodes.
 
     Raises:
       ConfigError: Stable-Baselines3 is not installed.
@@ -73,6 +79,8 @@ def bench_train(config: TrainConfig) -> Path:
     if find_spec("stable_baselines3") is None:
         raise ConfigError("bench train needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
     torch.set_num_threads(1)
+    agent = replace(config.agent, guide=None, guided_rows=0, successor=None)
+    config = replace(config, agent=agent)
     env = environment(config)
     found: list[list[object]] = []
     path = Path(config.output) / "train.csv"
@@ -138,6 +146,7 @@ def race(config: TrainConfig, clock: Clock) -> int:
             actions: NDArray[np.float32] = policy(torch.from_numpy(observation)).numpy()
             return actions
 
+        clock.start()
         while not clock.done(act, training.decisions):
             training.decide()
             training.learn()
@@ -176,6 +185,8 @@ def race_of_peer(
     def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(model.predict(cell.normalize_obs(observation), deterministic=True)[0])
 
-    model.learn(LIMIT, callback=Check())
+    clock.start()
+    with products(agent.products):
+        model.learn(LIMIT, callback=Check())
     cell.close()
     return int(model.num_timesteps)

@@ -29,24 +29,31 @@ def run_apart(verb: str, words: list[str]) -> None:
       JobKilledError: it was killed.
       Preempted: it was told to stop, and has.
     """
-    last = ""
-    with subprocess.Popen([*COMMAND, verb, *words], stderr=subprocess.PIPE, text=True) as child:
+    last, told = "", False
+    children: list[subprocess.Popen[str]] = []
 
-        def pass_on(number: int, _: FrameType | None) -> None:
-            child.send_signal(number)
+    def pass_on(number: int, _: FrameType | None) -> None:
+        nonlocal told
+        told = True
+        for each in children:
+            each.send_signal(number)
 
-        before = signal.signal(signal.SIGTERM, pass_on)
-        try:
+    before = signal.signal(signal.SIGTERM, pass_on)
+    try:
+        with subprocess.Popen([*COMMAND, verb, *words], stderr=subprocess.PIPE, text=True) as child:
+            children.append(child)
+            if told:  # while it was being started
+                child.send_signal(signal.SIGTERM)
             assert child.stderr is not None
             for line in child.stderr:
                 print(line, end="", file=sys.stderr)
                 last = line.strip() or last
             code = child.wait()
-        finally:
-            signal.signal(signal.SIGTERM, before)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     why = last.removeprefix(PREFIX)
-    if code == 128 + signal.SIGTERM:
-        raise Preempted(why)
+    if code == 128 + signal.SIGTERM or (told and code == -signal.SIGTERM):
+        raise Preempted(why or "stopped by SIGTERM")
     if code < 0:
         memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
         raise JobKilledError(f"its process was ended by {signal.Signals(-code).name}{memory}")

@@ -60,8 +60,13 @@ def read_job(folder: Path) -> Job:
 
 
 def find_jobs(folder: Path) -> dict[Path, Job]:
-    """Return the jobs of a sweep by their folders: those in `folder`, or one deeper when none is there."""
-    files = list(folder.glob(f"*/{FILE}")) or list(folder.glob(f"*/*/{FILE}"))
+    """Return the jobs of a sweep by their folders: those in `folder`, or one deeper when none is there.
+
+    Deeper only where a sweep was begun in `folder` itself: a folder of runs may hold sweeps, and is none.
+    """
+    files = list(folder.glob(f"*/{FILE}"))
+    if not files and (folder / "multirun.yaml").is_file():
+        files = list(folder.glob(f"*/*/{FILE}"))
     return {file.parent: read_job(file.parent) for file in sorted(files, key=_numbers_by_size)}
 
 

@@ -56,7 +56,8 @@ def successor_of(config: TrainConfig, env: CellEnv) -> Successor:
     """Return the value of what `env` has come to, to the policy that takes over from this one.
 
     With it a success is no end: its target bootstraps on the next option's value, as one policy's would in
-    the longer task. So a skill is paid for leaving the arm where the next one can go on.
+    the longer task, if both were trained with the same gamma and rewards, which is not checked. So a skill is
+    paid for leaving the arm where the next one can go on.
 
     Raises:
         ConfigError: there is no such policy, it begins elsewhere, or it does not go with this training.

@@ -32,7 +32,7 @@ of their own, so that with them or without, the rest of an episode is the same."
 
 @dataclass(frozen=True)
 class Draw:
-    """One beginning of an episode; of a later attempt, only spawn, start and points are new."""
+    """One beginning of an episode; of a later attempt, only spawn, start, its level and points are new."""
 
     balls: Array
     """(B, 3) m, where they lie on the pick table."""
@@ -77,6 +77,8 @@ class Draws:
             )
         self.horizon = longest + config.task.steps_per_decision
         self._starts = start_states(scene, config, task.start)
+        if evaluation is None:
+            self._starts = [self._unseen_left_out(bank) for bank in self._starts]
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
         """Yield one draw after the other for an episode, until one is taken.
@@ -103,13 +105,29 @@ class Draws:
             bank = banks[colour % len(banks)]
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
+            told = level
             if len(start) > ARM and self._evaluation is None:
-                spawn_id, spawn = (
-                    -1,
-                    people.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0],
-                )
-                level = self._with_level(level, start[-1])
-            yield Draw(balls, colours, noise, level, motion_id, spawn_id, spawn, start[:ARM], points)
+                person = people.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
+                spawn_id, spawn, told = -1, person, self._with_level(level, start[-1])
+            yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
+
+    def _unseen_left_out(self, bank: Array) -> Array:
+        """Return the starts (M, 18 or 21) whose person, if any, is clear of every held-out spawn point.
+
+        Raises:
+          ConfigError: there is none.
+        """
+        if bank.shape[1] == ARM:
+            return bank
+        human = self._config.human
+        apart = bank[:, None, ARM : ARM + 2] - self.spawns[list(human.held_out)]
+        clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
+        if not clear.any():
+            raise ConfigError(
+                f"task.start={self._config.task.start!r}: in each of its starts the person is within "
+                f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
+            )
+        return bank[clear]
 
     def _with_level(self, draws: Array, level: float) -> Array:
         """Return the uniform numbers of an episode whose first level is this one, as drawn if NaN."""
