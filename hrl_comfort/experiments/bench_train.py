@@ -38,7 +38,12 @@ PEERS: dict[str, dict[str, Any]] = {
     "Stable-Baselines3, 1 cell, an update in 4 decisions": {"cells": 1, "every": 4, "updates": 1},
     "Stable-Baselines3, 16 cells, 4 updates in 16 decisions": {"cells": 16, "updates": 4},
     "Stable-Baselines3, 16 cells, 1 update in 16 decisions": {"cells": 16, "updates": 1},
-}
+    "Stable-Baselines3, 1 cell, an update in 4 decisions, our products": {
+        "cells": 1, "every": 4, "updates": 1, "precision": None,
+    },
+}  # fmt: skip
+"""Settings of a peer: its cells, and its updates `every` so many decisions of each; `precision` of its
+products, `agent.products` if None. A peer as it comes has PyTorch's own."""
 COLUMNS = ["learner", "seed", "reached", "decisions", "seconds"]
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Observations (N, D) -> actions (N, 6)."""
@@ -69,8 +74,8 @@ class Clock:
 def bench_train(config: TrainConfig) -> Path:
     """Print how long each learner takes to GOAL success, and how much longer than ours; return train.csv.
 
-    The same task, network widths, batch, rates, discount and inner precision of products for all; every
-    learner normalises what it observes. A learner has arrived when its deterministic policy succeeds in GOAL
+    The same task, network widths, batch, rates and discount for all; every learner normalises what it
+    observes. A learner has arrived when its deterministic policy succeeds in GOAL
     of the checked episodes.
 
     Raises:
@@ -154,7 +159,14 @@ def race(config: TrainConfig, clock: Clock) -> int:
 
 
 def race_of_peer(
-    config: TrainConfig, env: EnvConfig, seed: int, clock: Clock, cells: int, updates: int, every: int = 1
+    config: TrainConfig,
+    env: EnvConfig,
+    seed: int,
+    clock: Clock,
+    cells: int,
+    updates: int,
+    every: int = 1,
+    precision: str | None = "highest",
 ) -> int:
     """Train by Stable-Baselines3's SAC on the Gymnasium front until `clock` says so; return the decisions."""
     from stable_baselines3 import SAC
@@ -186,7 +198,7 @@ def race_of_peer(
         return np.asarray(model.predict(cell.normalize_obs(observation), deterministic=True)[0])
 
     clock.start()
-    with products(agent.products):
+    with products(precision or agent.products):
         model.learn(LIMIT, callback=Check())
     cell.close()
     return int(model.num_timesteps)
