@@ -34,6 +34,15 @@ def says(monkeypatch: pytest.MonkeyPatch) -> Script:
     return stand_in
 
 
+def test_a_job_that_is_told_to_stop_before_it_can_say_so_has_stopped(says: Script) -> None:
+    says("import time; time.sleep(60)")  # as while it imports
+    alarm = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
+    alarm.start()
+    with pytest.raises(Preempted, match="stopped by SIGTERM"):
+        run_apart("train", [])
+    alarm.join()
+
+
 def test_a_job_in_its_own_process_tells_what_went_wrong(says: Script) -> None:
     says("import sys; print('warning', file=sys.stderr); sys.exit('hrl-comfort: no such policy')")
     with pytest.raises(ConfigError, match=r"^no such policy$"):

@@ -164,6 +164,12 @@ def test_runs_beside_a_sweep_are_named(tmp_path: Path) -> None:
     assert "not in the table: another" in reported(sweep).read_text(encoding="utf-8")
 
 
+def test_a_folder_of_runs_that_holds_a_sweep_is_none(tmp_path: Path) -> None:
+    make_training(tmp_path / "pick", 0.9, np.random.default_rng(0))
+    make_sweep(tmp_path / "sweep")
+    assert not find_jobs(tmp_path) and find_jobs(tmp_path / "sweep")
+
+
 def test_jobs_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     for k in (10, 9, 2):
         Job("train", (f"train_seed={k}",), "running").write(tmp_path / str(k))
