@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 import torch
@@ -48,7 +49,7 @@ def test_a_policy_refuses_observations_of_another_width(tmp_path):
         load_policy(tmp_path / "policy.pt")(torch.zeros(1, 9))
 
 
-@pytest.mark.parametrize("kind", ["cut", "text", "foreign", "pickle", "missing", "empty"])
+@pytest.mark.parametrize("kind", ["cut", "text", "foreign", "pickle", "missing", "empty", "name"])
 def test_a_bad_file_is_refused_in_one_line_that_names_it(tmp_path, kind):
     path = tmp_path / "policy.pt"
     write_policy(path)
@@ -60,6 +61,10 @@ def test_a_bad_file_is_refused_in_one_line_that_names_it(tmp_path, kind):
         torch.save({"weights": torch.zeros(3)}, path)
     elif kind == "pickle":
         torch.save({"format": checkpoint.FORMAT, "path": tmp_path}, path)
+    elif kind == "name":  # of an entry, no longer UTF-8
+        with ZipFile(path, "w") as archive:
+            archive.writestr("é", b"")
+        path.write_bytes(path.read_bytes().replace("é".encode(), b"\xff\xff"))
     elif kind == "empty":
         path.write_bytes(b"")
     else:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import struct
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -16,6 +18,11 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.files import write_atomically
 
 FORMAT = "hrl-comfort checkpoint"
+DAMAGED = (
+    RuntimeError, EOFError, OSError, KeyError, ValueError, struct.error, zlib.error, BadZipFile,
+    pickle.UnpicklingError,
+)  # fmt: skip
+"""What zipfile and torch raise at a file with wrong bytes in it."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 
 
@@ -38,7 +45,7 @@ def load(path: Path) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; a checkpoint or policy.pt is needed") from None
-    except (RuntimeError, EOFError, OSError, BadZipFile, KeyError, pickle.UnpicklingError) as error:
+    except DAMAGED as error:
         reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
         raise ConfigError(f"{path}: cut short or not a checkpoint of this program ({reason})") from None
     if not isinstance(state, dict) or state.get("format") != FORMAT:
