@@ -103,6 +103,8 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
         raise ConfigError(one_line(error)) from error
     except RecursionError:
         raise ConfigError(f"{' '.join(known)} {DEEP}") from None
+    except OverflowError as error:
+        raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
 
 
 def environment(config: TrainConfig | MetaTrainConfig | EvaluateConfig) -> EnvConfig:
@@ -127,7 +129,9 @@ def load_config(path: str | Path) -> Config:
                 return _freeze(cls, OmegaConf.merge(OmegaConf.structured(_schema(cls)), loaded))
     except OmegaConfBaseException as error:
         raise ConfigError(f"{file}: {one_line(error)}") from error
-    except (YAMLError, UnicodeDecodeError) as error:
+    except ConfigError:
+        raise
+    except (YAMLError, OverflowError, ValueError) as error:  # the last two at numbers of very many digits
         raise ConfigError(f"{file} is not YAML: {one_line(error)}") from error
     except RecursionError:
         raise ConfigError(f"{file} {DEEP}") from None

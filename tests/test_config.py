@@ -124,6 +124,7 @@ def test_the_paper_experiment_is_the_papers():
         (["train", "agent={"], "'agent={' is not an override"),
         (["train", "agent.tau=" + "[" * 900 + "]" * 900], "lists too deep in lists to be read"),
         (["train", "train_seed=" + "9" * 5000], "is not an override"),
+        (["train", "agent.tau=" + "9" * 400], "int too large to convert to float"),
         (["train", "task=" + "a" * 5000], " … "),
         (
             ["train", "cell.ball_m=[-2,-1e300,0.2]"],
