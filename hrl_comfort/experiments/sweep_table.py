@@ -159,8 +159,6 @@ def _entry(folder: Path, where: Path, job: Job) -> Entry:
 
 def _state(job: Job, run: Run) -> tuple[str, str]:
     """Return which of COUNTS a job is, and what is the matter with it."""
-    if job.state == "failed":
-        return "failed", job.why
     if job.verb == "train":
         finished = run.provenance is not None and bool(run.provenance.get("finished"))
         far = "" if run.metrics is None else f", {run.metrics['decisions'][-1]:.0f} decisions logged"
@@ -168,6 +166,8 @@ def _state(job: Job, run: Run) -> tuple[str, str]:
         finished, far = job.state == "done" and run.groups is not None, ""
     if finished:
         return "finished", ""
+    if job.state == "failed":
+        return "failed", job.why
     return "unfinished", (job.why or "running, or killed") + far
 
 

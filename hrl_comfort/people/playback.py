@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
+from hrl_comfort.config.checks import FARTHEST
 from hrl_comfort.people.walk import Array, Walk
 
-FARTHEST = 1000.0
-"""m and rad; farther is a mistake, and squares of it may overflow."""
 HEADER = ["t", "x", "y", "yaw"]
 
 
