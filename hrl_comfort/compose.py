@@ -52,6 +52,7 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
 LATER: dict[str, Any] = {
     "human.stations_m": [],
     "human.stay_s": 4.0,
+    "task.start_anew": 0.0,
     "meta.tell": [],
     "agent.actor_tau": 1.0,
     "agent.products": "highest",

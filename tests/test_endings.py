@@ -55,6 +55,22 @@ def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:
     assert len(set(state.level.tolist())) > 2
 
 
+def test_a_fraction_of_the_starts_meets_a_person_and_a_level_drawn_anew(tmp_path: Path) -> None:
+    starts = np.zeros((3, 21))
+    starts[:, 18:] = [1.2, 0.9, 10.0]
+    np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)
+
+    def recorded(fraction: float) -> list[bool]:
+        config = placing(tmp_path / "starts.npz", "comfort=conditioned", f"task.start_anew={fraction}")
+        draws = Engine(config, 1, 0).episodes.draws
+        first = [next(draws.attempts(row, 0)) for row in range(64)]
+        assert all(draw.spawn_id == -1 or draw.level[0] != 0.95 for draw in first), "both or neither"
+        return [draw.spawn_id == -1 and draw.level[0] == 0.95 for draw in first]
+
+    assert all(recorded(0.0)) and not any(recorded(1.0))
+    assert 16 < sum(recorded(0.5)) < 48
+
+
 def test_no_training_begins_with_a_person_at_a_held_out_spawn_point(tmp_path: Path) -> None:
     config = placing(tmp_path / "starts.npz", "comfort=conditioned")
     unseen = np.array(config.human.spawns_m)[config.human.held_out[0]]

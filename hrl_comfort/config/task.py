@@ -57,6 +57,8 @@ class TaskConfig:
     """`point_to_point`: fixed second point."""
     start: str
     """Where place and return start: `ik`, or the path of recorded endings (.npz), replayed in motion."""
+    start_anew: float
+    """Training: fraction of recorded starts with a person and a level drawn anew, not those recorded."""
 
     def __post_init__(self) -> None:
         one_of("task.colour", self.colour, COLOURS)
@@ -72,6 +74,7 @@ class TaskConfig:
         one_of("task.action", self.action, ACTIONS)
         one_of("task.observation", self.observation, OBSERVATIONS)
         one_of("task.point", self.point, POINTS)
+        between("task.start_anew", self.start_anew, 0.0, 1.0)
         between("task.limit_steps", self.limit_steps, 1, 100_000)
         between("task.steps_per_decision", self.steps_per_decision, 1, 100)
         between("task.max_step_deg", self.max_step_deg, 0.01, 3.6)

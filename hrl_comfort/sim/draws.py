@@ -83,8 +83,9 @@ class Draws:
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
         """Yield one draw after the other for an episode, until one is taken.
 
-        In training a recorded start brings its person and its level, where it has them. In the second half,
-        starts are those of inverse kinematics: none of the recorded ones was free.
+        In training a recorded start brings its person and its level, where it has them, unless it is one of
+        the fraction `task.start_anew`. In the second half, starts are those of inverse kinematics: none of
+        the recorded ones was free.
         """
         rng = self.generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
@@ -98,7 +99,8 @@ class Draws:
             motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
             stream = np.random.Philox(key=np.array([motion_id, people.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, people.NOISE))
-        level = self.generator(row, episode, LEVEL_STREAM).random(DRAWS)
+        levels = self.generator(row, episode, LEVEL_STREAM)
+        level, kept = levels.random(DRAWS), levels.random() >= self._config.task.start_anew
         balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
@@ -106,7 +108,7 @@ class Draws:
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
             told = level
-            if len(start) > ARM and self._evaluation is None:
+            if kept and len(start) > ARM and self._evaluation is None:
                 person = people.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
                 spawn_id, spawn, told = -1, person, self._with_level(level, start[-1])
             yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
