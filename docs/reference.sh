@@ -172,13 +172,14 @@ sort() { # several balls, beside somebody who goes from table to table, above th
     done
 }
 
-sort_learned() { # a controller that learns
+sort_learned() { # a controller that learns; while it does, a crash costs it two balls, for on the last way home it costs none
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
         folder=$ref/sort/seed$seed/controller
         if ! grep -qs '"finished": true' "$folder/provenance.json"; then
             rm -rf "$folder" # it takes minutes: one that was stopped begins anew
-            "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" "${skills[@]}"
+            "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" \
+                "${skills[@]}" meta_agent.options=180000 reward.human_collision=-2 reward.other_collision=-2
         fi
         meta+=(meta=learned "policies.meta=$folder")
         measure sort/seed$seed/learned "${meta[@]}"
@@ -186,11 +187,9 @@ sort_learned() { # a controller that learns
     done
 }
 
-sorting() { # seed; sets what its evaluations have in common. Skills that have begun from endings at any level: they
-    # may be told another one than the skill before them was
+sorting() { # seed; sets what its evaluations have in common
     to=comfort/seed$1
-    skills=("policies.pick=$ref/$to/pick_third" "policies.place=$ref/$to/place_third"
-        "policies.return=$ref/$to/return_third")
+    skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
     meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
 }
 

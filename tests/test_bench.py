@@ -66,9 +66,10 @@ def race_config(folder: Path) -> TrainConfig:
 
 def test_a_race_ends_at_success_or_at_the_limit_and_checks_are_not_timed(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(bench_train, "LIMIT", 120)
+    monkeypatch.setattr(bench_train, "CHECK_GROWTH", 2)  # checks are due past 40 decisions, then past 88
     checks = iter([False, True])
     clock = bench_train.Clock(lambda act: next(checks), warmup=20)
-    assert bench_train.race(race_config(tmp_path), clock) == 100 and clock.reached
+    assert bench_train.race(race_config(tmp_path), clock) == 92 and clock.reached
     late = bench_train.Clock(lambda act: False, warmup=20)
     assert bench_train.race(race_config(tmp_path), late) == 120 and not late.reached
 
@@ -81,6 +82,7 @@ def test_a_race_ends_at_success_or_at_the_limit_and_checks_are_not_timed(tmp_pat
 def test_the_peer_races_on_the_same_cells(tmp_path: Path, monkeypatch) -> None:
     pytest.importorskip("stable_baselines3", reason="in the extra bench")
     monkeypatch.setattr(bench_train, "LIMIT", 60)
+    monkeypatch.setattr(bench_train, "CHECK_GROWTH", 2)
     monkeypatch.setattr(bench_train, "CHECK_EPISODES", 2)
     config = race_config(tmp_path)
     env = environment(config)

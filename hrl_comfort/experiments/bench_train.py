@@ -26,10 +26,12 @@ from hrl_comfort.experiments.statistics import Row, number, read_rows
 from hrl_comfort.experiments.train import Training
 from hrl_comfort.sim.engine import Engine
 
-SEEDS = (0, 1, 2)
+SEEDS = (0, 1, 2, 3, 4)
 GOAL = 0.95
-CHECK_EVERY, CHECK_EPISODES, CHECK_SEED = 50, 200, 77_777
-"""Decisions between two checks of the success; a check's episodes, always the same, drawn as in training."""
+CHECK_EPISODES, CHECK_SEED = 200, 77_777
+"""A check of the success: its episodes, always the same, drawn as in training."""
+CHECK_GROWTH = 1.05
+"""The next check is due when there are so many times the decisions: arrivals are told to 5 %."""
 LIMIT = 10_000
 """Decisions after which a learner is given up."""
 OURS = "hrl-comfort"
@@ -53,7 +55,7 @@ class Clock:
     """Seconds spent in training; checks are not training, and begin when updates do."""
 
     def __init__(self, check: Callable[[Act], bool], warmup: int) -> None:
-        self._check, self._began, self._checked = check, 0.0, warmup // CHECK_EVERY
+        self._check, self._began, self._due = check, 0.0, warmup * CHECK_GROWTH
         self.seconds, self.reached = 0.0, False
 
     def start(self) -> None:
@@ -62,8 +64,8 @@ class Clock:
 
     def done(self, act: Act, decisions: int) -> bool:
         """Return whether the race is over after so many decisions, checking if that is due."""
-        if decisions // CHECK_EVERY > self._checked:
-            self._checked = decisions // CHECK_EVERY
+        if decisions > self._due:
+            self._due = decisions * CHECK_GROWTH
             paused = time.perf_counter()
             self.seconds = paused - self._began
             self.reached = self._check(act)
