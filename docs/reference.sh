@@ -164,10 +164,8 @@ sort() { # several balls, beside somebody who goes from table to table, above th
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
         for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done
-        for name in scripted cautious; do
-            for kind in drop block; do
-                measure sort/seed$seed/${name}_$kind "${meta[@]}" meta=$name disturbance=$kind
-            done
+        for kind in drop block; do
+            measure sort/seed$seed/scripted_$kind "${meta[@]}" meta=scripted disturbance=$kind
         done
     done
 }
