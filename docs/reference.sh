@@ -170,14 +170,14 @@ sort() { # several balls, beside somebody who goes from table to table, above th
     done
 }
 
-sort_learned() { # a controller that learns; while it does, a crash costs it two balls, for on the last way home it costs none
+sort_learned() { # a controller that learns; while it does, a crash costs it ten balls, for on the last way home it costs none
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
         folder=$ref/sort/seed$seed/controller
         if ! grep -qs '"finished": true' "$folder/provenance.json"; then
             rm -rf "$folder" # it takes minutes: one that was stopped begins anew
             "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" \
-                "${skills[@]}" meta_agent.options=180000 reward.human_collision=-2 reward.other_collision=-2
+                "${skills[@]}" meta_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
         fi
         meta+=(meta=learned "policies.meta=$folder")
         measure sort/seed$seed/learned "${meta[@]}"
