@@ -17,7 +17,7 @@ from hrl_comfort.experiments.run_folder import find_runs
 from hrl_comfort.experiments.train_meta import train_meta
 from hrl_comfort.meta import sorting as sorting_module
 from hrl_comfort.meta.choices import RETREAT, WAIT, Decision, at_random, cautious, nearest
-from hrl_comfort.meta.observation import meta_observation
+from hrl_comfort.meta.observation import BALL, OTHERS, meta_observation
 from hrl_comfort.meta.options import Ending, act
 from hrl_comfort.meta.play import play
 from hrl_comfort.meta.q_learning import QLearner, load_choice
@@ -210,7 +210,7 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
     state = begun[0].episodes.state
     for level in (float("nan"), 3.0):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10)
-        assert seen.shape == (8, 18 + 9 * 4) and bool(seen.isfinite().all())
+        assert seen.shape == (8, OTHERS + BALL * 4) and bool(seen.isfinite().all())
 
 
 def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
@@ -230,6 +230,11 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     assert [found.name for found in find_runs(tmp_path)] == ["meta"]  # a report of its parent still works
     with pytest.raises(ConfigError, match=r"among \['pick_1'.*here there are \['wait'\] at 10"):
         load_choice(str(folder), 10, ["wait"])
+    old = checkpoint.load(folder / "meta.pt")
+    names = old["spec"]["names"]
+    checkpoint.save(tmp_path / "old.pt", {**old, "spec": {**old["spec"], "observation_dim": 38}})
+    with pytest.raises(ConfigError, match="was taught by 38 observations; here there are 36"):
+        load_choice(str(tmp_path / "old.pt"), 10, names)
     result = measure(
         compose(
             "evaluate",

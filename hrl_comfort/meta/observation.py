@@ -12,10 +12,12 @@ from hrl_comfort.tasks.observations import human, joint_error, tool
 
 ROUND = len(STAGES)
 """Stages of one ball's round: pick, place, return."""
+OTHERS, BALL = 18, 9
+"""Numbers that are of no ball, and those of each ball."""
 
 
 def meta_observation(state: State, levels: int) -> Tensor:
-    """Return (N, 18 + 9 B).
+    """Return (N, OTHERS + BALL * B).
 
     Person (2) and the way they face (2, zero where they are not seen as they are), tool (3), joints from
     home (6), stage of the round (3), level and whether there is one (2); of each ball where it lies (3),

@@ -20,7 +20,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.meta import MetaAgentConfig
 from hrl_comfort.meta.choices import Choose, Decision
-from hrl_comfort.meta.observation import meta_observation
+from hrl_comfort.meta.observation import BALL, OTHERS, meta_observation
 
 
 def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
@@ -110,6 +110,12 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
         raise ConfigError(
             f"policies.meta={source!r} chooses among {spec.get('names')} at {spec.get('levels')} levels; "
             f"here there are {options} at {levels} (meta.tell, task.balls)"
+        )
+    seen = OTHERS + BALL * int(spec.get("balls", 0))
+    if spec.get("observation_dim") != seen:
+        raise ConfigError(
+            f"policies.meta={source!r} was taught by {spec.get('observation_dim')} observations; "
+            f"here there are {seen}: train it again"
         )
     try:
         network = make_network(spec["observation_dim"], len(options), spec["hidden"])
