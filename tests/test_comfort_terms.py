@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -17,10 +18,10 @@ from hrl_comfort.config import comfort as allowed
 from hrl_comfort.tasks import SUBTASKS
 
 
-def comfort(**changes: object) -> ComfortConfig:
+def comfort(**changes: Any) -> ComfortConfig:
     config = compose("train", ["comfort=conditioned"])
     assert isinstance(config, TrainConfig)
-    return replace(config.comfort, **changes)  # type: ignore[arg-type]
+    return replace(config.comfort, **changes)
 
 
 def test_what_the_configuration_allows_is_what_there_is() -> None:

@@ -210,7 +210,7 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
     state = begun[0].episodes.state
     for level in (float("nan"), 3.0):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10)
-        assert seen.shape == (8, OTHERS + BALL * 4) and bool(seen.isfinite().all())
+        assert seen.shape == (8, OTHERS + BALL * 4) == (8, 18 + 9 * 4) and bool(seen.isfinite().all())
 
 
 def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:

@@ -111,13 +111,13 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
             f"policies.meta={source!r} chooses among {spec.get('names')} at {spec.get('levels')} levels; "
             f"here there are {options} at {levels} (meta.tell, task.balls)"
         )
-    seen = OTHERS + BALL * int(spec.get("balls", 0))
-    if spec.get("observation_dim") != seen:
-        raise ConfigError(
-            f"policies.meta={source!r} was taught by {spec.get('observation_dim')} observations; "
-            f"here there are {seen}: train it again"
-        )
     try:
+        seen = OTHERS + BALL * spec["balls"]
+        if spec["observation_dim"] != seen:
+            raise ConfigError(
+                f"policies.meta={source!r} was taught by {spec['observation_dim']} observations; "
+                f"here there are {seen}: train it again"
+            )
         network = make_network(spec["observation_dim"], len(options), spec["hidden"])
         network.load_state_dict(state["network"])
     except (KeyError, TypeError, RuntimeError) as error:
