@@ -137,7 +137,7 @@ def test_who_goes_rounds_works_at_every_place_for_its_time_and_faces_the_robot_t
 
 def test_who_has_errands_wanders_for_their_time_and_then_goes_rounds() -> None:
     config = human("errands", bound_m=5.0, stay_s=2.0)
-    walks = stroll(config, free_spawns(200), 1500, keep_out=no_discs(200))
+    walks = stroll(config, free_spawns(200), 1500)
     position = np.stack([walk.position for walk in walks])
     strides = np.linalg.norm(np.diff(position, axis=0), axis=-1)
     at = np.linalg.norm(position[:, :, None] - np.array(STATIONS), axis=-1) < 1e-9

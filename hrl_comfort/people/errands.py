@@ -13,8 +13,8 @@ from hrl_comfort.people.walk import Array, Walk
 def errands(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
     """Wander as `random_walk` does for `stay_s` on average, and from then on go from table to table.
 
-    Who comes up against a keep-out disc while they wander slides along it, no longer facing the robot, and
-    so sets off that way at once. A training has both those who hardly move and those who cross the cell.
+    So a training has both those who hardly move and those who cross the cell. (They set off in what would
+    have been a step forward.)
     """
     wanders = (way_round(walk) == 0) & ~at_station(config, walk)
     wanders &= noise[:, 2] * config.stay_s >= CONTROL_STEP_S

@@ -44,8 +44,11 @@ def rounds(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[A
 
 
 def way_round(walk: Walk) -> Array:
-    """Return which way round the robot people walk, (n,): 1 counter-clockwise, -1 clockwise, 0 not at all."""
-    return np.asarray(np.sign(np.round(np.sin(facing_base(walk.position) - walk.yaw), 3)))
+    """Return which way round the robot people walk, (n,): 1 counter-clockwise, -1 clockwise, 0 not at all.
+
+    Rounded, for who slid along a rim faces a little past the robot, or past the way ahead.
+    """
+    return np.asarray(np.round(np.sin(facing_base(walk.position) - walk.yaw)))
 
 
 def at_station(config: HumanConfig, walk: Walk) -> NDArray[np.bool_]:
