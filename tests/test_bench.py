@@ -73,10 +73,11 @@ def test_a_race_ends_at_success_or_at_the_limit_and_checks_are_not_timed(tmp_pat
     late = bench_train.Clock(lambda act: False, warmup=20)
     assert bench_train.race(race_config(tmp_path), late) == 120 and not late.reached
 
-    slow = bench_train.Clock(lambda act: sleep(0.2) is not None, warmup=20)
+    made: list[None] = []
+    slow = bench_train.Clock(lambda act: made.append(sleep(0.2)) is not None, warmup=20)
     began = perf_counter()
     bench_train.race(race_config(tmp_path), slow)
-    assert slow.seconds < perf_counter() - began - 0.2
+    assert len(made) == 2 and slow.seconds < perf_counter() - began - 0.4
 
 
 def test_the_peer_races_on_the_same_cells(tmp_path: Path, monkeypatch) -> None:
@@ -107,6 +108,8 @@ def test_who_does_not_arrive_gets_no_time() -> None:
         for seed in range(2)
     ]
     lines = bench_train.table(rows).splitlines()
+    late_ours = [{**row, "reached": str(row["learner"] != "hrl-comfort")} for row in rows]
+    assert bench_train.table(late_ours).splitlines()[3].endswith("| 6.0 (6.0 to 6.0) | - |")  # nor a ratio
     assert lines[3] == "| other | 2 of 2 | 100 (100 to 100) | 6.0 (6.0 to 6.0) | 3.00 (3.00 to 3.00) |"
     assert lines[4] == "| late | 0 of 2 | - | - | - |"
 

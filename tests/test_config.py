@@ -377,6 +377,20 @@ def test_an_evaluation_is_done_again_where_its_policy_is_newer(tmp_path):
     assert left(config) is Left.ALL
 
 
+def test_an_evaluation_is_done_again_where_its_controller_is_newer(tmp_path):
+    controller, folder = tmp_path / "meta", tmp_path / "eval"
+    controller.mkdir()
+    (controller / "meta.pt").touch()
+    overrides = ["task=sort", "meta=learned", f"policies.meta={controller}", f"output={folder}"]
+    config = compose("evaluate", overrides)
+    save_config(config, folder / "config.yaml")
+    (folder / "summary.json").touch()
+    os.utime(controller / "meta.pt", (1, 1))
+    assert left(config) is Left.NOTHING
+    os.utime(folder / "summary.json", (0, 0))
+    assert left(config) is Left.ALL
+
+
 def test_a_controllers_configuration_from_before_disturbances_loads(tmp_path):
     save_config(compose("train_meta"), tmp_path / "config.yaml")
     older = OmegaConf.load(tmp_path / "config.yaml")

@@ -235,6 +235,13 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     checkpoint.save(tmp_path / "old.pt", {**old, "spec": {**old["spec"], "observation_dim": 38}})
     with pytest.raises(ConfigError, match="was taught by 38 observations; here there are 36"):
         load_choice(str(tmp_path / "old.pt"), 10, names)
+    broken = {name: torch.full_like(value, torch.nan) for name, value in old["network"].items()}
+    checkpoint.save(tmp_path / "nan.pt", {**old, "network": broken})
+    with pytest.raises(ConfigError, match="is damaged: its weights are not all finite"):
+        load_choice(str(tmp_path / "nan.pt"), 10, names)
+    checkpoint.save(tmp_path / "odd.pt", {**old, "spec": [1]})
+    with pytest.raises(ConfigError, match="is not a trained controller"):
+        load_choice(str(tmp_path / "odd.pt"), 10, names)
     result = measure(
         compose(
             "evaluate",

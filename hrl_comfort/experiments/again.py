@@ -11,6 +11,7 @@ from hrl_comfort.agents.policy import policy_file
 from hrl_comfort.compose import load_config
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.training_log import read_provenance
+from hrl_comfort.meta.q_learning import choice_file
 
 
 class OtherRunError(ConfigError):
@@ -51,6 +52,7 @@ def left(config: TrainConfig | EvaluateConfig) -> Left:
 def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
     if not summary.is_file():
         return False
-    policies = [Path(name) for name in (config.policy, *config.policies.values()) if name is not None]
-    files = [policy_file(path) for path in policies if path.exists()]
+    named = {"policy": config.policy, **config.policies}
+    paths = {name: Path(path) for name, path in named.items() if path is not None and Path(path).exists()}
+    files = [choice_file(path) if name == "meta" else policy_file(path) for name, path in paths.items()]
     return all(file.stat().st_mtime <= summary.stat().st_mtime for file in files)

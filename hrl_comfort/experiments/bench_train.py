@@ -31,7 +31,8 @@ GOAL = 0.95
 CHECK_EPISODES, CHECK_SEED = 200, 77_777
 """A check of the success: its episodes, always the same, drawn as in training."""
 CHECK_GROWTH = 1.05
-"""The next check is due when there are so many times the decisions: arrivals are told to 5 %."""
+"""The next check is due when there are so many times the decisions: arrivals are told to 5 %, or to a
+decision of every cell where that is more."""
 LIMIT = 10_000
 """Decisions after which a learner is given up."""
 OURS = "hrl-comfort"
@@ -106,7 +107,7 @@ def bench_train(config: TrainConfig) -> Path:
 
 def table(rows: list[Row]) -> str:
     """Return the rows of train.csv as a Markdown table: medians, ranges, times ours; `-` if not reached."""
-    ours = {row["seed"]: number(row["seconds"]) for row in rows if row["learner"] == OURS}
+    ours = {row["seed"]: row for row in rows if row["learner"] == OURS}
     lines = []
     for name in dict.fromkeys(row["learner"] for row in rows):
         mine = [row for row in rows if row["learner"] == name]
@@ -115,14 +116,19 @@ def table(rows: list[Row]) -> str:
             cells = [
                 ranged([number(row["decisions"]) for row in mine]),
                 ranged([number(row["seconds"]) for row in mine], 1),
-                ""
-                if name == OURS
-                else ranged([number(row["seconds"]) / ours[row["seed"]] for row in mine], 2),
+                "" if name == OURS else times_ours(mine, ours),
             ]
         else:
             cells = ["-", "-", "-"]
         lines.append([name, f"{len(there)} of {len(mine)}", *cells])
     return markdown(["learner", "arrived", "decisions", "seconds", "times ours"], lines)
+
+
+def times_ours(rows: list[Row], ours: dict[str, Row]) -> str:
+    """Return how many times as long as ours the races of `rows` took, by seed; `-` if ours did not arrive."""
+    if any(row["reached"] != "True" for row in ours.values()):
+        return "-"
+    return ranged([number(row["seconds"]) / number(ours[row["seed"]]["seconds"]) for row in rows], 2)
 
 
 def success(env: EnvConfig, act: Act) -> float:
@@ -193,13 +199,15 @@ def race_of_peer(
     class Check(BaseCallback):
         """Stops the training when the race is over."""
 
+        def _on_training_start(self) -> None:
+            clock.start()  # cells have been reset by now, as ours have
+
         def _on_step(self) -> bool:
             return not clock.done(act, self.num_timesteps)
 
     def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(model.predict(cell.normalize_obs(observation), deterministic=True)[0])
 
-    clock.start()
     with products(precision or agent.products):
         model.learn(LIMIT, callback=Check())
     cell.close()

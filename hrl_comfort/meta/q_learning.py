@@ -95,15 +95,19 @@ def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
     return chosen
 
 
+def choice_file(source: Path) -> Path:
+    """Return the file of the trained controller at `source`, its run folder or the file itself."""
+    return source / "meta.pt" if source.is_dir() else source
+
+
 def load_choice(source: str, levels: int, options: list[str]) -> Choose:
     """Return how a trained controller chooses among `options`; `source` is its run folder or meta.pt.
 
     Raises:
-      ConfigError: there is none, or it was trained for other options.
+      ConfigError: there is none, it is damaged, or it was trained for other options.
     """
-    path = Path(source) / "meta.pt" if Path(source).is_dir() else Path(source)
-    state = checkpoint.load(path)
-    if "network" not in state or "spec" not in state:
+    state = checkpoint.load(choice_file(Path(source)))
+    if "network" not in state or not isinstance(state.get("spec"), dict):
         raise ConfigError(f"policies.meta={source!r} is not a trained controller; its folder holds meta.pt")
     spec = state["spec"]
     if spec.get("names") != options or spec.get("levels") != levels:
@@ -120,6 +124,8 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
             )
         network = make_network(spec["observation_dim"], len(options), spec["hidden"])
         network.load_state_dict(state["network"])
+        if not all(value.isfinite().all() for value in network.state_dict().values()):
+            raise ConfigError(f"policies.meta={source!r} is damaged: its weights are not all finite")
     except (KeyError, TypeError, RuntimeError) as error:
         raise ConfigError(f"policies.meta={source!r} is damaged: {str(error).splitlines()[0]}") from error
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from hrl_comfort.config import FIRST_SEED, ConfigError
 
 COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
-"""Evaluation seeds begin here; training seeds stay below."""
 MOTION_STREAM = 7
 """Second word of the key of a motion's random numbers, so that motions share no stream with episodes."""
 
