@@ -139,17 +139,15 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
     done
 }
 
-finish() { # the last parts: back from where place ends, then place, paid for what it leaves to return; and place once
-    # more, beside people who go off to the tables while it is under way
+finish() { # the last parts: back from where place ends, then place, paid for what it leaves to return
     last=(experiment=comfort_skill_last "${seeds[@]}")
     train $to/pick "${last[@]}" task=pick task.start=ik "initial_policy=$ref/$to/pick_third"
     many $to/pick
     many $to/place_third "task.start=$ref/$to/pick/endings.npz"
     train $to/return "${last[@]}" task=return "task.start=$ref/$to/place_third/endings.npz" \
         "initial_policy=$ref/$to/return_third"
-    last+=(task=place "task.start=$ref/$to/pick/endings.npz" "agent.successor=$ref/$to/return")
-    train $to/place_fourth "${last[@]}" agent.decisions=160000 "initial_policy=$ref/$to/place_third"
-    train $to/place "${last[@]}" agent.decisions=80000 human=errands "initial_policy=$ref/$to/place_fourth"
+    train $to/place "${last[@]}" task=place agent.decisions=160000 "task.start=$ref/$to/pick/endings.npz" \
+        "agent.successor=$ref/$to/return" "initial_policy=$ref/$to/place_third"
 }
 many() { # folder, overrides: its endings anew, more of them
     "${hrl[@]}" evaluate "policy=$ref/$1" episodes=6000 "endings=$ref/$1/endings.npz" "${@:2}"
@@ -191,9 +189,12 @@ sort_learned() { # a controller that learns; while it does, a crash costs it ten
     done
 }
 
-sorting() { # seed; sets what its evaluations have in common
+sorting() { # seed; place trained on beside people who go off to the tables; sets what evaluations have in common
     to=comfort/seed$1
-    skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
+    train sort/seed$1/place experiment=comfort_skill_last task=place human=errands agent.decisions=80000 \
+        "train_seed=$1" "episode_seed=$1" "task.start=$ref/$to/pick/endings.npz" "agent.successor=$ref/$to/return" \
+        "initial_policy=$ref/$to/place"
+    skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/sort/seed$1/place" "policies.return=$ref/$to/return")
     meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
 }
 
