@@ -32,7 +32,7 @@ CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
     ball_radius_m=0.03, table_half_width_m=0.08, base_height_m=0.75,
 )  # fmt: skip
-BOUNDED = ("still", "random_walk", "arc", "approach", "work", "rounds", "errands")
+BOUNDED = ("still", "random_walk", "arc", "approach", "work", "rounds")
 
 
 def human(motion: str, **changes: object) -> HumanConfig:
@@ -109,7 +109,7 @@ def test_who_works_walks_to_the_nearest_table_and_stays_there() -> None:
     assert np.linalg.norm(after - np.array(STATIONS), axis=-1).max() < 0.02
 
 
-@pytest.mark.parametrize("motion", ["work", "rounds", "errands"])
+@pytest.mark.parametrize("motion", ["work", "rounds"])
 def test_who_works_needs_a_place_to_work_at(motion: str) -> None:
     with pytest.raises(
         ConfigError, match=rf"human\.stations_m=\[\].*motion={motion} needs at least one place"
@@ -133,23 +133,6 @@ def test_who_goes_rounds_works_at_every_place_for_its_time_and_faces_the_robot_t
     assert angle_between(yaw[1001:], facing[1001:])[at[1001:].any(axis=-1)].max() < 1e-9
     moved = np.linalg.norm(np.diff(position, axis=0), axis=-1) / CONTROL_STEP_S
     assert 0.45 < moved[moved > 0].mean() < 0.55
-
-
-def test_who_has_errands_wanders_for_their_time_and_then_goes_rounds() -> None:
-    config = human("errands", bound_m=5.0, stay_s=2.0)
-    walks = stroll(config, free_spawns(200), 1500)
-    position = np.stack([walk.position for walk in walks])
-    strides = np.linalg.norm(np.diff(position, axis=0), axis=-1)
-    at = np.linalg.norm(position[:, :, None] - np.array(STATIONS), axis=-1) < 1e-9
-    assert at.any(axis=0).any(axis=-1).mean() > 0.95  # nearly everybody gets to work
-    at_work = at.any(axis=-1)
-    assert strides[at_work[:-1] & at_work[1:]].max() == 0.0  # and stands still there
-    at_walking_pace = np.isclose(strides, config.speed_m_s * CONTROL_STEP_S, rtol=0.1)
-    striding = np.lib.stride_tricks.sliding_window_view(at_walking_pace, 5, axis=0).all(axis=-1)
-    sets_off = striding.argmax(axis=0) * CONTROL_STEP_S
-    assert 1.6 < sets_off.mean() < 2.4
-    at_first = strides[:10, sets_off > 0.3]  # as random_walk moves
-    assert 0.0 < at_first.mean() < config.jitter_m * np.sqrt(2)
 
 
 def test_advance_leaves_its_arguments_alone() -> None:

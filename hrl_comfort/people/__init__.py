@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.people.approach import approach
 from hrl_comfort.people.arc import arc
-from hrl_comfort.people.errands import errands
 from hrl_comfort.people.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set
 from hrl_comfort.people.none import none
 from hrl_comfort.people.playback import playback, read_motion
@@ -38,7 +37,6 @@ MOTIONS: dict[str, Motion] = {
     "playback": playback,
     "work": work,
     "rounds": rounds,
-    "errands": errands,
 }
 ATTEMPTS = 1000
 UNBOUND = ("none", "playback")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.people.walk import Array, Walk, facing_base, length
@@ -19,9 +18,9 @@ def rounds(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[A
     their yaw says what they are at. They leave as likely at any moment; from anywhere else they go at once.
     """
     stations = np.array(config.stations_m, dtype=np.float64)
-    away = ~at_station(config, walk)
+    away = np.linalg.norm(walk.position[:, None] - stations, axis=-1).min(axis=1) > NEGLIGIBLE_M
     bearing = np.arctan2(walk.position[:, 1], walk.position[:, 0])
-    way = way_round(walk)
+    way = np.sign(np.round(np.sin(facing_base(walk.position) - walk.yaw), 3))
     leaving = (way == 0) & (away | (noise[:, 2] * config.stay_s < CONTROL_STEP_S))
     way = np.where(leaving, np.where(noise[:, 0] < 0.5, 1.0, -1.0), way)
 
@@ -41,18 +40,3 @@ def rounds(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[A
     position = np.where(walking[:, None], there, walk.position)
     facing = facing_base(position)
     return position, np.where(walking & ~arrived, facing - way * np.pi / 2, facing)
-
-
-def way_round(walk: Walk) -> Array:
-    """Return which way round the robot people walk, (n,): 1 counter-clockwise, -1 clockwise, 0 not at all.
-
-    Rounded, for who slid along a rim faces a little past the robot, or past the way ahead.
-    """
-    return np.asarray(np.round(np.sin(facing_base(walk.position) - walk.yaw)))
-
-
-def at_station(config: HumanConfig, walk: Walk) -> NDArray[np.bool_]:
-    """Return (n,) whether people stand at one of `stations_m`."""
-    stations = np.array(config.stations_m, dtype=np.float64)
-    distance = np.linalg.norm(walk.position[:, None] - stations, axis=-1).min(axis=1)
-    return np.asarray(distance <= NEGLIGIBLE_M)
