@@ -48,10 +48,11 @@ Choose = Callable[[Decision], Tensor]
 def next_of(decision: Decision, score: Tensor) -> Tensor:
     """Return the option (N,) that takes the task on; of the picks that can start, the one of highest score.
 
-    `score` is (N, B), one for each ball.
+    Where none of them all can, the arm is not at home, and retreats. `score` is (N, B), one for each ball.
     """
-    balls = score.shape[1]
+    balls, count = score.shape[1], decision.mask.shape[1]
     best = torch.where(decision.mask[:, :balls], score, -torch.inf).argmax(dim=1)
+    best = torch.where(decision.mask[:, :balls].any(dim=1), best, count + RETREAT)
     place, back = decision.mask[:, balls], decision.mask[:, balls + 1]
     return torch.where(place, balls, torch.where(back, balls + 1, best))
 
@@ -81,7 +82,7 @@ def cautious(decision: Decision) -> Tensor:
     ball = chosen.clamp(max=balls - 1)
     goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
     near = human_distance(goal, state.human_pos) < NEAR_M
-    waits = near & (decision.waits < PATIENCE) & (chosen != balls + 1)
+    waits = near & (decision.waits < PATIENCE) & (chosen <= balls)
     return retreated(decision, torch.where(waits, count + WAIT, chosen))
 
 

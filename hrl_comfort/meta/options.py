@@ -20,6 +20,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
 from hrl_comfort.sim.field import Field
 from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks.return_home import GO_HOME
 from hrl_comfort.tasks.subtask import Quantity
 
 SCRIPTED = ("expert", "field", "random")
@@ -60,9 +61,14 @@ class Option:
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: the stage in force is one of the option's own, and its ball is not placed."""
+        """Return (N,) bool: the stage in force is one of the option's own, and its ball is not placed.
+
+        A subtask that begins at home has begun nowhere else in its training, so it can start there alone.
+        """
         stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
+        if self.subtask.start == "home":
+            able = able & (GO_HOME.done(state) | (stage > self.first))
         return able if self.ball is None else able & ~state.placed[:, self.ball]
 
     def ends(self, state: State) -> Tensor:
