@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -125,6 +126,19 @@ def test_only_options_that_can_start_are_offered(begun) -> None:
     placed = state.placed.clone()
     placed[:, 1] = True
     assert not running.available(state.with_(placed=placed))[:, 1].any()
+
+
+def test_a_pick_is_offered_at_home_alone_and_from_elsewhere_the_arm_retreats(begun) -> None:
+    engine, running = begun
+    state = engine.episodes.state
+    near, away = state.joint_home + math.radians(9), state.joint_home + math.radians(11)
+    assert running.available(state.with_(joint_pos=near))[:, :4].all()
+    lost = state.with_(joint_pos=away)
+    mask = running.available(lost)
+    assert not mask[:, :6].any() and mask[:, WAIT].all() and mask[:, RETREAT].all()
+    asked = replace(decision(engine, running), state=lost, mask=mask)
+    for choose in (nearest, cautious):
+        assert (choose(asked) == mask.shape[1] + RETREAT).all()
 
 
 def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:

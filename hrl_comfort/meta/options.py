@@ -20,7 +20,6 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.expert import Expert
 from hrl_comfort.sim.field import Field
 from hrl_comfort.tasks import State, Subtask, subtask
-from hrl_comfort.tasks.return_home import GO_HOME
 from hrl_comfort.tasks.subtask import Quantity
 
 SCRIPTED = ("expert", "field", "random")
@@ -44,7 +43,8 @@ class Option:
     `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
     as its subtask has, and sees their index counted from its own. Of a task that goes round several times
     (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for. Where
-    there is a `level`, the policy is told it, instead of the level in force.
+    there is a `level`, the policy is told it, instead of the level in force. `begins` says where the policy
+    can begin, if not wherever its stage may find the arm.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Option:
     round_stages: int = 0
     ball: int | None = None
     level: float | None = None
+    begins: Quantity | None = None
 
     @property
     def last(self) -> int:
@@ -61,14 +62,11 @@ class Option:
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: the stage in force is one of the option's own, and its ball is not placed.
-
-        A subtask that begins at home has begun nowhere else in its training, so it can start there alone.
-        """
+        """Return (N,) bool: its stage is in force, the arm is where it begins, and its ball is not placed."""
         stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
-        if self.subtask.start == "home":
-            able = able & (GO_HOME.done(state) | (stage > self.first))
+        if self.begins is not None:
+            able = able & self.begins(state)
         return able if self.ball is None else able & ~state.placed[:, self.ball]
 
     def ends(self, state: State) -> Tensor:

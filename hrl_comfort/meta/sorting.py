@@ -32,6 +32,7 @@ def sorting_options(
     """Return a pick for each ball, place and return, for each level they may be told, then wait and retreat.
 
     A skill is told the level in force or, in further options, one of `meta.tell`; policies by subtask name.
+    A pick begins at home alone, as it did in its training: not where a ball was lost on the way.
 
     Raises:
       ConfigError: the division is another, or a policy is missing or does not fit.
@@ -50,7 +51,7 @@ def sorting_options(
     for level in (None, *meta.tell):
         suffix = "" if level is None else f"_as_{level}"
         skills += [
-            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level)
+            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level, GO_HOME.done)
             for k in range(config.task.balls)
         ]
         skills += [
