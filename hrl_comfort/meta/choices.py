@@ -48,7 +48,7 @@ Choose = Callable[[Decision], Tensor]
 def next_of(decision: Decision, score: Tensor) -> Tensor:
     """Return the option (N,) that takes the task on; of the picks that can start, the one of highest score.
 
-    Where none of them all can, the arm is not at home, and retreats. `score` is (N, B), one for each ball.
+    Where none of these can start, the arm is not at home and retreats. `score` is (N, B), one for each ball.
     """
     balls, count = score.shape[1], decision.mask.shape[1]
     best = torch.where(decision.mask[:, :balls], score, -torch.inf).argmax(dim=1)
