@@ -6,6 +6,7 @@ where it is set they are drawn anew.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import io
 import math
@@ -35,6 +36,9 @@ from hrl_comfort.compose import ROOTS, compose, environment, groups, load_config
 from hrl_comfort.config import FAR_AWAY_M, ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config import comfort as allowed
 from hrl_comfort.config.checks import LONGEST_LINE
+from hrl_comfort.meta.choices import WAIT, Decision
+from hrl_comfort.meta.observation import BALL, OTHERS
+from hrl_comfort.meta.q_learning import QLearner, load_choice
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask
 from hrl_comfort.tasks.observations import LAYOUTS
@@ -339,7 +343,7 @@ assert isinstance(TRAINED, TrainConfig)
 HUMAN, COMFORT = TRAINED.human, TRAINED.comfort
 
 
-@inputs(0.2)
+@inputs(0.15)
 @given(content=st.one_of(tables("t,x,y,yaw"), tables("t,x,y,yaw"), st.binary(max_size=40)))
 def test_no_motion_file_crashes_and_people_are_at_finite_places(
     content: bytes, fresh: Callable[[bytes], Path]
@@ -546,12 +550,11 @@ def paths(tree: Any) -> list[tuple[str, ...]]:
     return found
 
 
-@inputs(0.05)
-@given(which=st.integers(0, 100), thing=THINGS, gone=st.booleans(), scale=st.sampled_from([1, 1e20, -1e38]))
-def test_no_policy_file_with_other_things_in_it_crashes(
-    which: int, thing: Any, gone: bool, scale: float, policy: Path, fresh: Callable[[bytes], Path]
-) -> None:
-    state = checkpoint.load(policy)
+def with_something_else(
+    content: dict[str, Any], which: int, thing: Any, gone: bool, scale: float, fresh: Callable[[bytes], Path]
+) -> Path:
+    """Return a file of `content` where one thing is gone, of other size, or something else."""
+    state = copy.deepcopy(content)
     *above, last = paths(state)[which % len(paths(state))]
     tree = state
     for name in above:
@@ -562,8 +565,54 @@ def test_no_policy_file_with_other_things_in_it_crashes(
         tree[last] = tree[last] * scale
     else:
         tree[last] = thing
-    content = io.BytesIO()
-    torch.save(state, content)
-    file = fresh(content.getvalue())
+    file = io.BytesIO()
+    torch.save(state, file)
+    return fresh(file.getvalue())
+
+
+CHANGED = {
+    "which": st.integers(0, 100), "thing": THINGS, "gone": st.booleans(),
+    "scale": st.sampled_from([1, 1e20, -1e38]),
+}  # fmt: skip
+
+
+@inputs(0.05)
+@given(**CHANGED)
+def test_no_policy_file_with_other_things_in_it_crashes(
+    which: int, thing: Any, gone: bool, scale: float, policy: Path, fresh: Callable[[bytes], Path]
+) -> None:
+    file = with_something_else(checkpoint.load(policy), which, thing, gone, scale, fresh)
     action = tried(lambda: acted(file))
     assert action is None or action.isfinite().all()
+
+
+OPTIONS = ["pick_1", "place", "return", "wait", "retreat"]
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    agent = replace(compose("train_meta").meta_agent, hidden=[4], buffer_size=1, batch_size=1)
+    file = tmp_path_factory.mktemp("controller") / "meta.pt"
+    learner = QLearner(agent, OTHERS + BALL, len(OPTIONS), seed=0)
+    learner.save(file, {"levels": COMFORT.levels, "balls": 1, "names": OPTIONS})
+    return checkpoint.load(file)
+
+
+@inputs(0.05)
+@given(**CHANGED)
+def test_no_controllers_file_with_other_things_in_it_crashes_and_what_is_loaded_chooses_what_can_start(
+    which: int,
+    thing: Any,
+    gone: bool,
+    scale: float,
+    controller: dict[str, Any],
+    fresh: Callable[[bytes], Path],
+) -> None:
+    file = with_something_else(controller, which, thing, gone, scale, fresh)
+    rng = np.random.default_rng(which)
+    mask = torch.from_numpy(rng.random((ROWS, len(OPTIONS))) < 0.5)
+    mask[:, WAIT] = True
+    none = torch.full((ROWS,), -1)
+    decision = Decision(random_state(rng, (-3, 1)), mask, option=none, ending=none, waits=none)
+    chosen = tried(lambda: load_choice(str(file), COMFORT.levels, OPTIONS)(decision))
+    assert chosen is None or mask[torch.arange(ROWS), chosen].all()

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -167,10 +167,7 @@ class Sac:
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
         self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.buffer_size, device=self.device),
-            sampler=RandomSampler(),
-            batch_size=config.batch_size,
-            prefetch=None,
+            storage=LazyTensorStorage(config.buffer_size, device=self.device)
         )
         self.updates = 0
 

@@ -122,12 +122,13 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
                 f"policies.meta={source!r} was taught by {spec['observation_dim']} observations; "
                 f"here there are {seen}: train it again"
             )
-        network = make_network(spec["observation_dim"], len(options), spec["hidden"])
-        network.load_state_dict(state["network"])
-        if not all(value.isfinite().all() for value in network.state_dict().values()):
-            raise ConfigError(f"policies.meta={source!r} is damaged: its weights are not all finite")
-    except (KeyError, TypeError, RuntimeError) as error:
+        with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
+            network = make_network(spec["observation_dim"], len(options), spec["hidden"])
+        network.load_state_dict(state["network"], assign=True)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ConfigError(f"policies.meta={source!r} is damaged: {str(error).splitlines()[0]}") from error
+    if not all(value.isfinite().all() for value in network.float().state_dict().values()):
+        raise ConfigError(f"policies.meta={source!r} is damaged: its weights are not all finite")
 
     @torch.no_grad()
     def choose(decision: Decision) -> Tensor:
