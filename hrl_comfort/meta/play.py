@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,13 +26,16 @@ class Moment:
 
 
 def play(engine: Engine, controller: Controller) -> Iterator[Moment]:
-    """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended."""
+    """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended.
+
+    Rows whose episode has ended stay as they are.
+    """
     state = engine.episodes.state
     assert state is not None
     controller.begin(engine.rows)
     active = torch.ones(engine.rows, dtype=torch.bool)
     while bool(active.any()):
-        outcome = engine.step(controller.act(state).numpy())
+        outcome = engine.step(controller.act(state).numpy(), np.flatnonzero(active.numpy()))
         given_up = controller.observe(outcome)
         moment = Moment(outcome, active, active & (outcome.done | given_up))
         state, active = outcome.state, active & ~moment.ended

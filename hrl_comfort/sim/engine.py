@@ -49,13 +49,18 @@ class Engine:
         assert self.episodes.state is not None
         return self.episodes.state
 
-    def step(self, action: Array) -> Outcome:
-        """Run one decision, action (N, 6) in [-1, 1], and return what it led to."""
+    def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> Outcome:
+        """Run one decision, action (N, 6) in [-1, 1], and return what it led to.
+
+        Of `rows` (r,) alone, where they are given: the others stay where they are, and what the outcome says
+        of them is void.
+        """
+        at = slice(None) if rows is None else rows
         control = self.episodes.plan(action)
-        states, sensed = self._run(self.physics, control)
-        outcome = self.episodes.absorb(sensed)
-        taken = outcome.decision_steps.numpy() * self.episodes.config.engine.substeps
-        self.physics = states[np.arange(self.rows), taken - 1]
+        states, sensed = self._run(self.physics[at], control[at])
+        outcome = self.episodes.absorb(sensed, rows)
+        taken = outcome.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
+        self.physics[at] = states[np.arange(len(taken)), taken - 1]
         return outcome
 
     def _probe(self, joints: Array, control: Array) -> Array:

@@ -189,16 +189,17 @@ class Episodes:
         assert self.state is not None
         return self._pack(targets, limbs, drawn(self.state, self.subtask))
 
-    def absorb(self, sensed: Array) -> Outcome:
+    def absorb(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> Outcome:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
 
         A decision ends where its stage or its episode does: whatever acts next, perhaps another policy,
         decides anew. The caller takes each row's physics from the end of its last valid control step.
+        Readings may be those of some `rows` (r,); the others then stay as they are.
         """
         assert self.state is not None
         substeps = self.config.engine.substeps
         sensed = sensed[:, substeps - 1 :: substeps].reshape(-1, sensed.shape[-1])
-        moving = self._moving(sensed, self._planned)
+        moving = self._moving(sensed, self._planned) if rows is None else self._moved(sensed, rows)
         limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
         outcome = judge(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
@@ -207,7 +208,7 @@ class Episodes:
         outcome = replace(outcome, state=self.state)
         steps = self.state.steps.numpy().copy()
         first = np.arange(self.rows) * self.config.task.steps_per_decision
-        self.walk = self._walks.rows(first + (steps - self.steps - 1))
+        self.walk = self._walks.rows(first + np.maximum(steps - self.steps - 1, 0))
         self.steps = steps
         self.joint_target = self.state.joint_target.numpy().copy()
         return outcome
@@ -318,6 +319,16 @@ class Episodes:
         ):
             tensors[name] = torch.from_numpy(sensed[:, at[key]].any(axis=1))
         return tensors
+
+    def _moved(self, sensed: Array, rows: NDArray[np.int64]) -> dict[str, Tensor]:
+        """Return what `_moving` does, (N * K, ...), from readings (r * K, nsensor) of `rows` (r,)."""
+        count = self.config.task.steps_per_decision
+        at = (rows[:, None] * count + np.arange(count)).reshape(-1)
+        moving = self._moving(sensed, {name: value[at] for name, value in self._planned.items()})
+        for name, value in moving.items():
+            still = getattr(self.state, name).repeat_interleave(count, dim=0)
+            moving[name] = still.index_copy(0, torch.from_numpy(at), value)
+        return moving
 
     def _begun(self, rows: NDArray[np.int64], walk: people.Walk, limbs: Array, sensed: Array) -> State:
         """Return the first instant of the episodes of `rows` (r,), whose people are at `walk`."""
