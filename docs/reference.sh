@@ -96,7 +96,6 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
 
 comfort_quick() { # the same with two fifths of the updates, in half an hour
     for seed in ${SEEDS:-0 1 2}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
-    figure quick kind=levels "evaluations=['$ref/comfort/quick/seed*/eval']"
 }
 
 levels_of() { # folder, overrides
@@ -249,9 +248,10 @@ field() { # the rival that learns nothing
         task.precision.take_m=0.30 task.precision.leave_m=0.30
 }
 
-figures() { # from the evaluations of comfort and field; what is recorded for a picture is not kept
+figures() { # from the evaluations of comfort, comfort_quick and field; what is recorded for a picture is not kept
     one=$ref/comfort/seed0/pick_place
     figure levels kind=levels "evaluations=['$ref/comfort/seed*/eval']"
+    figure quick kind=levels "evaluations=['$ref/comfort/quick/seed*/eval']"
     figure field kind=levels "evaluations=[$ref/comfort/field]"
     figure plane kind=plane "evaluations=['$ref/comfort/seed*/eval','$ref/comfort/field']" 'labels=[one policy,field]'
     record recorded/levels 100 $one 'levels=[1,4,7,10]'

@@ -14,6 +14,7 @@ from hrl_comfort.config import ConfigError, MetaConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.meta.controllers import Scripted, chain, single
 from hrl_comfort.meta.options import Option, act, make_policy
+from hrl_comfort.meta.play import play
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.outcome import Outcome
 from hrl_comfort.tasks import State, subtask
@@ -162,3 +163,20 @@ def test_every_division_of_the_task_chains_to_the_whole_cycle(division: str) -> 
     result = measure(replace(config, policies=policies))
     assert [episode.success for episode in result.episodes] == [True, True]
     assert [run["option"] for run in result.options if run["episode"] == 0] == list(config.meta.options)
+
+
+def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatch) -> None:
+    config, task = environment(compose("train", ["task=cycle"])), subtask("cycle")
+    engine = Engine(config, 6, 0)
+    expert = make_policy("expert", task, engine.scene, config, 0)
+    controller = single(task, Option(task.name, task, expert), config.task.limit_steps, config.comfort)
+    engine.reset()
+    run, stepped = engine._run, []
+
+    def counted(physics: Any, control: Any) -> Any:
+        stepped.append(len(physics))
+        return run(physics, control)
+
+    monkeypatch.setattr(engine, "_run", counted)
+    active = [int(moment.active.sum()) for moment in play(engine, controller)]
+    assert stepped == active and 0 < active[-1] < active[0] == 6

@@ -28,7 +28,7 @@ class Moment:
 def play(engine: Engine, controller: Controller) -> Iterator[Moment]:
     """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended.
 
-    Rows whose episode has ended stay as they are.
+    What a decision says of rows whose episode has ended before is void.
     """
     state = engine.episodes.state
     assert state is not None

@@ -17,10 +17,14 @@ from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.policy import WIDEST
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.meta import MetaAgentConfig
 from hrl_comfort.meta.choices import Choose, Decision
 from hrl_comfort.meta.observation import BALL, OTHERS, meta_observation
+
+SPEC: dict[str, type] = {"names": list, "levels": int, "balls": int, "observation_dim": int, "hidden": list}
+"""What a controller's file says of it."""
 
 
 def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
@@ -107,28 +111,37 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
       ConfigError: there is none, it is damaged, or it was trained for other options.
     """
     state = checkpoint.load(choice_file(Path(source)))
-    if "network" not in state or not isinstance(state.get("spec"), dict):
+    spec, weights = state.get("spec"), state.get("network")
+    if not isinstance(spec, dict) or not isinstance(weights, dict):
         raise ConfigError(f"policies.meta={source!r} is not a trained controller; its folder holds meta.pt")
-    spec = state["spec"]
-    if spec.get("names") != options or spec.get("levels") != levels:
+    for name, kind in SPEC.items():
+        if type(spec.get(name)) is not kind:
+            raise ConfigError(
+                f"policies.meta={source!r} is damaged: its {name} is not of type {kind.__name__}"
+            )
+    names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
+    if names != options or spec["levels"] != levels:
         raise ConfigError(
-            f"policies.meta={source!r} chooses among {spec.get('names')} at {spec.get('levels')} levels; "
+            f"policies.meta={source!r} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta.tell, task.balls)"
         )
+    seen = OTHERS + BALL * spec["balls"]
+    if spec["observation_dim"] != seen:
+        raise ConfigError(
+            f"policies.meta={source!r} was taught by {spec['observation_dim']} observations; "
+            f"here there are {seen}: train it again"
+        )
+    if not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
+        raise ConfigError(f"policies.meta={source!r} is damaged: its hidden is {hidden}")
     try:
-        seen = OTHERS + BALL * spec["balls"]
-        if spec["observation_dim"] != seen:
-            raise ConfigError(
-                f"policies.meta={source!r} was taught by {spec['observation_dim']} observations; "
-                f"here there are {seen}: train it again"
-            )
         with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
-            network = make_network(spec["observation_dim"], len(options), spec["hidden"])
-        network.load_state_dict(state["network"], assign=True)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            network = make_network(seen, len(options), hidden)
+        network.load_state_dict(weights, assign=True)
+    except (AttributeError, RuntimeError) as error:  # the former at a name that is no text
         raise ConfigError(f"policies.meta={source!r} is damaged: {str(error).splitlines()[0]}") from error
-    if not all(value.isfinite().all() for value in network.float().state_dict().values()):
-        raise ConfigError(f"policies.meta={source!r} is damaged: its weights are not all finite")
+    if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
+        raise ConfigError(f"policies.meta={source!r} is damaged: its weights are not all finite numbers")
+    network.float()
 
     @torch.no_grad()
     def choose(decision: Decision) -> Tensor:

@@ -52,8 +52,8 @@ class Engine:
     def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> Outcome:
         """Run one decision, action (N, 6) in [-1, 1], and return what it led to.
 
-        Of `rows` (r,) alone, where they are given: the others stay where they are, and what the outcome says
-        of them is void.
+        Of `rows` (r,) alone, where they are given. What the outcome says of the others is void, and they have
+        to be reset before they are stepped again.
         """
         at = slice(None) if rows is None else rows
         control = self.episodes.plan(action)

@@ -194,7 +194,7 @@ class Episodes:
 
         A decision ends where its stage or its episode does: whatever acts next, perhaps another policy,
         decides anew. The caller takes each row's physics from the end of its last valid control step.
-        Readings may be those of some `rows` (r,); the others then stay as they are.
+        Readings may be those of some `rows` (r,): see `Engine.step`.
         """
         assert self.state is not None
         substeps = self.config.engine.substeps
