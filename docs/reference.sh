@@ -201,9 +201,8 @@ figures_sort() { # from the evaluations of sort
     "${hrl[@]}" figure kind=controllers "output=$ref/sort/controllers.png" \
         'labels=[learned,scripted,cautious,random]' \
         "evaluations=['$of/learned','$of/scripted','$of/cautious','$of/random']"
-    # Not those who may retreat where they might return: a retreat does not count.
-    "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" 'labels=[scripted,cautious]' \
-        "evaluations=['$of/scripted','$of/cautious']"
+    "${hrl[@]}" figure kind=chain "output=$ref/sort/chain.png" 'labels=[learned,scripted,cautious]' \
+        "evaluations=['$of/learned','$of/scripted','$of/cautious']"
     for name in learned scripted cautious; do
         "${hrl[@]}" figure kind=timeline "output=$ref/sort/timeline_$name.png" "evaluations=[$ref/sort/seed0/$name]"
     done

@@ -45,6 +45,12 @@ def test_a_ball_that_is_picked_again_makes_no_chain_longer() -> None:
     assert [at["options"] for at in chain_lengths(EPISODES[:1], again)] == [1, 2]
 
 
+def test_a_retreat_counts_where_it_takes_the_place_of_a_return_alone() -> None:
+    names = ["pick_1", "retreat", "place_as_1", "retreat", "retreat", "pick_2_as_1"]
+    found = chain_lengths(["0"], [run(0, name, "success") for name in names])
+    assert [at["options"] for at in found] == [1, 2, 3, 4]
+
+
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cycle")

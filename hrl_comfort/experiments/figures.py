@@ -263,7 +263,8 @@ def paths(
         return figure
 
 
-def _kind(option: str) -> str:
+def kind_of(option: str) -> str:
+    """Return what an option does: its name without the ball and the level it is told."""
     return "pick" if PICK.fullmatch(option) else re.sub(f"{TOLD}$", "", option)
 
 
@@ -277,7 +278,7 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 1.3 + 0.24 * len(episodes)))
         axis = figure.subplots()
-        names = list(dict.fromkeys(_kind(row["option"]) for row in rows))
+        names = list(dict.fromkeys(kind_of(row["option"]) for row in rows))
         colours = dict(zip(names, CYCLE * (1 + len(names) // len(CYCLE)), strict=False))
         marks = {"failure": "X", "preempted": "D"}
         for row in rows:
@@ -285,7 +286,7 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
                 continue
             y = episodes.index(row["episode"])
             start, end = (int(float(row[key])) * CONTROL_STEP_S for key in ("start_step", "end_step"))
-            colour = colours[_kind(row["option"])]
+            colour = colours[kind_of(row["option"])]
             axis.barh(y, end - start, left=start, height=0.68, color=colour, edgecolor="white", linewidth=1)
             if picked := PICK.fullmatch(row["option"]):
                 axis.text((start + end) / 2, y, picked[1], ha="center", va="center", color="white", size=7)

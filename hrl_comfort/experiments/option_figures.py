@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.experiments.figures import BLACK, CYCLE, PICK, STYLE
+from hrl_comfort.experiments.figures import BLACK, CYCLE, STYLE, kind_of
 from hrl_comfort.experiments.statistics import wilson_interval
 
 
@@ -20,18 +20,21 @@ def chain_lengths(
 ) -> list[dict[str, Any]]:
     """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
 
-    As far as any episode got, and at least to `least`. Waits and retreats take the task no further and do
-    not count, nor does a pick whose ball was lost.
+    As far as any episode got, and at least to `least`. What takes the task no further does not count: waits,
+    a pick whose ball was lost, and retreats, but for those that take the place of a return.
     """
     done = dict.fromkeys(episodes, 0)
-    held: set[Hashable] = set()
+    last: dict[Hashable, str] = {}
     for run in options:
-        episode, picks = run["episode"], run["option"] == "pick" or PICK.fullmatch(run["option"])
-        if run["ending"] != "success" or run["option"] in ("wait", "retreat"):
+        episode, kind = run["episode"], kind_of(run["option"])
+        before = last.get(episode)
+        if kind == "retreat" and before == "place":
+            kind = "return"
+        if run["ending"] != "success" or kind in ("wait", "retreat"):
             continue
-        if not (picks and episode in held):  # else the ball was lost, and is picked again
+        if (kind, before) != ("pick", "pick"):  # else the ball was lost, and is picked again
             done[episode] += 1
-        held = held | {episode} if picks else held - {episode}
+        last[episode] = kind
     lengths = np.array(list(done.values()))
     found = []
     for length in range(1, max(least, int(lengths.max(initial=0))) + 1):
