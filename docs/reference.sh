@@ -94,7 +94,7 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
     for seed in ${SEEDS:-0 1 2 3 4}; do levels_of comfort/seed$seed; done
 }
 
-comfort_quick() { # the same with two fifths of the updates, in half an hour
+comfort_quick() { # the same with two fifths of the updates
     for seed in ${SEEDS:-0 1 2}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
 }
 
