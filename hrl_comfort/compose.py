@@ -53,6 +53,7 @@ LATER: dict[str, Any] = {
     "human.stations_m": [],
     "human.stay_s": 4.0,
     "task.start_anew": 0.0,
+    "task.option_limit_steps": 500,
     "meta.tell": [],
     "agent.actor_tau": 1.0,
     "agent.products": "highest",

@@ -41,6 +41,8 @@ class TaskConfig:
     precision: PrecisionConfig
     limit_steps: int
     """Control steps of 20 ms after which an episode is truncated."""
+    option_limit_steps: int
+    """What `meta.time_limit_steps` is, unless it is set."""
     steps_per_decision: int
     max_step_deg: float
     """Largest joint increment a control step."""
@@ -76,6 +78,7 @@ class TaskConfig:
         one_of("task.point", self.point, POINTS)
         between("task.start_anew", self.start_anew, 0.0, 1.0)
         between("task.limit_steps", self.limit_steps, 1, 100_000)
+        between("task.option_limit_steps", self.option_limit_steps, 1, 100_000)
         between("task.steps_per_decision", self.steps_per_decision, 1, 100)
         between("task.max_step_deg", self.max_step_deg, 0.01, 3.6)
         between("task.max_step_m", self.max_step_m, 0.001, 0.05)
