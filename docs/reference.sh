@@ -172,6 +172,7 @@ sort() { # several balls, beside somebody who goes from table to table, above th
         for kind in drop block; do
             measure sort/seed$seed/scripted_$kind "${meta[@]}" meta=scripted disturbance=$kind
         done
+        measure sort/seed$seed/scripted_patient "${meta[@]}" meta=scripted meta.time_limit_steps=500
     done
 }
 

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.compose import compose, environment, save_config
-from hrl_comfort.config import ConfigError, EnvConfig, MetaTrainConfig
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig, MetaTrainConfig
 from hrl_comfort.experiments.measure import measure
 from hrl_comfort.experiments.run_folder import find_runs
 from hrl_comfort.experiments.train_meta import train_meta
@@ -374,3 +374,13 @@ def test_a_controller_that_does_not_sort_is_refused() -> None:
                 ["task=cycle", "meta=cautious", "episodes=1", *(f"policies.{n}=expert" for n in EXPERTS)],
             )
         )
+
+
+def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() -> None:
+    def limit(*overrides: str) -> int:
+        config = compose("evaluate", ["meta=scripted", *overrides])
+        assert isinstance(config, EvaluateConfig)
+        return config.meta.time_limit_steps
+
+    assert limit("task=sort") == 100 and limit("task=cycle") == 500
+    assert limit("task=sort", "meta.time_limit_steps=7") == 7
