@@ -99,13 +99,7 @@ def test_experts_sort_every_ball_once(choose) -> None:
 
 def decision(engine: Engine, running: Running, **changes) -> Decision:
     state, n = engine.episodes.state, engine.rows
-    plain = Decision(
-        state,
-        running.available(state),
-        torch.full((n,), -1),
-        torch.zeros(n, dtype=torch.int64),
-        torch.zeros(n, dtype=torch.int64),
-    )
+    plain = Decision(state, running.available(state), torch.zeros(n, dtype=torch.int64))
     return replace(plain, **changes)
 
 

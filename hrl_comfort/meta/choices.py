@@ -1,4 +1,4 @@
-"""What a controller of `sort` may choose by: pure functions of state, mask and how the last options ended.
+"""What a controller of `sort` may choose by: pure functions of state, mask and how long it has waited.
 
 Options are those of `sorting_options`: for each level a skill may be told, the one in force first, a pick for
 each of B balls, place and return; then wait and retreat.
@@ -14,8 +14,6 @@ from torch import Tensor
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import ConfigError
-from hrl_comfort.meta.options import Ending
-from hrl_comfort.meta.running import ENDINGS
 from hrl_comfort.tasks import State
 
 WAIT, RETREAT = -2, -1
@@ -33,10 +31,6 @@ class Decision:
     state: State
     mask: Tensor
     """(N, K) bool, the options that can start."""
-    option: Tensor
-    """(N,) int64, the option that has ended; -1 at the start."""
-    ending: Tensor
-    """(N,) int64, an index of ENDINGS."""
     waits: Tensor
     """(N,) int64, waits in a row until now."""
 
@@ -48,7 +42,8 @@ Choose = Callable[[Decision], Tensor]
 def next_of(decision: Decision, score: Tensor) -> Tensor:
     """Return the option (N,) that takes the task on; of the picks that can start, the one of highest score.
 
-    Where none of these can start, the arm is not at home and retreats. `score` is (N, B), one for each ball.
+    Where none of these can start, an option was preempted, and the arm retreats. `score` is (N, B), one for
+    each ball.
     """
     balls, count = score.shape[1], decision.mask.shape[1]
     best = torch.where(decision.mask[:, :balls], score, -torch.inf).argmax(dim=1)
@@ -57,19 +52,10 @@ def next_of(decision: Decision, score: Tensor) -> Tensor:
     return torch.where(place, balls, torch.where(back, balls + 1, best))
 
 
-def retreated(decision: Decision, chosen: Tensor) -> Tensor:
-    """Return `chosen` (N,), but retreat where an option has run out of time and the arm is not at home."""
-    count = decision.mask.shape[1]
-    stuck = decision.ending == ENDINGS.index(Ending.PREEMPTED)
-    stuck = stuck & (decision.option >= 0) & (decision.option < count + WAIT)
-    return torch.where(stuck & decision.mask[:, RETREAT], count + RETREAT, chosen)
-
-
 def nearest(decision: Decision) -> Tensor:
-    """Choose the nearest ball first; what has run out of time is tried again from home."""
+    """Choose the nearest ball first."""
     state = decision.state
-    score = -(state.balls - state.tcp_pos[:, None]).norm(dim=-1)
-    return retreated(decision, next_of(decision, score))
+    return next_of(decision, -(state.balls - state.tcp_pos[:, None]).norm(dim=-1))
 
 
 def cautious(decision: Decision) -> Tensor:
@@ -83,7 +69,7 @@ def cautious(decision: Decision) -> Tensor:
     goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
     near = human_distance(goal, state.human_pos) < NEAR_M
     waits = near & (decision.waits < PATIENCE) & (chosen <= balls)
-    return retreated(decision, torch.where(waits, count + WAIT, chosen))
+    return torch.where(waits, count + WAIT, chosen)
 
 
 def at_random(seed: int) -> Choose:

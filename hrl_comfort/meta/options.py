@@ -43,8 +43,7 @@ class Option:
     `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
     as its subtask has, and sees their index counted from its own. Of a task that goes round several times
     (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for. Where
-    there is a `level`, the policy is told it, instead of the level in force. `begins` says where the policy
-    can begin, if not wherever its stage may find the arm.
+    there is a `level`, the policy is told it, instead of the level in force.
     """
 
     name: str
@@ -54,7 +53,6 @@ class Option:
     round_stages: int = 0
     ball: int | None = None
     level: float | None = None
-    begins: Quantity | None = None
 
     @property
     def last(self) -> int:
@@ -62,11 +60,9 @@ class Option:
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: its stage is in force, the arm is where it begins, and its ball is not placed."""
+        """Return (N,) bool: its stage is in force, and its ball is not placed."""
         stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
-        if self.begins is not None:
-            able = able & self.begins(state)
         return able if self.ball is None else able & ~state.placed[:, self.ball]
 
     def ends(self, state: State) -> Tensor:

@@ -39,10 +39,20 @@ class Running:
         self.started = torch.zeros(episodes.rows, dtype=torch.int64)
         self._until = torch.zeros(episodes.rows, dtype=torch.int64)
         self._from = torch.zeros(episodes.rows, dtype=torch.int64)
+        self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
+        """The last skill was preempted, or a pause since."""
+        self._skill = torch.tensor([isinstance(option, Option) for option in options])
+        self._homeward = torch.tensor([isinstance(o, Pause) and o.done is not None for o in options])
 
     def available(self, state: State) -> Tensor:
-        """Return (N, K) bool: options that can start now; where none can, each may (the episode is over)."""
+        """Return (N, K) bool: options that can start now; where none can, each may (the episode is over).
+
+        What is preempted leaves the arm where no skill was trained to begin: it has to go home first, if one
+        of the options does that.
+        """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
+        astray = self._preempted & (mask & self._homeward).any(dim=-1)
+        mask = mask & ~(astray[:, None] & self._skill)
         return mask | ~mask.any(dim=-1, keepdim=True)
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
@@ -97,4 +107,6 @@ class Running:
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)
+        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) | (self._preempted & ~self._skill[self.option])
+        self._preempted = torch.where(ended, preempted & ~outcome.done, self._preempted)
         return Ended(ended, torch.where(ended, ending, 0))

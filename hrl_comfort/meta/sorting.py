@@ -32,7 +32,6 @@ def sorting_options(
     """Return a pick for each ball, place and return, for each level they may be told, then wait and retreat.
 
     A skill is told the level in force or, in further options, one of `meta.tell`; policies by subtask name.
-    A pick begins at home alone, as it did in its training: not where a ball was lost on the way.
 
     Raises:
       ConfigError: the division is another, or a policy is missing or does not fit.
@@ -51,7 +50,7 @@ def sorting_options(
     for level in (None, *meta.tell):
         suffix = "" if level is None else f"_as_{level}"
         skills += [
-            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level, GO_HOME.done)
+            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level)
             for k in range(config.task.balls)
         ]
         skills += [
@@ -103,7 +102,6 @@ class Sorting:
         self._deciding = torch.ones(rows, dtype=torch.bool)
         self._over = torch.zeros(rows, dtype=torch.bool)
         self._last = torch.full((rows,), -1, dtype=torch.int64)
-        self._ending = torch.zeros(rows, dtype=torch.int64)
         self._waits = torch.zeros(rows, dtype=torch.int64)
         self._attempt = torch.zeros(rows, dtype=torch.int64)
         self.runs = []
@@ -112,7 +110,7 @@ class Sorting:
         """Return actions (N, 6); rows whose option has ended choose anew, those that are over stand still."""
         rows = self._deciding & ~self._over
         if bool(rows.any()):
-            decision = Decision(state, self.running.available(state), self._last, self._ending, self._waits)
+            decision = Decision(state, self.running.available(state), self._waits)
             chosen = torch.where(rows, self._choose(decision), self.running.option)
             self._attempt = torch.where(
                 rows, torch.where(chosen == self._last, self._attempt + 1, 1), self._attempt
@@ -141,7 +139,6 @@ class Sorting:
             rows, torch.where(self.running.option == wait, self._waits + 1, 0), self._waits
         )
         self._last = torch.where(rows, self.running.option, self._last)
-        self._ending = torch.where(rows, ended.ending, self._ending)
         self._deciding = rows
         self._over = self._over | outcome.done
         return torch.zeros_like(self._over)
