@@ -122,17 +122,29 @@ def test_only_options_that_can_start_are_offered(begun) -> None:
     assert not running.available(state.with_(placed=placed))[:, 1].any()
 
 
-def test_a_pick_is_offered_at_home_alone_and_from_elsewhere_the_arm_retreats(begun) -> None:
-    engine, running = begun
-    state = engine.episodes.state
-    near, away = state.joint_home + math.radians(9), state.joint_home + math.radians(11)
+def test_what_was_preempted_goes_home_before_any_skill_begins() -> None:
+    engine = Engine(config("human=none"), 8, 0)
+    state = engine.reset()
+    options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
+    running, everyone = Running(options, 5, engine.episodes), torch.ones(8, dtype=torch.bool)
+    near, away = (state.joint_home + math.radians(degrees) for degrees in (9, 11))
+    assert running.available(state.with_(joint_pos=away))[:, :4].all()
+    for option in (0, len(options) + WAIT):  # a pick that takes too long; a wait changes nothing about it
+        running.begin(everyone, torch.full((8,), option))
+        outcome = engine.step(torch.zeros(8, 6).numpy())
+        assert (running.ended(outcome).ending == ENDINGS.index(Ending.PREEMPTED)).all()
+        for stage in (0, 1, 2):
+            lost = state.with_(joint_pos=away, stage=torch.full((8,), stage))
+            mask = running.available(lost)
+            assert not mask[:, :6].any() and mask[:, WAIT].all() and mask[:, RETREAT].all()
+            for choose in (nearest, cautious):
+                asked = replace(decision(engine, running), state=lost, mask=mask)
+                assert (choose(asked) == len(options) + RETREAT).all()
     assert running.available(state.with_(joint_pos=near))[:, :4].all()
-    lost = state.with_(joint_pos=away)
-    mask = running.available(lost)
-    assert not mask[:, :6].any() and mask[:, WAIT].all() and mask[:, RETREAT].all()
-    asked = replace(decision(engine, running), state=lost, mask=mask)
-    for choose in (nearest, cautious):
-        assert (choose(asked) == mask.shape[1] + RETREAT).all()
+    running.begin(everyone, torch.zeros(8, dtype=torch.int64))
+    taken = outcome.state.with_(stage=torch.ones(8, dtype=torch.int64), joint_pos=away)
+    running.ended(replace(outcome, state=taken))
+    assert running.available(taken)[:, 4].all()  # what succeeds leaves the arm where the next skill begins
 
 
 def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:
@@ -199,19 +211,6 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(begun) -> None
     wait = asked.mask.shape[1] + WAIT
     assert (cautious(replace(asked, state=here)) == wait).all()
     assert (cautious(replace(asked, state=here, waits=torch.full((8,), 6))) != wait).all()
-
-
-def test_what_runs_out_of_time_is_tried_again_from_home(begun) -> None:
-    asked = decision(*begun)
-    away = replace(asked, mask=asked.mask | torch.eye(8, dtype=torch.bool)[RETREAT])
-    count = asked.mask.shape[1]
-    stuck = replace(
-        away,
-        option=torch.zeros(8, dtype=torch.int64),
-        ending=torch.full((8,), ENDINGS.index(Ending.PREEMPTED)),
-    )
-    assert (nearest(stuck) == count + RETREAT).all()
-    assert (nearest(replace(stuck, option=torch.full((8,), count + RETREAT))) < 4).all()
 
 
 def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(begun) -> None:

@@ -107,6 +107,8 @@ class Running:
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)
-        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) | (self._preempted & ~self._skill[self.option])
+        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) | (
+            self._preempted & ~self._skill[self.option]
+        )
         self._preempted = torch.where(ended, preempted & ~outcome.done, self._preempted)
         return Ended(ended, torch.where(ended, ending, 0))
