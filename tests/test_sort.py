@@ -122,29 +122,37 @@ def test_only_options_that_can_start_are_offered(begun) -> None:
     assert not running.available(state.with_(placed=placed))[:, 1].any()
 
 
-def test_what_was_preempted_goes_home_before_any_skill_begins() -> None:
+def test_what_was_preempted_goes_home_before_anything_else() -> None:
     engine = Engine(config("human=none"), 8, 0)
     state = engine.reset()
     options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
     running, everyone = Running(options, 5, engine.episodes), torch.ones(8, dtype=torch.bool)
     near, away = (state.joint_home + math.radians(degrees) for degrees in (9, 11))
     assert running.available(state.with_(joint_pos=away))[:, :4].all()
-    for option in (0, len(options) + WAIT):  # a pick that takes too long; a wait changes nothing about it
-        running.begin(everyone, torch.full((8,), option))
-        outcome = engine.step(torch.zeros(8, 6).numpy())
-        assert (running.ended(outcome).ending == ENDINGS.index(Ending.PREEMPTED)).all()
-        for stage in (0, 1, 2):
-            lost = state.with_(joint_pos=away, stage=torch.full((8,), stage))
-            mask = running.available(lost)
-            assert not mask[:, :6].any() and mask[:, WAIT].all() and mask[:, RETREAT].all()
-            for choose in (nearest, cautious):
-                asked = replace(decision(engine, running), state=lost, mask=mask)
-                assert (choose(asked) == len(options) + RETREAT).all()
+    running.begin(everyone, torch.zeros(8, dtype=torch.int64))
+    outcome = engine.step(torch.zeros(8, 6).numpy())
+    assert (running.ended(outcome).ending == ENDINGS.index(Ending.PREEMPTED)).all()
+    for stage in (0, 1, 2):
+        lost = state.with_(joint_pos=away, stage=torch.full((8,), stage))
+        mask = running.available(lost)
+        assert mask[:, RETREAT].all() and (mask.sum(dim=1) == 1).all()
+        for choose in (nearest, cautious):
+            asked = replace(decision(engine, running), state=lost, mask=mask)
+            assert (choose(asked) == len(options) + RETREAT).all()
     assert running.available(state.with_(joint_pos=near))[:, :4].all()
     running.begin(everyone, torch.zeros(8, dtype=torch.int64))
     taken = outcome.state.with_(stage=torch.ones(8, dtype=torch.int64), joint_pos=away)
     running.ended(replace(outcome, state=taken))
     assert running.available(taken)[:, 4].all()  # what succeeds leaves the arm where the next skill begins
+
+
+def test_the_arm_rests_where_it_is_slow_and_retreats_with_no_ball(begun) -> None:
+    engine, running = begun
+    away = engine.episodes.state.joint_home + math.radians(11)
+    for stage, rests, retreats in ((0, True, False), (1, True, False), (2, False, True), (3, True, False)):
+        there = engine.episodes.state.with_(joint_pos=away, stage=torch.full((8,), stage))
+        mask = running.available(there)
+        assert (mask[:, WAIT] == rests).all() and (mask[:, RETREAT] == retreats).all()
 
 
 def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:

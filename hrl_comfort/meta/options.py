@@ -79,18 +79,23 @@ class Option:
 
 @dataclass(frozen=True)
 class Pause:
-    """An option that takes the task no further: it lasts `limit_steps`, or until `done`."""
+    """An option that takes the task no further: it lasts `limit_steps`, or until `done`.
+
+    It can be chosen where `fits` says so; one that ends at home is also what follows a preempted option.
+    """
 
     name: str
     policy: Act
     limit_steps: int
+    fits: Quantity
     done: Quantity | None = None
     ball: None = None
     level: None = None
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: not where it is done already."""
-        return torch.ones_like(state.stage, dtype=torch.bool) if self.done is None else ~self.done(state)
+        """Return (N,) bool: where it fits, and is not done already."""
+        fits = self.fits(state)
+        return fits if self.done is None else fits & ~self.done(state)
 
     def ends(self, state: State) -> Tensor:
         """Return (N,) int64, a stage that is never reached."""

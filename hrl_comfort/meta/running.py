@@ -40,9 +40,7 @@ class Running:
         self._until = torch.zeros(episodes.rows, dtype=torch.int64)
         self._from = torch.zeros(episodes.rows, dtype=torch.int64)
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
-        """The last skill was preempted, or a pause since."""
-        self._skill = torch.tensor([isinstance(option, Option) for option in options])
-        self._homeward = torch.tensor([isinstance(o, Pause) and o.done is not None for o in options])
+        """The last option was preempted."""
 
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start now; where none can, each may (the episode is over).
@@ -51,8 +49,11 @@ class Running:
         of the options does that.
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
-        astray = self._preempted & (mask & self._homeward).any(dim=-1)
-        mask = mask & ~(astray[:, None] & self._skill)
+        for index, option in enumerate(self.options):
+            if isinstance(option, Pause) and option.done is not None:
+                astray = self._preempted & ~option.done(state)
+                mask[astray] = False
+                mask[astray, index] = True
         return mask | ~mask.any(dim=-1, keepdim=True)
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
@@ -107,8 +108,6 @@ class Running:
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)
-        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) | (
-            self._preempted & ~self._skill[self.option]
-        )
-        self._preempted = torch.where(ended, preempted & ~outcome.done, self._preempted)
+        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) & ~outcome.done
+        self._preempted = torch.where(ended, preempted, self._preempted)
         return Ended(ended, torch.where(ended, ending, 0))

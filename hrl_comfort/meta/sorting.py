@@ -61,9 +61,18 @@ def sorting_options(
     home = Expert(scene, config, subtask("return"))
     return [
         *skills,
-        Pause("wait", stop(config.task), WAIT_STEPS),
-        Pause("retreat", home.act, config.task.limit_steps, GO_HOME.done),
+        Pause("wait", stop(config.task), WAIT_STEPS, lambda state: ~returning(state)),
+        Pause("retreat", home.act, config.task.limit_steps, returning, GO_HOME.done),
     ]
+
+
+def returning(state: State) -> Tensor:
+    """Return (N,) bool: a ball has just been placed.
+
+    The arm is fast there and close above a table, so it goes home at once; with a ball that has just been
+    taken it does not, for a place is trained to begin where a pick ends.
+    """
+    return state.stage % ROUND == SKILLS.index("return")
 
 
 def check_told(level: int, comfort: ComfortConfig) -> None:
