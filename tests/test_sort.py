@@ -19,6 +19,7 @@ from hrl_comfort.experiments.train_meta import train_meta
 from hrl_comfort.meta import sorting as sorting_module
 from hrl_comfort.meta.choices import RETREAT, WAIT, Decision, at_random, cautious, nearest
 from hrl_comfort.meta.observation import BALL, OTHERS, meta_observation
+from hrl_comfort.meta.option_env import OptionEnv
 from hrl_comfort.meta.options import Ending, act
 from hrl_comfort.meta.play import play
 from hrl_comfort.meta.q_learning import QLearner, load_choice
@@ -153,6 +154,36 @@ def test_the_arm_rests_where_it_is_slow_and_retreats_with_no_ball(begun) -> None
         there = engine.episodes.state.with_(joint_pos=away, stage=torch.full((8,), stage))
         mask = running.available(there)
         assert (mask[:, WAIT] == rests).all() and (mask[:, RETREAT] == retreats).all()
+
+
+def test_a_pause_lasts_as_long_as_it_says_whatever_the_limit_and_ends_where_its_ball_is_lost() -> None:
+    engine = Engine(config("human=none"), 3, 0)
+    holding = torch.ones(3, dtype=torch.int64)
+    engine.episodes.state = engine.reset().with_(stage=holding)
+    options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
+    running, everyone = Running(options, 5, engine.episodes), torch.ones(3, dtype=torch.bool)
+    running.begin(everyone, torch.full((3,), len(options) + WAIT))
+    outcome = engine.step(torch.zeros(3, 6).numpy())
+    for steps, stage, ending in ((20, 1, None), (25, 1, Ending.SUCCESS), (25, 0, Ending.PREEMPTED)):
+        there = outcome.state.with_(steps=torch.full((3,), steps), stage=stage * holding)
+        ended = running.ended(replace(outcome, state=there))
+        assert (ended.rows == (ending is not None)).all()
+        assert ending is None or (ended.ending == ENDINGS.index(ending)).all()
+
+
+def test_after_a_preempted_option_the_environment_above_options_offers_nothing_but_the_way_home() -> None:
+    def make(engine: Engine) -> list:
+        return sorting_options(META, EXPERTS, engine.scene, engine.episodes.config, 0)
+
+    env = OptionEnv(config("human=none"), make, 10, 2, 0, 0.99)
+    td, count = env.reset(), len(env.running.options)
+    stuck = env.step(td.set("action", torch.tensor([0, count + WAIT])))["next"]
+    preempted = ENDINGS.index(Ending.PREEMPTED)
+    assert stuck["deciding"].all(dim=-1).tolist() == [True, False] and int(stuck["ending"][0]) == preempted
+    home = torch.arange(count) == count + RETREAT
+    assert torch.equal(stuck["action_mask"][0], home)
+    anew = env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, batch_size=[2]))
+    assert anew["action_mask"][0, :4].all()
 
 
 def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:

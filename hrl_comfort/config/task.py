@@ -42,7 +42,8 @@ class TaskConfig:
     limit_steps: int
     """Control steps of 20 ms after which an episode is truncated."""
     option_limit_steps: int
-    """What `meta.time_limit_steps` is, unless it is set."""
+    """What `meta.time_limit_steps` is, unless that is set: control steps. It is the task's, for an evaluation
+    takes the task over from the training of what it evaluates, and the controller it is given anew."""
     steps_per_decision: int
     max_step_deg: float
     """Largest joint increment a control step."""

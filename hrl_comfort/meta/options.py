@@ -81,13 +81,14 @@ class Option:
 class Pause:
     """An option that takes the task no further: it lasts `limit_steps`, or until `done`.
 
-    It can be chosen where `fits` says so; one that ends at home is also what follows a preempted option.
+    It can be chosen where `fits` says so. One with a `done` takes the arm home: it also follows whatever was
+    preempted (`Running.available`).
     """
 
     name: str
     policy: Act
-    limit_steps: int
     fits: Quantity
+    limit_steps: int = NEVER
     done: Quantity | None = None
     ball: None = None
     level: None = None

@@ -28,9 +28,9 @@ class Ended:
 
 
 class Running:
-    """The options in force in N cells; an option runs for `limit` control steps at most.
+    """The options in force in N cells; a skill runs for `limit` control steps at most.
 
-    Where `comfort` lets an episode last longer at lower levels, an option may too.
+    Where `comfort` lets an episode last longer at lower levels, a skill may too.
     """
 
     def __init__(self, options: list[Option | Pause], limit: int, episodes: Episodes) -> None:
@@ -40,20 +40,20 @@ class Running:
         self._until = torch.zeros(episodes.rows, dtype=torch.int64)
         self._from = torch.zeros(episodes.rows, dtype=torch.int64)
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
-        """The last option was preempted."""
+        """(N,) bool, the option was preempted; void while one runs."""
+        pauses = [option for option in options if isinstance(option, Pause)]
+        self._retreat = next((pause for pause in pauses if pause.done is not None), None)
 
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start now; where none can, each may (the episode is over).
 
-        What is preempted leaves the arm where no skill was trained to begin: it has to go home first, if one
-        of the options does that.
+        What is preempted leaves the arm where no skill was trained to begin, and may be stuck: if one of the
+        options goes home, only that can start until the arm is there.
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
-        for index, option in enumerate(self.options):
-            if isinstance(option, Pause) and option.done is not None:
-                astray = self._preempted & ~option.done(state)
-                mask[astray] = False
-                mask[astray, index] = True
+        if self._retreat is not None and self._retreat.done is not None:
+            astray = self._preempted & ~self._retreat.done(state)
+            mask[astray] = torch.tensor([option is self._retreat for option in self.options])
         return mask | ~mask.any(dim=-1, keepdim=True)
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
@@ -89,8 +89,8 @@ class Running:
     def ended(self, outcome: Outcome) -> Ended:
         """Return which options have ended with a decision, and how.
 
-        A pause that has lasted its time has succeeded; any other option is preempted then, or when the task
-        is back at an earlier stage: the ball is lost.
+        A pause that has lasted its time, or is done, has succeeded; a skill that has lasted the limit is
+        preempted, and so is any option where the task is back at an earlier stage: the ball is lost.
         """
         state = outcome.state
         lasted = state.steps - self.started
@@ -98,16 +98,19 @@ class Running:
         succeeded = state.stage >= self._until
         for index, option in enumerate(self.options):
             if isinstance(option, Pause):
+                here = self.option == index
                 done = lasted >= option.limit_steps
                 if option.done is not None:
                     done = done | option.done(state)
-                succeeded = succeeded | (done & (self.option == index))
+                succeeded = succeeded | (done & here)
+                over = over & ~here
+        lost = state.stage < self._from
+        # A whole episode's success is that of whatever was running.
+        succeeded = (succeeded & ~lost) | outcome.success
         failed = outcome.terminated & ~outcome.success
-        succeeded = succeeded | outcome.success  # of the whole episode, whatever was running
-        ended = succeeded | outcome.done | over | (state.stage < self._from)
+        ended = succeeded | outcome.done | over | lost
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)
-        preempted = (ending == ENDINGS.index(Ending.PREEMPTED)) & ~outcome.done
-        self._preempted = torch.where(ended, preempted, self._preempted)
+        self._preempted = ending == ENDINGS.index(Ending.PREEMPTED)
         return Ended(ended, torch.where(ended, ending, 0))

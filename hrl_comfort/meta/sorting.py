@@ -61,17 +61,15 @@ def sorting_options(
     home = Expert(scene, config, subtask("return"))
     return [
         *skills,
-        Pause("wait", stop(config.task), WAIT_STEPS, lambda state: ~returning(state)),
-        Pause("retreat", home.act, config.task.limit_steps, returning, GO_HOME.done),
+        # Where a ball has just been placed the arm may be fast, close above a table. A ball just taken is not
+        # carried home, for a place is trained to begin where a pick ends.
+        Pause("wait", stop(config.task), lambda state: ~has_placed(state), WAIT_STEPS),
+        Pause("retreat", home.act, has_placed, done=GO_HOME.done),
     ]
 
 
-def returning(state: State) -> Tensor:
-    """Return (N,) bool: a ball has just been placed.
-
-    The arm is fast there and close above a table, so it goes home at once; with a ball that has just been
-    taken it does not, for a place is trained to begin where a pick ends.
-    """
+def has_placed(state: State) -> Tensor:
+    """Return (N,) bool: a ball has just been placed, and the arm is to return."""
     return state.stage % ROUND == SKILLS.index("return")
 
 
