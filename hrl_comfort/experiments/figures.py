@@ -263,6 +263,10 @@ def paths(
         return figure
 
 
+KINDS = ("pick", "place", "return", "retreat", "wait")
+"""What options do, in the order of their colours: the same in every timeline."""
+
+
 def kind_of(option: str) -> str:
     """Return what an option does: its name without the ball and the level it is told."""
     return "pick" if PICK.fullmatch(option) else re.sub(f"{TOLD}$", "", option)
@@ -278,8 +282,9 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 1.3 + 0.24 * len(episodes)))
         axis = figure.subplots()
-        names = list(dict.fromkeys(kind_of(row["option"]) for row in rows))
+        names = list(dict.fromkeys([*KINDS, *(kind_of(row["option"]) for row in rows)]))
         colours = dict(zip(names, CYCLE * (1 + len(names) // len(CYCLE)), strict=False))
+        drawn = {kind_of(row["option"]) for row in rows}
         marks = {"failure": "X", "preempted": "D"}
         for row in rows:
             if row["episode"] not in episodes:
@@ -297,7 +302,7 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
         axis.set_ylim(len(episodes) - 0.4, -0.6)
         axis.set(title="Option timeline", xlabel="time (s)", ylabel="episode")
         axis.grid(visible=False, axis="y")
-        handles: list[Any] = [Patch(color=colours[name], label=name) for name in names]
+        handles: list[Any] = [Patch(color=colours[name], label=name) for name in names if name in drawn]
         handles += [
             Line2D([], [], color=BLACK, marker=mark, linestyle="", label=label)
             for label, mark in marks.items()

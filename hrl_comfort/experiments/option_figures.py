@@ -21,7 +21,8 @@ def chain_lengths(
     """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
 
     As far as any episode got, and at least to `least`. What takes the task no further does not count: waits,
-    a pick whose ball was lost, and retreats, but for those that take the place of a return.
+    a pick whose ball was lost, and retreats, but for those that take the place of a return. A place that a
+    retreat does on its way home is nobody's success.
     """
     done = dict.fromkeys(episodes, 0)
     last: dict[Hashable, str] = {}
