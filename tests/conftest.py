@@ -6,9 +6,38 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import pytest
 import torch
 from hypothesis import settings
+
+from tests.generating import RAN
 
 torch.set_num_threads(1)
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], Path]:
+    """Write bytes to a file that no other example has read."""
+    folder, number = tmp_path_factory.mktemp("read"), count()
+
+    def write(content: bytes) -> Path:
+        for old in folder.iterdir():
+            old.unlink()
+        file = folder / f"{next(number)}.file"
+        file.write_bytes(content)
+        return file
+
+    return write
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many inputs were generated, where that was in this process."""
+    if RAN:
+        refused = f"{RAN['refused']} refused in one line, the others finite"
+        terminalreporter.write_line(f"{RAN['generated']} generated inputs: {refused}")

@@ -1,0 +1,107 @@
+"""What the tests of generated inputs share: how many, what counts as refused, odd values and damage.
+
+HRL_COMFORT_INPUTS says how many are generated in all. By default they are few, and the same every time;
+where it is set they are drawn anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import LONGEST_LINE
+
+T = TypeVar("T")
+FEW = 400
+INPUTS = int(os.environ.get("HRL_COMFORT_INPUTS", FEW))
+RAN: Counter[str] = Counter()
+
+
+def inputs(share: float) -> settings:
+    """Return settings of a property that gets `share` of all inputs."""
+    return settings(
+        max_examples=max(1, math.ceil(share * INPUTS)),
+        derandomize="HRL_COMFORT_INPUTS" not in os.environ,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],  # a failure is shown as it came: to make it smaller takes minutes
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+
+
+def tried(call: Callable[[], T]) -> T | None:
+    """Return what `call` gives; None where it is refused in one line. Whatever else is raised is a crash."""
+    RAN["generated"] += 1
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return call()
+    except ConfigError as error:
+        line = str(error)
+        assert line.strip() and len(line.splitlines()) == 1, f"not one line: {line!r}"
+        assert line.isprintable() and len(line) <= LONGEST_LINE + 3, f"nobody can read {line[:200]!r}"
+        RAN["refused"] += 1
+        return None
+
+
+def numbers(tree: Any) -> Iterator[float]:
+    """Yield every number of nested dicts and lists."""
+    if isinstance(tree, (dict, list, tuple)):
+        for value in tree.values() if isinstance(tree, dict) else tree:
+            yield from numbers(value)
+    elif isinstance(tree, (int, float)):
+        yield float(tree)
+
+
+ODD = [
+    "nan", "inf", "-inf", "1e999", "-1", "0", "1", "2147483648", str(2**63), "9" * 400, "9" * 4900, "1e-320",
+    "-0.0", "1_0", "0x1f", "null", "~", "true", "''", "' '", "ü", "???", "'???'", "${nowhere}", "${",
+    "${task.name}", "${task}", "${output}", "${now:%Y}", "${evaluation_folder:a}", "${oc.env:NOWHERE}",
+    "}", "[", "[[]]", "a" * 5000, "'a\nb'", "'\x00'", "'\ud800'", "/", "..", "expert", "{}", "[]", "[1,2]",
+    "{a:1}", "a=b", "1,2", "range(1,3)", "choice(1,2)", "glob(*)", "sort(1,2)", "int(a)", "float(nan)",
+    "extend_list(1)", "*a",
+]  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """A change of some bytes at a place between 0 and 1 of a file."""
+
+    place: float
+    removed: int
+    put: bytes
+
+    def made(self, content: bytes) -> bytes:
+        at = int(self.place * len(content))
+        return content[:at] + self.put + content[at + self.removed :]
+
+
+CHANGES = st.lists(
+    st.builds(
+        Change,
+        st.floats(0, 1, exclude_max=True),
+        st.one_of(st.integers(0, 4), st.just(10**9)),
+        st.one_of(st.binary(max_size=3), st.sampled_from([odd.encode("utf-8", "replace") for odd in ODD])),
+    ),
+    min_size=1,
+    max_size=4,
+)
+FOREIGN = [
+    b"", b"\x00", b"\xff\xfe", b"- 1", b"a: b", b"{}", b"a: [", b"? ", b"&a [*a]", b"%YAML 9",
+    b"\xef\xbb\xbf",
+]  # fmt: skip
+
+
+def changed(content: bytes, changes: list[Change]) -> bytes:
+    for change in changes:
+        content = change.made(content)
+    return content
