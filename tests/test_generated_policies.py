@@ -22,9 +22,8 @@ from hrl_comfort.compose import compose
 from hrl_comfort.meta.choices import WAIT, Decision
 from hrl_comfort.meta.observation import BALL, OTHERS
 from hrl_comfort.meta.q_learning import QLearner, load_choice
-from tests.generating import CHANGES, Change, changed, inputs, tried
+from tests.generating import CHANGES, COMFORT, ROWS, Change, changed, inputs, random_state, tried
 from tests.test_checkpoint import write_policy
-from tests.test_generated_states import COMFORT, ROWS, random_state
 
 
 @pytest.fixture(scope="module")

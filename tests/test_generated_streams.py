@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from hrl_comfort import people
 from hrl_comfort.comfort.sources import make_source
 from hrl_comfort.comfort.streams import Signal
-from hrl_comfort.compose import compose
-from hrl_comfort.config import ComfortConfig, TrainConfig
-from tests.generating import inputs, tried
+from hrl_comfort.config import ComfortConfig
+from tests.generating import COMFORT, TRAINED, inputs, tried
 
 CELLS = st.one_of(
     st.floats().map(str),
@@ -70,9 +69,7 @@ def stroll(file: Path) -> list[np.ndarray]:
     return places
 
 
-TRAINED = compose("train", ["comfort=conditioned"])
-assert isinstance(TRAINED, TrainConfig)
-HUMAN, COMFORT = TRAINED.human, TRAINED.comfort
+HUMAN = TRAINED.human
 
 
 @inputs(0.15)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from matplotlib.patches import Rectangle
 
 from hrl_comfort.__main__ import main
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.experiments.figure import figure
+from hrl_comfort.experiments.figures import option_timeline
 from hrl_comfort.experiments.option_figures import chain_lengths
 
 
@@ -74,3 +76,15 @@ def test_an_evaluation_without_options_or_episode_is_refused(evaluation: Path, t
     words = ["kind=timeline", f"evaluations=[{evaluation}]", f"output={tmp_path}/t.png", "episodes=[999]"]
     with pytest.raises(ConfigError, match="no episode 999"):
         figure(compose("figure", words))
+
+
+def test_what_an_option_does_has_its_colour_in_every_timeline_and_only_what_is_drawn_is_named() -> None:
+    def named(*options: str) -> dict[str, object]:
+        rows = [*(run(0, option, "success") for option in options), run(1, "retreat", "success")]
+        legend = option_timeline(rows, ["0"]).legends[0]
+        shown = zip(legend.get_texts(), legend.legend_handles, strict=True)
+        return {text.get_text(): bar.get_facecolor() for text, bar in shown if isinstance(bar, Rectangle)}
+
+    few, many = named("pick_2", "return"), named("wait", "pick_1", "place", "return")
+    assert list(few) == ["pick", "return"] and list(many) == ["pick", "place", "return", "wait"]
+    assert few["return"] == many["return"] and len(set(many.values())) == 4

@@ -17,7 +17,7 @@ class MetaConfig:
     options: list[str]
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: int
-    """Control steps after which an option is preempted."""
+    """Control steps after which an option, of `sort` a skill, is preempted."""
     retries: int
     """Further tries of an option that was preempted; `sort` tries until the episode's time is up."""
     tell: list[int]

@@ -282,13 +282,12 @@ def option_timeline(rows: Sequence[Row], episodes: Sequence[str]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.2, 1.3 + 0.24 * len(episodes)))
         axis = figure.subplots()
+        rows = [row for row in rows if row["episode"] in episodes]
         names = list(dict.fromkeys([*KINDS, *(kind_of(row["option"]) for row in rows)]))
         colours = dict(zip(names, CYCLE * (1 + len(names) // len(CYCLE)), strict=False))
         drawn = {kind_of(row["option"]) for row in rows}
         marks = {"failure": "X", "preempted": "D"}
         for row in rows:
-            if row["episode"] not in episodes:
-                continue
             y = episodes.index(row["episode"])
             start, end = (int(float(row[key])) * CONTROL_STEP_S for key in ("start_step", "end_step"))
             colour = colours[kind_of(row["option"])]

@@ -21,8 +21,8 @@ def chain_lengths(
     """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
 
     As far as any episode got, and at least to `least`. What takes the task no further does not count: waits,
-    a pick whose ball was lost, and retreats, but for those that take the place of a return. A place that a
-    retreat does on its way home is nobody's success.
+    a pick whose ball was lost, and retreats, but for those that take the place of a return. What a retreat
+    places on its way home does not count either, nor does the pick after it.
     """
     done = dict.fromkeys(episodes, 0)
     last: dict[Hashable, str] = {}
@@ -33,7 +33,7 @@ def chain_lengths(
             kind = "return"
         if run["ending"] != "success" or kind in ("wait", "retreat"):
             continue
-        if (kind, before) != ("pick", "pick"):  # else the ball was lost, and is picked again
+        if (kind, before) != ("pick", "pick"):  # else the ball was lost, or placed on a way home
             done[episode] += 1
         last[episode] = kind
     lengths = np.array(list(done.values()))

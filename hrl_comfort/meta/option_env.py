@@ -54,7 +54,7 @@ class OptionEnv(EnvBase):
         observe: Quantity | None = None,
         disturbance: str = "none",
     ) -> None:
-        """Options run for `limit_steps` control steps at most; gamma discounts a control step.
+        """Skills run for `limit_steps` control steps at most; gamma discounts a control step.
 
         `observe` is what the controller sees, the task's own observation by default.
         """

@@ -40,9 +40,9 @@ class Running:
         self._until = torch.zeros(episodes.rows, dtype=torch.int64)
         self._from = torch.zeros(episodes.rows, dtype=torch.int64)
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
-        """(N,) bool, the option was preempted; void while one runs."""
-        pauses = [option for option in options if isinstance(option, Pause)]
-        self._retreat = next((pause for pause in pauses if pause.done is not None), None)
+        """(N,) bool, the last option was preempted, and none has begun since."""
+        home = [(k, o.done) for k, o in enumerate(options) if isinstance(o, Pause) and o.done is not None]
+        self._home = home[0] if home else None
 
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start now; where none can, each may (the episode is over).
@@ -51,9 +51,11 @@ class Running:
         options goes home, only that can start until the arm is there.
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
-        if self._retreat is not None and self._retreat.done is not None:
-            astray = self._preempted & ~self._retreat.done(state)
-            mask[astray] = torch.tensor([option is self._retreat for option in self.options])
+        if self._home is not None:
+            retreat, home = self._home
+            astray = self._preempted & ~home(state)
+            mask[astray] = False
+            mask[astray, retreat] = True
         return mask | ~mask.any(dim=-1, keepdim=True)
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
@@ -112,5 +114,5 @@ class Running:
         ending = torch.full_like(self.option, ENDINGS.index(Ending.PREEMPTED))
         ending[succeeded] = ENDINGS.index(Ending.SUCCESS)
         ending[failed] = ENDINGS.index(Ending.FAILURE)
-        self._preempted = ending == ENDINGS.index(Ending.PREEMPTED)
+        self._preempted = ended & (ending == ENDINGS.index(Ending.PREEMPTED))
         return Ended(ended, torch.where(ended, ending, 0))
