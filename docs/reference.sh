@@ -165,7 +165,8 @@ refine() { # experiment, endings of the folders before and after: each skill tra
     done
 }
 
-sort() { # several balls, beside somebody who goes from table to table, above the skills of comfort_cycle; with mishaps, and with ten seconds a skill
+sort() { # several balls, beside somebody who goes from table to table, above the skills of comfort_cycle; with mishaps,
+    # and with ten seconds a skill instead of two
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
         for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done

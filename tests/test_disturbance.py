@@ -32,7 +32,7 @@ def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None
         went_home.append(after[0]["option"] == "retreat")
         again = after[1] if went_home[-1] else after[0]
         assert again["option"].startswith("pick") and again["ending"] == "success"
-    assert any(went_home) == ("task=sort" in overrides)  # not all: some lose it as they pass home
+    assert any(went_home) == ("task=sort" in overrides)  # any: some lose it as they pass home
 
 
 def test_a_policy_for_the_whole_task_loses_its_ball_too() -> None:
