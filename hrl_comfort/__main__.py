@@ -139,8 +139,8 @@ RUN: dict[str, Callable[[list[str]], None]] = {
 SWEPT = ("train", "evaluate")
 
 
-def sweep(verb: str, overrides: list[str]) -> None:
-    """Run `verb` once for every combination of the swept overrides.
+def sweep(verb: str, overrides: list[str], together: bool) -> None:
+    """Run `verb` once for every combination of the swept overrides; `together`, in one process.
 
     What runs the jobs takes seconds to import: it is imported once every choice has been checked.
     """
@@ -155,7 +155,7 @@ def sweep(verb: str, overrides: list[str]) -> None:
     checked = check_overrides(verb, rest, sweep=True)
     from hrl_comfort.experiments.sweep import multirun
 
-    multirun(verb, RUN[verb], checked, outputs)
+    multirun(verb, RUN[verb], checked, outputs, together)
 
 
 def help_text() -> str:
@@ -172,6 +172,7 @@ def help_text() -> str:
         "",
         f"Every value in {conf} can be set: agent.decisions=50000, task.precision.take_m=0.2.",
         "-m runs every combination: hrl-comfort train -m task=pick,place train_seed=0,1",
+        "-m --together trains them in one process, one update for all.",
         "output=DIR says where a command writes.",
     ]
     return "\n".join(lines)
@@ -188,8 +189,11 @@ def main(words: list[str] | None = None) -> int:
         if verb not in RUN:
             raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(RUN)}")
         swept = {"-m", "--multirun"} & set(rest)
-        overrides = [word for word in rest if word not in ("-m", "--multirun")]
-        sweep(verb, overrides) if swept else RUN[verb](overrides)
+        together = "--together" in rest
+        overrides = [word for word in rest if word not in ("-m", "--multirun", "--together")]
+        if together and not swept:
+            raise ConfigError("--together goes with -m: it trains the policies of a sweep in one process")
+        sweep(verb, overrides, together) if swept else RUN[verb](overrides)
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

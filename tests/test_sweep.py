@@ -16,9 +16,10 @@ from hydra._internal.hydra import Hydra
 
 from hrl_comfort import __main__ as commands
 from hrl_comfort.config import ConfigError
-from hrl_comfort.experiments import own_process, sweep
+from hrl_comfort.experiments import own_process, sweep, sweep_job
 from hrl_comfort.experiments.own_process import JobKilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.sweep_job import Ended
 from hrl_comfort.experiments.sweep_record import find_jobs
 
 Script = Callable[[str], None]
@@ -82,7 +83,7 @@ def test_a_job_of_a_cluster_that_is_told_to_stop_leaves_the_others_alone(
     words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 128 + signal.SIGTERM, "joblib's jobs are told together"
     assert [job.state for job in find_jobs(tmp_path).values()] == ["stopped"]
-    monkeypatch.setattr(sweep, "TOGETHER", ())
+    monkeypatch.setattr(sweep_job, "TOLD_TOGETHER", ())
     assert commands.main(words) == 1
     assert [job.state for job in find_jobs(tmp_path).values()] == ["stopped", "done"]
     assert "stopped: policy=a: stopped by SIGTERM" in capsys.readouterr().out
@@ -126,8 +127,8 @@ def test_a_missing_extra_is_named_in_one_line(
 
 
 def test_a_search_is_told_the_success_and_nothing_of_a_failure() -> None:
-    assert float(sweep.Ended("done", success=0.75)) == 0.75
-    for ended in (sweep.Ended("failed", problem="no policy"), sweep.Ended("done", success=math.nan)):
+    assert float(Ended("done", success=0.75)) == 0.75
+    for ended in (Ended("failed", problem="no policy"), Ended("done", success=math.nan)):
         with pytest.raises(ValueError, match=r"no policy|no episode tells"):
             float(ended)
 

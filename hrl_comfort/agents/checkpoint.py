@@ -28,7 +28,18 @@ STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 
 def save(path: Path, state: dict[str, Any]) -> None:
     """Write a dict of plain tensors, numbers, strings, lists and dicts to `path`."""
-    write_atomically(path, lambda file: torch.save({"format": FORMAT, **state}, file))
+    write_atomically(path, lambda file: torch.save({"format": FORMAT, **_own(state)}, file))
+
+
+def _own(value: Any) -> Any:
+    """Return `value` with parts of larger tensors copied: torch would save those whole."""
+    if isinstance(value, dict):
+        return {key: _own(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_own(each) for each in value]
+    if isinstance(value, torch.Tensor) and value.untyped_storage().nbytes() > value.nbytes:
+        return value.clone()
+    return value
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -28,7 +28,10 @@ class TrainingDiverged(FloatingPointError):
 
 @dataclass(frozen=True)
 class Batch:
-    """B transitions of one decision each, observations normalised."""
+    """B transitions of one decision each, observations normalised.
+
+    Those of P policies that learn together have a dimension (P, ...) before it.
+    """
 
     observation: Tensor
     """(B, D)."""
@@ -68,24 +71,32 @@ def sac_losses(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Return critic loss (eq. 5), actor loss (eq. 7), alpha loss (eq. 18), entropy and mean Q, all scalars.
 
-    The same values and gradients as `torchrl.objectives.SACLoss(loss_function="l2")`, which a test holds
-    it to; `noise` and `next_noise` (B, A) are the standard normal draws of the two actions.
+    Of P policies together, whose batches and `log_alpha` are (P, ...) and Q (2, P, B), they are (P,). The
+    same values and gradients as `torchrl.objectives.SACLoss(loss_function="l2")`, which a test holds it to;
+    `noise` and `next_noise` (B, A) are the standard normal draws of the two actions.
     Alpha's loss is taken in log alpha, as TorchRL does.
     """
-    alpha = log_alpha.detach().exp()
+    alpha = log_alpha.detach().exp()[..., None]
     with torch.no_grad():
         next_action, next_log_prob = actor.sample(batch.next_observation, next_noise)
         next_value = targets(batch.next_observation, next_action).amin(0) - alpha * next_log_prob
         target = batch.reward + batch.discount * next_value
     value = critics(batch.observation, batch.action)
-    critic_loss = (value - target).square().sum(0).mean()
+    critic_loss = (value - target).square().sum(0).mean(-1)
 
     action, log_prob = actor.sample(batch.observation, noise)
-    actor_loss = (alpha * log_prob - critics(batch.observation, action, frozen=True).amin(0)).mean()
+    actor_loss = (alpha * log_prob - critics(batch.observation, action, frozen=True).amin(0)).mean(-1)
 
-    entropy = -log_prob.detach().mean()
+    entropy = -log_prob.detach().mean(-1)
     alpha_loss = log_alpha * (entropy - target_entropy)
-    return critic_loss, actor_loss, alpha_loss, entropy, value.detach().mean()
+    return critic_loss, actor_loss, alpha_loss, entropy, value.detach().mean((0, -1))
+
+
+def terms_of(losses: tuple[Tensor, ...], log_alpha: Tensor) -> Tensor:
+    """Return the values of `TERMS` (6,), or (6, P) of P policies, from what `sac_losses` returns."""
+    critic_loss, actor_loss, alpha_loss, entropy, q_mean = losses
+    scalars = [critic_loss, actor_loss, alpha_loss, log_alpha.exp(), entropy, q_mean]
+    return torch.stack([each.detach() for each in scalars])
 
 
 def imitation_loss(
@@ -134,7 +145,8 @@ def _check_memory(transitions: int, numbers: int) -> None:
 class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
-    Draws from torch's global random state, so saving that and `state_dict` saves all there is.
+    Its `generator` goes on from torch's global random state as it is once the networks have been drawn, and
+    gives every random number of a training; saving it and `state_dict` saves all there is.
     Gamma is per control step; every transition brings the number of control steps that it took.
 
     Networks, buffer and updates live on `config.device`. Every random number is drawn on the CPU, and actions
@@ -170,11 +182,13 @@ class Sac:
             storage=LazyTensorStorage(config.buffer_size, device=self.device)
         )
         self.updates = 0
+        self.generator = torch.Generator()
+        self.generator.set_state(torch.get_rng_state())
 
     @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
         """Return exploring actions (N, A) in [-1, 1] for raw observations (N, D)."""
-        noise = torch.randn(observation.shape[0], self.action_dim).to(self.device)
+        noise = torch.randn(len(observation), self.action_dim, generator=self.generator).to(self.device)
         return self.actor.sample(self.normaliser(observation.to(self.device)), noise)[0].cpu()
 
     def remember(
@@ -219,18 +233,8 @@ class Sac:
             return self._update()
 
     def _update(self) -> dict[str, float]:
-        index = torch.randint(len(self.buffer), (self.config.batch_size,))
-        sample = self.buffer[index.to(self.device)]
-        batch = Batch(
-            observation=self.normaliser(sample["observation"]),
-            action=sample["action"],
-            reward=sample["reward"],
-            next_observation=self.normaliser(sample["next_observation"]),
-            discount=sample["discount"],
-        )
-        noise, next_noise = torch.randn(2, *batch.action.shape).to(self.device)
-        alpha = self.log_alpha.detach().exp()
-        critic_loss, actor_loss, alpha_loss, entropy, q_mean = sac_losses(
+        batch, guided, noise, next_noise = self.draw()
+        losses = sac_losses(
             batch,
             self.actor,
             self.critics,
@@ -240,21 +244,45 @@ class Sac:
             noise,
             next_noise,
         )
-        scalars = [critic_loss.detach(), actor_loss.detach(), alpha_loss.detach(), alpha, entropy, q_mean]
-        terms = dict(zip(TERMS, torch.stack(scalars).tolist(), strict=True))
-        for name, value in terms.items():
-            if not math.isfinite(value):
-                raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
+        terms = self.checked(terms_of(losses, self.log_alpha).tolist())
         self.optimiser.zero_grad(set_to_none=True)
+        critic_loss, actor_loss, alpha_loss, *_ = losses
         loss = critic_loss
         if self.updates >= self.config.critic_first_updates:
-            loss = loss + actor_loss + alpha_loss + self._imitation(batch, sample["guided"])
+            loss = loss + actor_loss + alpha_loss + self._imitation(batch, guided)
         loss.backward()
         self.optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
             torch._foreach_lerp_(self._average_parameters, self._actor_parameters, self.config.actor_tau)
         self.updates += 1
+        return terms
+
+    def draw(self) -> tuple[Batch, Tensor, Tensor, Tensor]:
+        """Return what an update learns from: a batch, which of it (B,) is a guide's, two noises (B, A)."""
+        index = torch.randint(len(self.buffer), (self.config.batch_size,), generator=self.generator)
+        stored = self.buffer.storage[:]  # views: to index each is quicker than `buffer[index]`
+        sample = {name: column[index.to(self.device)] for name, column in stored.items()}
+        batch = Batch(
+            observation=self.normaliser(sample["observation"]),
+            action=sample["action"],
+            reward=sample["reward"],
+            next_observation=self.normaliser(sample["next_observation"]),
+            discount=sample["discount"],
+        )
+        noise, next_noise = torch.randn(2, *batch.action.shape, generator=self.generator).to(self.device)
+        return batch, sample["guided"], noise, next_noise
+
+    def checked(self, values: Sequence[float]) -> dict[str, float]:
+        """Return the values of `TERMS` by name.
+
+        Raises:
+            TrainingDiverged: one is not finite.
+        """
+        terms = dict(zip(TERMS, values, strict=True))
+        for name, value in terms.items():
+            if not math.isfinite(value):
+                raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         return terms
 
     def _imitation(self, batch: Batch, guided: Tensor) -> Tensor | float:

@@ -80,7 +80,7 @@ def training(config: TrainConfig) -> float:
         before, began = trained.decisions, time.perf_counter()
         while time.perf_counter() - began < SECONDS:
             trained.decide()
-            trained.learn()
+            trained.learn(trained.due())
         return (trained.decisions - before) / (time.perf_counter() - began)
 
 

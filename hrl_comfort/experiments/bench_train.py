@@ -162,7 +162,7 @@ def race(config: TrainConfig, clock: Clock) -> int:
         clock.start()
         while not clock.done(act, training.decisions):
             training.decide()
-            training.learn()
+            training.learn(training.due())
         return training.decisions
 
 

@@ -8,9 +8,12 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+Show = Callable[[int, Sequence[bool], float], None]
+"""(decisions, success of the latest episodes, precision in m) -> what is shown."""
+
 
 @contextmanager
-def training_line(task: str, total: int, done: int) -> Iterator[Callable[[int, Sequence[bool], float], None]]:
+def training_line(task: str, total: int, done: int) -> Iterator[Show]:
     """Show a line with the task, the success so far, the precision and the time left."""
     columns = (
         TextColumn("{task.description}"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from hrl_comfort.compose import load_config, save_config
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.experiments.curriculum import Curriculum
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
-from hrl_comfort.experiments.progress import training_line
+from hrl_comfort.experiments.progress import Show, training_line
 from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
 
 FEWEST_EPISODES = 20
@@ -56,6 +57,23 @@ def train(
         Preempted: SIGTERM came; a checkpoint has been written.
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
+    with begun(config, make_env, make_guide, make_successor) as training:
+        training.run()
+    return training.folder
+
+
+@contextmanager
+def begun(
+    config: TrainConfig,
+    make_env: Callable[[TrainConfig], EnvBase],
+    make_guide: Make | None = None,
+    make_successor: Make | None = None,
+) -> Iterator[Training]:
+    """Yield the training that `train` runs, at its beginning or where it stopped, and hold its folder.
+
+    Raises:
+        ConfigError: see `train`.
+    """
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")  # it reports on every buffer that it allocates
     folder = Path(config.resume or config.output)
@@ -75,8 +93,7 @@ def train(
                 raise ConfigError(
                     f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
                 ) from error
-        training.run()
-    return folder
+        yield training
 
 
 def _made(what: str, config: TrainConfig, env: EnvBase, make: Make | None) -> Any:
@@ -137,6 +154,17 @@ class Training:
 
     def run(self) -> None:
         """Train to the end, or go on to it."""
+        line = training_line(self.config.task.name, self.config.agent.decisions, self.decisions)
+        with line as show, asked_to_stop() as stop:
+            for due in self.rounds(stop, show):
+                self.learn(due)
+
+    def rounds(self, stop: Callable[[], bool], show: Show) -> Generator[int]:
+        """Make a decision in every row and yield how many updates are due, to the end; they are to be done.
+
+        Raises:
+            Preempted: `stop` says so; a checkpoint has been written.
+        """
         agent = self.config.agent
         if not self._resumed:
             save_config(self.config, self.folder / "config.yaml")
@@ -146,22 +174,20 @@ class Training:
         lap = (self.seconds, self.decisions, self.learner.updates)
         shown: deque[bool] = deque(maxlen=self.config.curriculum.window)
         try:
-            line = training_line(self.config.task.name, agent.decisions, self.decisions)
-            with line as show, asked_to_stop() as stop:
-                while self.decisions < agent.decisions:
-                    if stop():
-                        checkpoint.save_resumable(self.folder / "checkpoints", self.state_dict())
-                        raise Preempted(f"stopped by SIGTERM; go on with resume={self.folder}")
-                    finished = self.decide()
-                    shown.extend(success for _, success in finished)
-                    self.learn()
-                    self.seconds = time.monotonic() - began
-                    ends = self.decisions >= agent.decisions
-                    if self._due(agent.log_every) or ends:
-                        lap = self._write_row(lap)
-                    if self._due(agent.checkpoint_every) or ends:
-                        self.save(resumable=not ends)
-                    show(self.decisions, shown, self.curriculum.precision_m)
+            while self.decisions < agent.decisions:
+                if stop():
+                    checkpoint.save_resumable(self.folder / "checkpoints", self.state_dict())
+                    raise Preempted(f"stopped by SIGTERM; go on with resume={self.folder}")
+                finished = self.decide()
+                shown.extend(success for _, success in finished)
+                yield self.due()
+                self.seconds = time.monotonic() - began
+                ends = self.decisions >= agent.decisions
+                if self._due(agent.log_every) or ends:
+                    lap = self._write_row(lap)
+                if self._due(agent.checkpoint_every) or ends:
+                    self.save(resumable=not ends)
+                show(self.decisions, shown, self.curriculum.precision_m)
         finally:
             self.log.close()
         self._write_provenance(finished=True)
@@ -182,7 +208,7 @@ class Training:
         """Make one decision in every row; return (precision, success) of the episodes that it ended."""
         observation = self.now["observation"]
         if self.config.initial_policy is None and self.decisions < self.config.agent.warmup_decisions:
-            action = torch.rand(self.rows, self.learner.action_dim) * 2 - 1
+            action = torch.rand(self.rows, self.learner.action_dim, generator=self.learner.generator) * 2 - 1
         else:
             action = self.learner.act(observation)
         if self.guide is not None:
@@ -230,13 +256,18 @@ class Training:
         self.recent += finished
         return finished
 
-    def learn(self) -> None:
-        """Do the updates that are due."""
+    def due(self) -> int:
+        """Return the number of updates that the decisions made ask for by now."""
         if self.decisions <= self.config.agent.warmup_decisions:
-            return
+            return 0
         self.updates_due += self.rows * self.config.agent.updates_per_decision
-        while self.updates_due >= 1.0:
-            self.updates_due -= 1.0
+        due = int(self.updates_due)
+        self.updates_due -= due
+        return due
+
+    def learn(self, updates: int) -> None:
+        """Do so many updates."""
+        for _ in range(updates):
             self.log.update(self.learner.update())
 
     def save(self, resumable: bool) -> None:
@@ -294,7 +325,7 @@ class Training:
             "now": dict(self.now.items()),
             "curriculum": self.curriculum.state_dict(),
             "log": self.log.state_dict(),
-            "rng": torch.get_rng_state(),
+            "rng": self.learner.generator.get_state(),
             "rows": {"precision": self.precision, "returns": self.returns, "terms": self.terms},
             "decisions": self.decisions,
             "updates_due": self.updates_due,
@@ -317,7 +348,7 @@ class Training:
         self.best = state["best"]
         self.recent = [(precision_m, success) for precision_m, success in state.get("recent", [])]
         self.env.set_precision(self.curriculum.precision_m)
-        torch.set_rng_state(state["rng"])
+        self.learner.generator.set_state(state["rng"])
         self._resumed = True
 
     def _write_provenance(self, finished: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -13,6 +14,7 @@ from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.train import Guide, Successor, train
+from hrl_comfort.experiments.train_together import Stop, train_together
 from hrl_comfort.meta.options import make_policy, observed_by
 from hrl_comfort.tasks import subtask
 
@@ -22,11 +24,17 @@ BEGINS = {"pick": "taken", "place": "left"}
 
 def train_cell(config: TrainConfig) -> Path:
     """Train in the batched cell; see `train`."""
+    return train(config, cell_of, guide_of, successor_of)
 
-    def make_env(chosen: TrainConfig) -> EnvBase:
-        return CellEnv(environment(chosen), chosen.engine.rows, chosen.episode_seed)
 
-    return train(config, make_env, guide_of, successor_of)
+def train_cells(configs: Sequence[TrainConfig]) -> dict[int, Stop]:
+    """Train in batched cells, together; see `train_together`."""
+    return train_together(configs, cell_of, guide_of, successor_of)
+
+
+def cell_of(config: TrainConfig) -> EnvBase:
+    """Return the cells that a training asks for."""
+    return CellEnv(environment(config), config.engine.rows, config.episode_seed)
 
 
 def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
