@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -192,7 +193,12 @@ def test_training_on_from_networks_of_another_shape_is_refused(run, tmp_path):
 
 def homeward(config: TrainConfig, env: PointEnv) -> Guide:
     """A guide that goes straight to the origin."""
-    return lambda: -env.point[: config.agent.guided_rows].clamp(-1, 1)
+
+    def guide() -> Callable[[], Tensor]:
+        action = -env.point[: config.agent.guided_rows].clamp(-1, 1)
+        return lambda: action
+
+    return guide
 
 
 GUIDED = ("agent.guide=field", "agent.guided_rows=2")
@@ -202,7 +208,7 @@ def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
     config = small_config(tmp_path, *GUIDED)
     env = make_point_env(config)
     training = Training(config, env, tmp_path, homeward(config, env))
-    expected = homeward(config, env)()
+    expected = homeward(config, env)()()
     training.decide()
     stored = training.learner.buffer.storage[:8]
     assert torch.equal(stored["action"][:2], expected)
@@ -212,7 +218,7 @@ def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
 def test_guided_episodes_count_in_no_success(tmp_path):
     config = small_config(tmp_path, *GUIDED, "curriculum=off", "task.precision.take_m=0.3")
     env = make_point_env(config)
-    training = Training(config, env, tmp_path, lambda: torch.zeros(2, 2))
+    training = Training(config, env, tmp_path, lambda: lambda: torch.zeros(2, 2))
     ended = 0
     for _ in range(LIMIT):
         env.point[2:] = 0.0  # whoever is not guided is there at once
@@ -269,7 +275,7 @@ def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
     act = make_policy(guide, episodes.subtask, env.engine.scene, environment(config), 0)
     expected = act(episodes.state.rows(torch.arange(2)))
     assert expected.abs().max() > 0
-    torch.testing.assert_close(guide_of(config, env)(), expected)
+    torch.testing.assert_close(guide_of(config, env)()(), expected)
     train_cell(config)
 
 

@@ -32,8 +32,8 @@ SAME_PRECISION_M = 0.005
 """Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
 
 
-Guide = Callable[[], Tensor]
-"""() -> actions (guided rows, A) in [-1, 1] that a guide takes now."""
+Guide = Callable[[], Callable[[], Tensor]]
+"""() -> what waits for, and returns, the actions (guided rows, A) in [-1, 1] that a guide takes now."""
 Successor = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> value (N,) to the policy that takes over, 0 without success."""
 Make = Callable[[TrainConfig, Any], Any]
@@ -150,6 +150,8 @@ class Training:
         self.precision = torch.full((self.rows,), self.curriculum.precision_m, dtype=torch.float64)
         self.returns = torch.zeros(self.rows, dtype=torch.float64)
         self.terms = torch.zeros(self.rows, len(self.reward_names), dtype=torch.float64)
+        self._guiding: Callable[[], Tensor] | None = None
+        """What waits for the guide's next actions."""
         self._resumed = False
 
     def run(self) -> None:
@@ -212,8 +214,10 @@ class Training:
         else:
             action = self.learner.act(observation)
         if self.guide is not None:
-            action[self.guided] = self.guide().to(action.dtype)
+            guiding = self._guiding or self.guide()
+            action[self.guided] = guiding().to(action.dtype)
         stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
+        self._guiding = self.guide and self.guide()  # it can think while updates are done
         after = stepped["next"]
         reward, steps = after["reward"][:, 0], after["decision_steps"][:, 0]
         if self.successor is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -13,9 +13,10 @@ from hrl_comfort.agents.policy import load_value
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.guide import SLOW, ActsApart, acting
 from hrl_comfort.experiments.train import Guide, Successor, train
 from hrl_comfort.experiments.train_together import Stop, train_together
-from hrl_comfort.meta.options import make_policy, observed_by
+from hrl_comfort.meta.options import observed_by
 from hrl_comfort.tasks import subtask
 
 BEGINS = {"pick": "taken", "place": "left"}
@@ -43,19 +44,14 @@ def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
     Raises:
         ConfigError: there is no such policy, or it does not go with this training.
     """
-    assert config.agent.guide is not None
     episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
-    task = subtask(config.task.name, config.task.observation, config.task.balls)
-    if config.agent.guide == "random":
-        raise ConfigError("agent.guide=random shows nothing; choose field, expert or a run folder")
-    try:
-        act = make_policy(config.agent.guide, task, env.engine.scene, environment(config), config.train_seed)
-    except ConfigError as error:
-        raise ConfigError(f"agent.guide={config.agent.guide}: {error}") from error
+    here = acting(config, env.engine.scene)
+    apart = ActsApart(config) if config.agent.guide in SLOW else None
 
-    def guide() -> Tensor:
+    def guide() -> Callable[[], Tensor]:
         assert episodes.state is not None
-        return act(episodes.state.rows(rows))
+        state = episodes.state.rows(rows)
+        return apart(state) if apart is not None else lambda: here(state)
 
     return guide
 
