@@ -21,6 +21,7 @@ from typing import Any
 from hrl_comfort.experiments.bench import table as environment
 from hrl_comfort.experiments.bench_cores import table as cores
 from hrl_comfort.experiments.bench_start import table as start
+from hrl_comfort.experiments.bench_together import table as together
 from hrl_comfort.experiments.bench_train import table as learning
 from hrl_comfort.experiments.bench_update import table as update
 from hrl_comfort.experiments.comfort_table import markdown, series
@@ -38,7 +39,7 @@ LEVELS = re.compile(r"(<!-- levels: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 OTHERS: dict[str, Callable[[Any], str]] = {
     "controllers": controllers, "divisions": divisions, "handover": handover,
     "bench env": environment, "bench update": update, "bench start": start,
-    "bench train": learning, "bench cores": cores,
+    "bench train": learning, "bench cores": cores, "bench together": together,
 }  # fmt: skip
 """What one file, by itself, is a table of."""
 OTHER = re.compile(rf"(<!-- ({'|'.join(OTHERS)}): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)

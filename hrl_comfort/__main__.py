@@ -25,7 +25,7 @@ VERBS = {
     "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
     "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "bench": "measure the environment (env), updates (update), learning (train), cores, starts (start)",
+    "bench": "measure the environment (env), updates (update, together), learning (train), cores, start",
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
@@ -97,6 +97,7 @@ BENCHMARKS = {
     "env": "hrl_comfort.experiments.bench:bench_env",
     "update": "hrl_comfort.experiments.bench_update:bench_update",
     "train": "hrl_comfort.experiments.bench_train:bench_train",
+    "together": "hrl_comfort.experiments.bench_together:bench_together",
     "cores": "hrl_comfort.experiments.bench_cores:bench_cores",
 }
 """Imported when asked for; they need the simulator, and some of them peers."""

@@ -10,7 +10,7 @@ import pytest
 from hrl_comfort.__main__ import main
 from hrl_comfort.compose import compose, environment
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.experiments import bench, bench_cores, bench_start, bench_train, bench_update
+from hrl_comfort.experiments import bench, bench_cores, bench_start, bench_together, bench_train, bench_update
 from hrl_comfort.experiments.statistics import read_rows
 
 
@@ -50,6 +50,17 @@ def test_the_peer_from_stable_baselines_learns() -> None:
     pytest.importorskip("stable_baselines3", reason="in the extra bench")
     agent = compose("train", ["agent.hidden=[16,16]"]).agent
     bench_update.LEARNERS["Stable-Baselines3"][0](agent, 9, 8)()
+
+
+def test_policies_together_are_measured_beside_one_by_one(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(bench_together, "BATCHES", (4,))
+    monkeypatch.setattr(bench_together, "POLICIES", (2,))
+    monkeypatch.setattr(bench_update, "SECONDS", 0.01)
+    words = ["agent.hidden=[8]", "agent.guide=field", "agent.guided_rows=2", "task=pick_place"]
+    assert main(["bench", "together", *words, f"output={tmp_path}"]) == 0
+    rows = read_rows(tmp_path / "together.csv")
+    assert [row["loop"] for row in rows if row["round"] == "0"] == ["together", "one by one"]
+    assert len(rows) == 2 * bench_together.ROUNDS and all(float(row["updates_per_s"]) > 0 for row in rows)
 
 
 def test_without_the_peer_one_line_says_what_to_install(monkeypatch, capsys) -> None:

@@ -148,7 +148,7 @@ def test_the_paper_experiment_is_the_papers():
         (["figure", *OWN["figure"], "output=a.pdf"], "output='a.pdf' must end in .png"),
         (["figure", *OWN["figure"], "kind=jump"], "jump_s=null"),
         (["figure", *OWN["figure"], "evaluations=[/no/such/folder]"], "/no/such/folder"),
-        (["bench"], "say bench env, update, train, cores or start"),
+        (["bench"], "say bench env, update, train, together, cores or start"),
         (["bench", "-m"], "bench cannot be swept"),
     ],
 )

@@ -37,7 +37,7 @@ def test_every_command_in_the_docs_is_accepted(page: str, line: str) -> None:
     _, verb, *words = shlex.split(line, comments=True)
     if words[0] in ("meta", "handover"):
         verb, words = {"meta": "train_meta", "handover": "evaluate"}[words[0]], words[1:]
-    overrides = [word for word in words if word != "-m"]
+    overrides = [word for word in words if word not in ("-m", "--together")]
     assert check_overrides(verb, overrides, sweep="-m" in words), page
 
 

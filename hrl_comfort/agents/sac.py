@@ -146,7 +146,7 @@ class Sac:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
     Its `generator` goes on from torch's global random state as it is once the networks have been drawn, and
-    gives every random number of a training; saving it and `state_dict` saves all there is.
+    gives every random number of a training; `state_dict` holds it too.
     Gamma is per control step; every transition brings the number of control steps that it took.
 
     Networks, buffer and updates live on `config.device`. Every random number is drawn on the CPU, and actions
@@ -343,6 +343,7 @@ class Sac:
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "updates": self.updates,
+            "generator": self.generator.get_state(),
             "buffer": self.buffer.storage[:size].to_dict() if size else {},
             "buffer_cursor": int(self.buffer.writer.state_dict()["_cursor"]),
         }
@@ -354,6 +355,8 @@ class Sac:
         self.average.load_state_dict(state.get("average", state["networks"]["actor"]))
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates = state["updates"]
+        if "generator" in state:  # once, whoever trained kept the random numbers
+            self.generator.set_state(state["generator"])
         if state["buffer"]:
             size = len(state["buffer"]["reward"])
             self.buffer.extend(TensorDict(state["buffer"], batch_size=[size]))

@@ -165,8 +165,8 @@ def _moments(optimisers: Sequence[torch.optim.Adam], index: int) -> tuple[dict[s
         parameter = one.param_groups[0]["params"][index]
         state = one.state[parameter]
         if not state:  # no step has been made
-            state |= {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
             state["step"] = torch.zeros((), device=parameter.device)
+            state |= {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
         states.append(state)
     counts = _stack([state["step"] for state in states])
     moments = {name: _stack([state[name] for state in states]) for name in ("exp_avg", "exp_avg_sq")}

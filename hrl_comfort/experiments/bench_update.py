@@ -105,11 +105,17 @@ def transitions(width: int, actions: int = 6) -> dict[str, Tensor]:
 
 def ours(agent: AgentConfig, width: int, batch: int) -> Update:
     """Return an update of this project's learner."""
-    learner = Sac(replace(agent, batch_size=batch, buffer_size=STORED, critic_first_updates=0), width, 6)
+    return learner(agent, width, batch).update
+
+
+def learner(agent: AgentConfig, width: int, batch: int) -> Sac:
+    """Return this project's learner, its buffer filled with made-up transitions."""
+    agent = replace(agent, batch_size=batch, buffer_size=STORED, critic_first_updates=0)
+    one = Sac(replace(agent, guide=None, guided_rows=0), width, 6)
     data = transitions(width)
     steps = torch.full((STORED,), 5)
-    learner.remember(data["before"], data["action"], data["reward"], data["after"], data["terminated"], steps)
-    return learner.update
+    one.remember(data["before"], data["action"], data["reward"], data["after"], data["terminated"], steps)
+    return one
 
 
 def torchrl(agent: AgentConfig, width: int, batch: int, kind: type[SACLoss] = SACLoss) -> Update:

@@ -44,9 +44,9 @@ def multirun(verb: str, run: Run, checked: list[str], outputs: list[str], togeth
       ConfigError: a choice is not allowed, or jobs are not done; the others have gone on.
     """
     rest = [*checked, *(line for each in outputs for line in _folders(each))]
-    rest += _of_plugins(rest)
     if together:
         rest = [*check_together(verb, rest), "hydra/launcher=basic"]
+    rest += _of_plugins(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
     command, batches, broke = uuid.uuid4().hex, None, ""

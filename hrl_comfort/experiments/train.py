@@ -329,7 +329,6 @@ class Training:
             "now": dict(self.now.items()),
             "curriculum": self.curriculum.state_dict(),
             "log": self.log.state_dict(),
-            "rng": self.learner.generator.get_state(),
             "rows": {"precision": self.precision, "returns": self.returns, "terms": self.terms},
             "decisions": self.decisions,
             "updates_due": self.updates_due,
@@ -352,7 +351,8 @@ class Training:
         self.best = state["best"]
         self.recent = [(precision_m, success) for precision_m, success in state.get("recent", [])]
         self.env.set_precision(self.curriculum.precision_m)
-        self.learner.generator.set_state(state["rng"])
+        if "rng" in state:  # of a checkpoint from before learners had their own
+            self.learner.generator.set_state(state["rng"])
         self._resumed = True
 
     def _write_provenance(self, finished: bool) -> None:
