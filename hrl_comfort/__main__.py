@@ -163,7 +163,7 @@ def help_text() -> str:
     """Return the verbs and, by group, what can be chosen."""
     package = Path(__file__).resolve().parent
     conf = package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
-    lines = ["usage: hrl-comfort VERB [key=value ...] [-m]", "", "verbs"]
+    lines = ["usage: hrl-comfort VERB [key=value ...] [-m [--together]]", "", "verbs"]
     lines += [f"  {verb:<10} {what}" for verb, what in VERBS.items()]
     lines += ["", "groups (group=choice)"]
     for group in sorted(p for p in conf.iterdir() if p.is_dir()):

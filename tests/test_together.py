@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -21,9 +21,15 @@ from hrl_comfort.experiments import train_together as module
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.sweep_record import find_jobs
 from hrl_comfort.experiments.train import train
-from hrl_comfort.experiments.train_together import train_together
+from hrl_comfort.experiments.train_together import Why, train_together
 from tests.point_env import PointEnv, make_point_env, small_config
 from tests.test_sac import A, D, agent, filled
+
+
+def stopped_of(found: Iterable[tuple[int, Why]]) -> dict[int, Why]:
+    """What stopped those that did not get to the end, when all have ended."""
+    return {index: why for index, why in found if why is not None}
+
 
 CLOSE = {"rtol": 1e-3, "atol": 1e-5}
 """Products are summed in another order."""
@@ -100,6 +106,7 @@ def test_one_that_diverges_is_named_and_the_others_are_left_as_they_were() -> No
         Together([first, second]).update()
     assert raised.value.learner is second
     assert all(torch.equal(each, was) for each, was in zip(first._parameters, before, strict=True))
+    assert first.update() == learners(0)[0].update(), "it has drawn nothing either"
 
 
 # ---- trainings -----------------------------------------------------------------------------------------
@@ -122,7 +129,7 @@ SHORT = "agent.decisions=600"
 
 
 def test_trainings_together_are_those_alone(tmp_path: Path) -> None:
-    assert train_together(configs(tmp_path / "together", SHORT), make_point_env) == {}
+    assert stopped_of(train_together(configs(tmp_path / "together", SHORT), make_point_env)) == {}
     for config in configs(tmp_path / "alone", SHORT):
         folder = train(config, make_point_env)
         other = tmp_path / "together" / folder.name
@@ -139,7 +146,7 @@ def test_what_stops_one_of_them_does_not_stop_the_others(tmp_path: Path) -> None
 
     taken = tmp_path / "2"
     train(small_config(taken, SHORT), make_point_env)
-    stopped = train_together(configs(tmp_path, SHORT), make)
+    stopped = stopped_of(train_together(configs(tmp_path, SHORT), make))
     assert {index: type(why).__name__ for index, why in stopped.items()} == {1: "Stopped", 2: "ConfigError"}
     assert len(metrics(tmp_path / "0")) == 3
 
@@ -154,28 +161,41 @@ def test_one_that_diverges_among_trainings_is_reported_and_the_others_end(
             return super().update()
 
     monkeypatch.setattr(module, "Together", Diverging)
-    stopped = train_together(configs(tmp_path, SHORT), make_point_env)
+    stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_point_env))
     assert list(stopped) == [1]
     assert isinstance(stopped[1], TrainingDiverged)
     assert all(len(metrics(tmp_path / name)) == 3 for name in "02")
 
 
+def test_what_breaks_the_update_they_share_ends_them_all_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Together) -> list[dict[str, float]]:
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(Together, "update", full)
+    asked = [*configs(tmp_path, SHORT), small_config(tmp_path / "3", SHORT, "agent.hidden=[16]")]
+    stopped = stopped_of(train_together(asked, make_point_env))
+    assert {index: str(why) for index, why in stopped.items()} == dict.fromkeys(range(3), "out of memory")
+    assert len(metrics(tmp_path / "3")) == 3
+
+
 def test_those_told_to_stop_go_on_alone_or_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = configs(tmp_path / "whole", SHORT)
-    train_together(whole, make_point_env)
+    assert stopped_of(train_together(whole, make_point_env)) == {}
     calls = iter(range(1_000_000))
 
     def asked() -> AbstractContextManager[Callable[[], bool]]:
-        return nullcontext(lambda: next(calls) >= 150)
+        return nullcontext(lambda: next(calls) >= 52)
 
     with monkeypatch.context() as patched:
         patched.setattr(module, "asked_to_stop", asked)
-        stopped = train_together(configs(tmp_path, SHORT), make_point_env)
+        stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_point_env))
     assert [type(why) for why in stopped.values()] == [Preempted] * 3
     folders = [tmp_path / str(seed) for seed in range(3)]
     first, *others = [small_config(folder, resume=str(folder)) for folder in folders]
     train(first, make_point_env)
-    assert train_together(others, make_point_env) == {}
+    assert stopped_of(train_together(others, make_point_env)) == {}
     for folder in folders:
         expected = metrics(tmp_path / "whole" / folder.name)
         torch.testing.assert_close(metrics(folder), expected, rtol=1e-2, atol=1e-3, equal_nan=True)
@@ -194,7 +214,7 @@ def test_those_that_cannot_share_an_update_take_turns(
     monkeypatch.setattr(module, "Together", Counted)
     asked = configs(tmp_path, SHORT)
     asked.append(small_config(tmp_path / "3", SHORT, "agent.hidden=[16]"))
-    assert train_together(asked, make_point_env) == {}
+    assert stopped_of(train_together(asked, make_point_env)) == {}
     assert groups == [3]
     assert all(len(metrics(tmp_path / str(index))) == 3 for index in range(4))
 
@@ -225,8 +245,8 @@ def test_a_sweep_is_trained_together_and_does_what_is_left(
 def test_a_sweep_told_to_stop_says_where_each_of_its_trainings_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(those: list[TrainConfig]) -> dict[int, Exception | Preempted]:
-        return {0: Preempted("stopped by SIGTERM"), 1: ConfigError("no room")}
+    def stopped(those: list[TrainConfig]) -> list[tuple[int, Why]]:
+        return [(0, Preempted("stopped by SIGTERM")), (1, ConfigError("no room")), (2, None)]
 
     monkeypatch.setattr("hrl_comfort.experiments.train_cell.train_cells", stopped)
     words = ["train", "-m", "--together", *TINY, "train_seed=0,1,2", f"output='{tmp_path}'"]

@@ -167,6 +167,15 @@ def test_what_cannot_be_resumed_is_refused(run, tmp_path, what, message):
         train(small_config(tmp_path, resume=str(folder)), make_point_env)
 
 
+def test_a_checkpoint_from_before_learners_had_their_own_random_numbers_is_resumed(run, tmp_path):
+    half = interrupted(tmp_path / "half", 120)
+    latest = half / "checkpoints" / "latest.pt"
+    state = checkpoint.load(latest)
+    checkpoint.save(latest, {**state, "rng": state["learner"].pop("generator")})
+    train(small_config(tmp_path, resume=str(half)), make_point_env)
+    assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
+
+
 def test_training_on_starts_from_the_networks_of_the_run_and_skips_random_actions(run, tmp_path):
     config = small_config(tmp_path / "on", initial_policy=str(run))
     training = Training(config, make_point_env(config), tmp_path / "on")

@@ -146,7 +146,7 @@ class TwinCritics(nn.Module):
 
 
 def narrow(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Return x (2, B, in) times weight (2, in, 1), plus bias (2, 1, 1), as (2, B).
+    """Return x (n, B, in) times weight (n, in, 1), plus bias (n, 1, 1), as (n, B).
 
     A batched product with matrices one column wide is slower.
     """

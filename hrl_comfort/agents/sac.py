@@ -245,7 +245,8 @@ class Sac:
             next_noise,
         )
         terms = self.checked(terms_of(losses, self.log_alpha).tolist())
-        self.optimiser.zero_grad(set_to_none=True)
+        for parameter in self._parameters:
+            parameter.grad = None  # what zero_grad does, ten times as quick
         critic_loss, actor_loss, alpha_loss, *_ = losses
         loss = critic_loss
         if self.updates >= self.config.critic_first_updates:
@@ -261,8 +262,9 @@ class Sac:
     def draw(self) -> tuple[Batch, Tensor, Tensor, Tensor]:
         """Return what an update learns from: a batch, which of it (B,) is a guide's, two noises (B, A)."""
         index = torch.randint(len(self.buffer), (self.config.batch_size,), generator=self.generator)
+        index = index.to(self.device)
         stored = self.buffer.storage[:]  # views: to index each is quicker than `buffer[index]`
-        sample = {name: column[index.to(self.device)] for name, column in stored.items()}
+        sample = {name: column[index] for name, column in stored.items()}
         batch = Batch(
             observation=self.normaliser(sample["observation"]),
             action=sample["action"],

@@ -51,12 +51,13 @@ class Together:
         """Do one gradient step on every policy; return the `TERMS` of each.
 
         Raises:
-            Diverged: a term of some policy is not finite; all parameters are left as they were.
+            Diverged: a term of some policy is not finite; all learners are left as they were.
         """
         with products(self._config.products):
             return self._update()
 
     def _update(self) -> list[dict[str, float]]:
+        generators = [one.generator.get_state() for one in self.learners]
         drawn = [one.draw() for one in self.learners]
         batches, _, noise, next_noise = zip(*drawn, strict=True)
         names = [each.name for each in fields(Batch)]
@@ -76,6 +77,8 @@ class Together:
             try:
                 terms.append(one.checked(values))
             except TrainingDiverged as error:
+                for each, state in zip(self.learners, generators, strict=True):
+                    each.generator.set_state(state)
                 raise Diverged(one, str(error)) from error
         self.optimiser.zero_grad(set_to_none=True)
         critic_loss, actor_loss, alpha_loss, *_ = losses

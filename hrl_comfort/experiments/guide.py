@@ -1,14 +1,13 @@
 """What acts in the guided rows of a training.
 
-Inverse kinematics takes a third of a decision's time, so it is solved in a process of its own, while the
-learner learns from the decision before.
+The field solves inverse kinematics; for two rows of sixteen that takes a third of a decision's time. So it is
+done in a process of its own (`guide_process`), while the learner learns from the decision before.
 """
 
 from __future__ import annotations
 
-import os
+import contextlib
 import pickle
-import signal
 import subprocess
 import sys
 import weakref
@@ -20,11 +19,12 @@ from torch import Tensor
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.meta.options import Act, make_policy
-from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, subtask
 
 SLOW = ("field", "expert")
 """Guides that get a process of their own."""
+COMMAND = (sys.executable, "-m", "hrl_comfort.experiments.guide_process")
 
 
 def acting(config: TrainConfig, scene: Scene) -> Act:
@@ -48,14 +48,16 @@ class ActsApart:
     """Acts as `acting(config, ...)` does, in a process that lasts as long as this."""
 
     def __init__(self, config: TrainConfig) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+        self._process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         weakref.finalize(self, _end, self._process)
         self._send(config)
 
     def __call__(self, state: State) -> Callable[[], Tensor]:
-        """Begin to think about a state; return what waits for the actions (N, 6) and returns them."""
+        """Begin to think about a state; return what waits for the actions (N, 6) and returns them.
+
+        Raises:
+            RuntimeError: the process was killed. What went wrong in it is raised here.
+        """
         self._send({name: value.numpy() for name, value in vars(state).items()})
         return self._receive
 
@@ -65,44 +67,28 @@ class ActsApart:
             pickle.dump(what, self._process.stdin)
             self._process.stdin.flush()
         except BrokenPipeError as error:
-            raise self._ended() from error
+            raise self._killed() from error
 
     def _receive(self) -> Tensor:
         assert self._process.stdout is not None
         try:
-            return torch.from_numpy(pickle.load(self._process.stdout))  # of our own process
+            answer = pickle.load(self._process.stdout)  # of a process of our own
         except (EOFError, pickle.UnpicklingError) as error:
-            raise self._ended() from error
+            raise self._killed() from error
+        if isinstance(answer, Exception):
+            raise answer
+        return torch.from_numpy(answer)
 
-    def _ended(self) -> RuntimeError:
+    def _killed(self) -> RuntimeError:
+        self._process.kill()  # should it still be there
         return RuntimeError(f"the process of the guide has ended, with exit code {self._process.wait()}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
+    """Let the process end, which it does when nothing more can come."""
     assert process.stdin is not None and process.stdout is not None
-    process.stdin.close()  # at which it ends
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.close()
+    process.stdout.read()  # what it is still thinking about
     process.stdout.close()
     process.wait()
-
-
-def main() -> None:
-    """Act for the process that started this one: a configuration comes in, then states; actions go out."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # a training that is told to stop still has to decide
-        signal.signal(number, signal.SIG_IGN)
-    asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever else is printed
-    torch.set_num_threads(1)
-    config: TrainConfig = pickle.load(asked)
-    act = acting(config, build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls))
-    while True:
-        try:
-            state = pickle.load(asked)
-        except EOFError:
-            return
-        action = act(State(**{name: torch.from_numpy(value) for name, value in state.items()}))
-        pickle.dump(action.numpy(), told)
-        told.flush()
-
-
-if __name__ == "__main__":
-    main()

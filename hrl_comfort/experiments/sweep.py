@@ -35,23 +35,24 @@ EXTRAS = {
 
 
 def multirun(verb: str, run: Run, checked: list[str], outputs: list[str], together: bool = False) -> None:
-    """Run `verb` once for every combination of the swept overrides, in parallel, each in its own folder.
+    """Run `verb` once for every combination of the swept overrides, each in its own folder.
 
-    `checked` is what `compose.check_overrides` returns, `outputs` what `output=` says. `together`: trainings,
-    in this process, with one update for all (`train_together`).
+    `checked` is what `compose.check_overrides` returns, `outputs` what `output=` says. Jobs run in parallel,
+    unless a launcher says otherwise; `together`, trainings share this process and their updates.
 
     Raises:
       ConfigError: a choice is not allowed, or jobs are not done; the others have gone on.
     """
     rest = [*checked, *(line for each in outputs for line in _folders(each))]
     if together:
-        rest = [*check_together(verb, rest), "hydra/launcher=basic"]
+        check_together(verb, rest)
+        rest.append("hydra/launcher=basic")
     rest += _of_plugins(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
     command, batches, broke = uuid.uuid4().hex, None, ""
-    asked_for: list[Asked] = []
-    task = partial(gather, asked_for) if together else partial(job, verb, run, command)
+    trainings: list[Asked] = []
+    task = partial(gather, trainings) if together else partial(job, verb, run, command)
     try:
         asked = hydra_app.compose_config(verb, rest, RunMode.MULTIRUN, with_log_configuration=False)
         folder = Path(asked.hydra.sweep.dir)
@@ -69,12 +70,7 @@ def multirun(verb: str, run: Run, checked: list[str], outputs: list[str], togeth
     if batches is None:
         _say_from_records(folder, command, broke)
     elif together:
-        _say(
-            [
-                (each.overrides, ended)
-                for each, ended in zip(asked_for, train_all(asked_for, command), strict=True)
-            ]
-        )
+        _say(train_all(trainings, command))
     else:
         _say([(each.overrides or (), each.return_value) for batch in batches for each in batch])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydra.core.hydra_config import HydraConfig
 
@@ -15,15 +16,17 @@ from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.sweep_job import Ended, failed
 from hrl_comfort.experiments.sweep_record import Job
 
+if TYPE_CHECKING:
+    from hrl_comfort.experiments.train_together import Why
 
-def check_together(verb: str, overrides: list[str]) -> list[str]:
-    """Return the overrides; raise ConfigError where trainings cannot be run together so."""
+
+def check_together(verb: str, overrides: list[str]) -> None:
+    """Raise ConfigError where a sweep cannot be trained together."""
     if verb != "train":
         raise ConfigError(f"{verb} cannot be run --together; train can")
     for line in overrides:
         if line.startswith(("hydra/launcher=", "hydra/sweeper=")):
             raise ConfigError(f"{line} does not go with --together, which trains in this process")
-    return overrides
 
 
 @dataclass(frozen=True)
@@ -41,44 +44,50 @@ def gather(asked: list[Asked], _: object) -> None:
     asked.append(Asked(overrides, Path(hydra.runtime.output_dir)))
 
 
-def train_all(asked: Sequence[Asked], command: str) -> list[Ended]:
+def train_all(asked: Sequence[Asked], command: str) -> list[tuple[Sequence[str], Ended]]:
     """Do what is left of the trainings of a sweep, in one process, with one update for all.
 
+    Return the overrides of each, and how it ended.
+
     Raises:
-      Preempted: SIGTERM came; each has written a checkpoint.
+      Preempted: SIGTERM came; each that had begun has written a checkpoint.
     """
     from hrl_comfort.experiments.train_cell import train_cells  # TorchRL: late, after every choice is checked
 
     records = [Job("train", each.overrides, "running", command=command) for each in asked]
     ended: dict[int, Ended] = {}
-    waiting: dict[int, tuple[TrainConfig, Left]] = {}
-    for index, (each, record) in enumerate(zip(asked, records, strict=True)):
+    waiting: dict[int, TrainConfig] = {}
+    how: dict[int, Left] = {}
+    told: Preempted | None = None
+
+    def end(index: int, why: Why) -> None:
+        nonlocal told
+        record, folder = records[index], asked[index].folder
+        if why is None:
+            replace(record, state="done").write(folder)
+            ended[index] = Ended(how[index].value, str(folder))
+        elif isinstance(why, Preempted):
+            told = why
+            replace(record, state="stopped", why=str(why)).write(folder)
+        else:
+            ended[index] = failed(record, folder, why)
+
+    for index, each in enumerate(asked):
         try:
             config = compose("train", [*each.overrides, override("output", each.folder)])
             assert isinstance(config, TrainConfig)
-            rest = left(config)
-            record.write(each.folder)
-            if rest is Left.REST:
-                config = replace(config, resume=str(each.folder))
-            if rest is Left.NOTHING:
-                ended[index] = Ended(rest.value, str(each.folder))
-            else:
-                waiting[index] = config, rest
+            how[index] = left(config)
+            if how[index] is Left.NOTHING:
+                end(index, None)
+                continue
+            records[index].write(each.folder)
+            rest = how[index] is Left.REST
+            waiting[index] = replace(config, resume=str(each.folder)) if rest else config
         except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
-            ended[index] = failed(record, each.folder, error)
-    stopped = train_cells([config for config, _ in waiting.values()])
-    for place, (index, (_, rest)) in enumerate(waiting.items()):
-        folder, why = asked[index].folder, stopped.get(place)
-        if isinstance(why, Preempted):
-            replace(records[index], state="stopped", why=str(why)).write(folder)
-        elif why is not None:
-            ended[index] = failed(records[index], folder, why)
-        else:
-            ended[index] = Ended(rest.value, str(folder))
-    for index, done in ended.items():
-        if done.problem is None:
-            replace(records[index], state="done").write(asked[index].folder)
-    preempted = [why for why in stopped.values() if isinstance(why, Preempted)]
-    if preempted:
-        raise preempted[0]
-    return [ended[index] for index in range(len(asked))]
+            end(index, error)
+    indices = [*waiting]
+    for place, why in train_cells([*waiting.values()]):
+        end(indices[place], why)
+    if told is not None:
+        raise told
+    return [(each.overrides, ended[index]) for index, each in enumerate(asked)]

@@ -85,9 +85,8 @@ def begun(
         successor = _made("successor", config, env, make_successor)
         training = Training(config, env, folder, guide, successor, resumes)
         if resumes:
-            saved = checkpoint.load_resumable(folder / "checkpoints")
             try:
-                training.load_state_dict(saved)
+                training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
             except (KeyError, TypeError, RuntimeError) as error:
                 what = str(error).splitlines()[0]
                 raise ConfigError(
@@ -152,6 +151,8 @@ class Training:
         self.terms = torch.zeros(self.rows, len(self.reward_names), dtype=torch.float64)
         self._guiding: Callable[[], Tensor] | None = None
         """What waits for the guide's next actions."""
+        self.together = 1
+        """How many policies share the updates."""
         self._resumed = False
 
     def run(self) -> None:
@@ -363,6 +364,7 @@ class Training:
             finished=finished,
             decisions=self.decisions,
             updates=self.learner.updates,
+            together=self.together,
             wall_seconds=round(self.seconds, 1),
             best=self.best,
         )

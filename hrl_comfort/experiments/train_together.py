@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 
 from torchrl.envs import EnvBase
 
-from hrl_comfort.agents.together import Diverged, Together, kind
+from hrl_comfort.agents.together import OWN, Diverged, Together, kind
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import training_line
 from hrl_comfort.experiments.train import Make, Training, begun
 
-Stop = Exception | Preempted
-"""What kept a training from its end."""
+Why = Exception | Preempted | None
+"""What kept a training from its end, if anything did."""
 
 
 def train_together(
@@ -22,80 +22,80 @@ def train_together(
     make_env: Callable[[TrainConfig], EnvBase],
     make_guide: Make | None = None,
     make_successor: Make | None = None,
-) -> dict[int, Stop]:
-    """Train as each of `configs` says, as `train` would; return what stopped those that did not end.
+) -> Iterator[tuple[int, Why]]:
+    """Train as each of `configs` says, as `train` would; yield each one's index as it ends, and why it did.
 
-    Each has its own environment, folder and random numbers, and so becomes what it would be alone, up to
-    the rounding of products. One that fails leaves the others alone. Those that cannot share an update, for
-    they differ in more than seeds, people, comfort or rewards, or are not equally far, take turns.
+    Each has its own environment, folder and random numbers; only the rounding of products tells an update
+    from one made alone. One that fails leaves the others alone. Those that cannot share an update, for they
+    differ in more than seeds, people, comfort or rewards, or are not equally far, take turns.
     """
-    trainings: dict[int, Training] = {}
-    stopped: dict[int, Stop] = {}
-    with ExitStack() as folders:
-        for index, config in enumerate(configs):
-            try:
-                begins = begun(config, make_env, make_guide, make_successor)
-                trainings[index] = folders.enter_context(begins)
-            except Exception as error:  # noqa: BLE001  it is returned, and the others go on
-                stopped[index] = error
-        for group in _alike(trainings):
-            if any(isinstance(why, Preempted) for why in stopped.values()):
-                stopped |= {index: Preempted("stopped by SIGTERM before its turn") for index in group}
-            else:
-                stopped |= _side_by_side(group) if len(group) > 1 else _alone(*group.popitem())
-    return stopped
+    with asked_to_stop() as stop:
+        for indices in _alike({index: _settings(config, index) for index, config in enumerate(configs)}):
+            trainings: dict[int, Training] = {}
+            with ExitStack() as folders:
+                for index in indices:
+                    if stop():
+                        yield index, Preempted("stopped by SIGTERM before its turn")
+                        continue
+                    try:
+                        begins = begun(configs[index], make_env, make_guide, make_successor)
+                        trainings[index] = folders.enter_context(begins)
+                    except Exception as error:  # noqa: BLE001  it is yielded, and the others go on
+                        yield index, error
+                keys = {index: (kind(each.learner), each.decisions) for index, each in trainings.items()}
+                for group in _alike(keys):
+                    yield from _side_by_side({index: trainings[index] for index in group}, stop)
 
 
-def _alone(index: int, training: Training) -> dict[int, Stop]:
-    """Run a training to its end, as `train` would; return what stopped it, if anything did."""
-    try:
-        training.run()
-    except (Exception, Preempted) as error:  # noqa: BLE001  it is returned, and the others go on
-        return {index: error}
-    return {}
-
-
-def _alike(trainings: dict[int, Training]) -> list[dict[int, Training]]:
-    """Return the trainings in groups that can share their updates; whoever is guided is a group."""
-    groups: dict[object, dict[int, Training]] = {}
-    for index, each in trainings.items():
-        alone = index if each.guide is not None else None
-        groups.setdefault((kind(each.learner), each.decisions, each.rows, alone), {})[index] = each
+def _alike(keys: Mapping[int, object]) -> list[list[int]]:
+    """Return the indices in groups of the same key, in order."""
+    groups: dict[object, list[int]] = {}
+    for index, key in keys.items():
+        groups.setdefault(key, []).append(index)
     return [*groups.values()]
 
 
-def _side_by_side(trainings: dict[int, Training]) -> dict[int, Stop]:
-    """Run trainings of one kind to their end; return what stopped those that did not get there."""
-    stopped: dict[int, Stop] = {}
+def _settings(config: TrainConfig, index: int) -> object:
+    """Return what trainings have to have in common to share updates, as far as it is configured."""
+    agent = {name: value for name, value in vars(config.agent).items() if name not in OWN}
+    return config.engine.rows, str(agent), index if config.agent.guide is not None else None
+
+
+def _side_by_side(trainings: dict[int, Training], stop: Callable[[], bool]) -> Iterator[tuple[int, Why]]:
+    """Run trainings of one kind to their end; yield each one's index as it ends, and why it did."""
     first = next(iter(trainings.values()))
-    name = f"{first.config.task.name} × {len(trainings)}"
-    together = Together([each.learner for each in trainings.values()])
-    with (
-        training_line(name, first.config.agent.decisions, first.decisions) as show,
-        asked_to_stop() as stop,
-    ):
-        rounds = {index: each.rounds(stop, show) for index, each in trainings.items()}
+    count, asked = len(trainings), False
+    name = f"{first.config.task.name} × {count}" if count > 1 else first.config.task.name
+    for each in trainings.values():
+        each.together = count
+    together: Together | None = None
+    with training_line(name, first.config.agent.decisions, first.decisions) as show:
+        rounds = {index: each.rounds(lambda: asked, show) for index, each in trainings.items()}
         while rounds:
-            due = 0
+            asked, due = stop(), 0  # asked once, so that all stop after the same decision
             for index in list(rounds):
                 try:
                     due = next(rounds[index])
                 except StopIteration:
                     del rounds[index]
-                except (Exception, Preempted) as error:  # noqa: BLE001  it is returned, and the others go on
-                    stopped[index] = error
+                    yield index, None
+                except (Exception, Preempted) as error:  # noqa: BLE001  it is yielded, and the others go on
                     del rounds[index]
+                    yield index, error
             while due and rounds:
-                if len(together.learners) > len(rounds):
-                    together = Together([trainings[index].learner for index in rounds])
-                try:
-                    terms = together.update()
-                except Diverged as error:
-                    (index,) = (each for each in rounds if trainings[each].learner is error.learner)
-                    stopped[index] = error
-                    rounds.pop(index).close()
-                    continue
-                for index, each in zip(rounds, terms, strict=True):
-                    trainings[index].log.update(each)
                 due -= 1
-    return stopped
+                try:
+                    if len(rounds) == 1:
+                        (index,) = rounds
+                        trainings[index].learn(1)
+                        continue
+                    if together is None or len(together.learners) > len(rounds):
+                        together = Together([trainings[index].learner for index in rounds])
+                    for index, terms in zip(rounds, together.update(), strict=True):
+                        trainings[index].log.update(terms)
+                except Exception as error:  # noqa: BLE001  it is yielded, and whoever is left goes on
+                    who = error.learner if isinstance(error, Diverged) else None
+                    for index in [each for each in rounds if who in (None, trainings[each].learner)]:
+                        rounds.pop(index).close()
+                        yield index, error
+                    due += 1  # for the others, who have not been updated
