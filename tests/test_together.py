@@ -21,7 +21,9 @@ from hrl_comfort.experiments import train_together as module
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.sweep_record import find_jobs
 from hrl_comfort.experiments.train import train
-from hrl_comfort.experiments.train_together import Why, train_together
+from hrl_comfort.experiments.train_cell import train_cell, train_cells
+from hrl_comfort.experiments.train_together import Turn, Why, train_together
+from hrl_comfort.experiments.training_log import claim
 from tests.point_env import PointEnv, make_point_env, small_config
 from tests.test_sac import A, D, agent, filled
 
@@ -245,13 +247,44 @@ def test_a_sweep_is_trained_together_and_does_what_is_left(
 def test_a_sweep_told_to_stop_says_where_each_of_its_trainings_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(those: list[TrainConfig]) -> list[tuple[int, Why]]:
+    def stopped(those: list[TrainConfig], turn: Turn) -> list[tuple[int, Why]]:
+        assert [turn(index, config) for index, config in enumerate(those)] == those
         return [(0, Preempted("stopped by SIGTERM")), (1, ConfigError("no room")), (2, None)]
 
     monkeypatch.setattr("hrl_comfort.experiments.train_cell.train_cells", stopped)
     words = ["train", "-m", "--together", *TINY, "train_seed=0,1,2", f"output='{tmp_path}'"]
     assert commands.main(words) == 143
     assert [job.state for job in find_jobs(tmp_path).values()] == ["stopped", "failed", "done"]
+
+
+def test_what_another_command_has_done_meanwhile_is_not_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def later(those: list[TrainConfig], turn: Turn) -> list[tuple[int, Why]]:
+        train_cell(those[1])
+        return [*train_cells(those, turn)]
+
+    monkeypatch.setattr("hrl_comfort.experiments.train_cell.train_cells", later)
+    words = ["train", "-m", "--together", *TINY, "train_seed=0,1", f"output='{tmp_path}'"]
+    assert commands.main(words) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in out] == ["done", "skipped, finished"]
+    assert [job.state for job in find_jobs(tmp_path).values()] == ["done", "done"]
+
+
+def test_the_folder_of_one_that_failed_is_free_while_the_others_go_on(tmp_path: Path) -> None:
+    def make(config: TrainConfig) -> PointEnv:
+        return PointEnv(
+            config.engine.rows, config.episode_seed, stop_after=40 if config.train_seed == 1 else None
+        )
+
+    found = train_together(configs(tmp_path, SHORT), make)
+    assert next(found)[0] == 1
+    first_end = next(found)[0]
+    assert first_end in (0, 2)
+    with claim(tmp_path / "1", resume=True):
+        pass
+    assert [index for index, _ in found] == [2 - first_end]
 
 
 @pytest.mark.parametrize(

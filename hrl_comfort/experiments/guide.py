@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import pickle
+import signal
 import subprocess
 import sys
 import weakref
@@ -48,7 +49,12 @@ class ActsApart:
     """Acts as `acting(config, ...)` does, in a process that lasts as long as this."""
 
     def __init__(self, config: TrainConfig) -> None:
-        self._process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        # It is deaf from its first moment: a training that is told to stop still has to decide.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            self._process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         weakref.finalize(self, _end, self._process)
         self._send(config)
 
@@ -75,9 +81,12 @@ class ActsApart:
             answer = pickle.load(self._process.stdout)  # of a process of our own
         except (EOFError, pickle.UnpicklingError) as error:
             raise self._killed() from error
-        if isinstance(answer, Exception):
-            raise answer
-        return torch.from_numpy(answer)
+        try:
+            if isinstance(answer, Exception):
+                raise answer
+            return torch.from_numpy(answer)
+        finally:
+            del answer  # an error would keep this, and the process, alive
 
     def _killed(self) -> RuntimeError:
         self._process.kill()  # should it still be there
@@ -85,10 +94,10 @@ class ActsApart:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Let the process end, which it does when nothing more can come."""
+    """End the process; it has nothing to save."""
     assert process.stdin is not None and process.stdout is not None
+    process.kill()
+    process.wait()
     with contextlib.suppress(BrokenPipeError):
         process.stdin.close()
-    process.stdout.read()  # what it is still thinking about
     process.stdout.close()
-    process.wait()

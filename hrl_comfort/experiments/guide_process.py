@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 import sys
+import traceback
 
 
 def main() -> None:
     """Act for the process that started this one, until nothing more comes."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # a training that is told to stop still has to decide
-        signal.signal(number, signal.SIG_IGN)
     asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever else is printed
-    import torch  # and what takes seconds, now that no signal can end it
+    import torch
 
     from hrl_comfort.experiments.guide import acting
     from hrl_comfort.scene.workcell import build_scene
@@ -32,6 +30,7 @@ def main() -> None:
         try:
             answer = act(State(**{name: torch.from_numpy(value) for name, value in state.items()})).numpy()
         except Exception as error:  # noqa: BLE001  it is raised where the actions are waited for
+            error.add_note(traceback.format_exc())  # tracebacks cannot be sent
             answer = error
         pickle.dump(answer, told)
         told.flush()

@@ -56,7 +56,6 @@ def train_all(asked: Sequence[Asked], command: str) -> list[tuple[Sequence[str],
 
     records = [Job("train", each.overrides, "running", command=command) for each in asked]
     ended: dict[int, Ended] = {}
-    waiting: dict[int, TrainConfig] = {}
     how: dict[int, Left] = {}
     told: Preempted | None = None
 
@@ -72,21 +71,25 @@ def train_all(asked: Sequence[Asked], command: str) -> list[tuple[Sequence[str],
         else:
             ended[index] = failed(record, folder, why)
 
+    def turn(place: int, config: TrainConfig) -> TrainConfig | None:
+        index = indices[place]
+        how[index] = left(config)  # now: another command may have done it meanwhile
+        if how[index] is Left.NOTHING:
+            end(index, None)
+            return None
+        records[index].write(asked[index].folder)
+        return replace(config, resume=config.output) if how[index] is Left.REST else config
+
+    configs: dict[int, TrainConfig] = {}
     for index, each in enumerate(asked):
         try:
             config = compose("train", [*each.overrides, override("output", each.folder)])
             assert isinstance(config, TrainConfig)
-            how[index] = left(config)
-            if how[index] is Left.NOTHING:
-                end(index, None)
-                continue
-            records[index].write(each.folder)
-            rest = how[index] is Left.REST
-            waiting[index] = replace(config, resume=str(each.folder)) if rest else config
+            configs[index] = config
         except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
             end(index, error)
-    indices = [*waiting]
-    for place, why in train_cells([*waiting.values()]):
+    indices = [*configs]
+    for place, why in train_cells([*configs.values()], turn):
         end(indices[place], why)
     if told is not None:
         raise told

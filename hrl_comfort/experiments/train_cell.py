@@ -15,7 +15,7 @@ from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.guide import SLOW, ActsApart, acting
 from hrl_comfort.experiments.train import Guide, Successor, train
-from hrl_comfort.experiments.train_together import Why, train_together
+from hrl_comfort.experiments.train_together import Turn, Why, train_together
 from hrl_comfort.meta.options import observed_by
 from hrl_comfort.tasks import subtask
 
@@ -28,9 +28,9 @@ def train_cell(config: TrainConfig) -> Path:
     return train(config, cell_of, guide_of, successor_of)
 
 
-def train_cells(configs: Sequence[TrainConfig]) -> Iterator[tuple[int, Why]]:
+def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[int, Why]]:
     """Train in batched cells, together; see `train_together`."""
-    return train_together(configs, cell_of, guide_of, successor_of)
+    return train_together(configs, cell_of, guide_of, successor_of, turn)
 
 
 def cell_of(config: TrainConfig) -> EnvBase:

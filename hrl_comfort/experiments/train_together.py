@@ -15,6 +15,13 @@ from hrl_comfort.experiments.train import Make, Training, begun
 
 Why = Exception | Preempted | None
 """What kept a training from its end, if anything did."""
+Turn = Callable[[int, TrainConfig], TrainConfig | None]
+"""(index, configuration) -> how to train when its turn has come; None if nothing is left to do."""
+
+
+def as_it_is(_: int, config: TrainConfig) -> TrainConfig:
+    """Return the configuration."""
+    return config
 
 
 def train_together(
@@ -22,6 +29,7 @@ def train_together(
     make_env: Callable[[TrainConfig], EnvBase],
     make_guide: Make | None = None,
     make_successor: Make | None = None,
+    turn: Turn = as_it_is,
 ) -> Iterator[tuple[int, Why]]:
     """Train as each of `configs` says, as `train` would; yield each one's index as it ends, and why it did.
 
@@ -32,19 +40,26 @@ def train_together(
     with asked_to_stop() as stop:
         for indices in _alike({index: _settings(config, index) for index, config in enumerate(configs)}):
             trainings: dict[int, Training] = {}
-            with ExitStack() as folders:
+            held: dict[int, ExitStack] = {}
+            with ExitStack() as all_held:
                 for index in indices:
                     if stop():
                         yield index, Preempted("stopped by SIGTERM before its turn")
                         continue
                     try:
-                        begins = begun(configs[index], make_env, make_guide, make_successor)
-                        trainings[index] = folders.enter_context(begins)
+                        config = turn(index, configs[index])
+                        if config is None:
+                            continue
+                        held[index] = all_held.enter_context(ExitStack())
+                        begins = begun(config, make_env, make_guide, make_successor)
+                        trainings[index] = held[index].enter_context(begins)
                     except Exception as error:  # noqa: BLE001  it is yielded, and the others go on
                         yield index, error
                 keys = {index: (kind(each.learner), each.decisions) for index, each in trainings.items()}
                 for group in _alike(keys):
-                    yield from _side_by_side({index: trainings[index] for index in group}, stop)
+                    for index, why in _side_by_side({each: trainings.pop(each) for each in group}, stop):
+                        yield index, why
+                        held[index].close()  # whoever reads how it ended can have its folder
 
 
 def _alike(keys: Mapping[int, object]) -> list[list[int]]:
