@@ -245,8 +245,7 @@ class Sac:
             next_noise,
         )
         terms = self.checked(terms_of(losses, self.log_alpha).tolist())
-        for parameter in self._parameters:
-            parameter.grad = None  # what zero_grad does, ten times as quick
+        self.optimiser.zero_grad(set_to_none=True)
         critic_loss, actor_loss, alpha_loss, *_ = losses
         loss = critic_loss
         if self.updates >= self.config.critic_first_updates:
@@ -357,7 +356,7 @@ class Sac:
         self.average.load_state_dict(state.get("average", state["networks"]["actor"]))
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates = state["updates"]
-        if "generator" in state:  # once, whoever trained kept the random numbers
+        if "generator" in state:  # older checkpoints have it beside the learner, as `rng`
             self.generator.set_state(state["generator"])
         if state["buffer"]:
             size = len(state["buffer"]["reward"])

@@ -9,13 +9,11 @@ import torch
 
 from hrl_comfort.agents.sac import Sac
 from hrl_comfort.agents.together import Together
-from hrl_comfort.compose import environment
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.bench import medians
-from hrl_comfort.experiments.bench_update import Update, learner, rate
+from hrl_comfort.experiments.bench_update import Update, learner, observation_width, rate
 from hrl_comfort.experiments.measure import write_table
 from hrl_comfort.experiments.statistics import Row, read_rows
-from hrl_comfort.sim.engine import Engine
 
 BATCHES, POLICIES = (64, 256), (2, 4, 8)
 ROUNDS = 5
@@ -30,9 +28,7 @@ def bench_together(config: TrainConfig) -> Path:
     interleaved. What is measured goes to together.csv.
     """
     torch.set_num_threads(1)
-    engine = Engine(environment(config), 1, 0)
-    width = engine.episodes.subtask.observe(engine.reset()).shape[-1]
-    engine.close()
+    width = observation_width(config)
     rates: list[list[object]] = []
     for batch in BATCHES:
         for count in POLICIES:

@@ -50,9 +50,7 @@ def bench_update(config: TrainConfig) -> Path:
     if find_spec("stable_baselines3") is None:
         raise ConfigError("bench update needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
     torch.set_num_threads(1)
-    engine = Engine(environment(config), 1, 0)
-    width = engine.episodes.subtask.observe(engine.reset()).shape[-1]
-    engine.close()
+    width = observation_width(config)
     rates: list[list[object]] = []
     for batch in BATCHES:
         learners = {
@@ -72,6 +70,14 @@ def bench_update(config: TrainConfig) -> Path:
 def table(rows: Sequence[Row]) -> str:
     """Return the rows of update.csv as a Markdown table: medians, ranges and ratios."""
     return medians(rows, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
+
+
+def observation_width(config: TrainConfig) -> int:
+    """Return how many numbers the policy of a training observes."""
+    engine = Engine(environment(config), 1, 0)
+    width = engine.episodes.subtask.observe(engine.reset()).shape[-1]
+    engine.close()
+    return width
 
 
 def at(precision: str, update: Update) -> Update:

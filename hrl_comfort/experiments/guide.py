@@ -1,7 +1,7 @@
 """What acts in the guided rows of a training.
 
-The field solves inverse kinematics; for two rows of sixteen that takes a third of a decision's time. So it is
-done in a process of its own (`guide_process`), while the learner learns from the decision before.
+The field solves inverse kinematics, row after row, a good part of a decision's time. So it
+is done in a process of its own (`guide_process`), while the learner learns from the decision before.
 """
 
 from __future__ import annotations
