@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 
 from hrl_comfort.compose import compose
 from hrl_comfort.config import TrainConfig
+from hrl_comfort.experiments.stepper import Stepper
 
 LIMIT = 20
 FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
@@ -140,6 +141,7 @@ def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
             "agent.keep_checkpoints=2",
             "agent.target_entropy=-2",
             "curriculum.window=20",
+            "agent.cells_apart=false",
             "engine.rows=8",
             f"output='{output}'",
             *overrides,
@@ -149,5 +151,5 @@ def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
     return dataclasses.replace(config, **changes)
 
 
-def make_point_env(config: TrainConfig) -> PointEnv:
-    return PointEnv(config.engine.rows, config.episode_seed)
+def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> Stepper:
+    return Stepper(config.agent, PointEnv(config.engine.rows, config.episode_seed, stop_after, kill))

@@ -22,6 +22,7 @@ from hrl_comfort.experiments.train_cell import train_cell
 SMALL = [
     "task=pick", "agent.decisions=960", "agent.warmup_decisions=160", "agent.hidden=[16,16]",
     "agent.batch_size=32", "agent.log_every=160", "agent.checkpoint_every=320", "engine.rows=8",
+    "agent.cells_apart=false",
 ]  # fmt: skip
 
 
@@ -59,10 +60,10 @@ def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(
 
     decide = Training.decide
 
-    def until_half(training: Training) -> list[tuple[float, bool]]:
+    def until_half(training: Training) -> None:
         if training.decisions >= 480:
             raise Stopped
-        return decide(training)
+        decide(training)
 
     folder = tmp_path / "pick"
     with monkeypatch.context() as patch:

@@ -19,7 +19,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.train import train
-from tests.point_env import make_point_env, small_config
+from tests.point_env import make_points, small_config
 
 KILLS = 20
 OUT_OF_DISK, PREEMPTED = 7, 8
@@ -28,14 +28,14 @@ OUT_OF_DISK, PREEMPTED = 7, 8
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     """An undisturbed training."""
-    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_point_env)
+    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_points)
 
 
 def go_on(folder: Path) -> None:
     """Train in `folder` from where it is."""
     resumable = (folder / "checkpoints" / "latest.pt", folder / "checkpoints" / "previous.pt")
     begun = any(path.exists() for path in resumable)
-    train(small_config(folder, resume=str(folder) if begun else None), make_point_env)
+    train(small_config(folder, resume=str(folder) if begun else None), make_points)
 
 
 def child(work: Callable[[], None]) -> int:

@@ -19,12 +19,13 @@ from hrl_comfort.agents.together import Diverged, Together
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.experiments import train_together as module
 from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.stepper import Stepper
 from hrl_comfort.experiments.sweep_record import find_jobs
 from hrl_comfort.experiments.train import train
 from hrl_comfort.experiments.train_cell import train_cell, train_cells
 from hrl_comfort.experiments.train_together import Turn, Why, train_together
 from hrl_comfort.experiments.training_log import claim
-from tests.point_env import PointEnv, make_point_env, small_config
+from tests.point_env import make_points, small_config
 from tests.test_sac import A, D, agent, filled
 
 
@@ -131,9 +132,9 @@ SHORT = "agent.decisions=600"
 
 
 def test_trainings_together_are_those_alone(tmp_path: Path) -> None:
-    assert stopped_of(train_together(configs(tmp_path / "together", SHORT), make_point_env)) == {}
+    assert stopped_of(train_together(configs(tmp_path / "together", SHORT), make_points)) == {}
     for config in configs(tmp_path / "alone", SHORT):
-        folder = train(config, make_point_env)
+        folder = train(config, make_points)
         other = tmp_path / "together" / folder.name
         torch.testing.assert_close(metrics(other), metrics(folder), rtol=1e-2, atol=1e-3, equal_nan=True)
         names = {path.name for path in folder.rglob("*") if not path.name.startswith("events")}
@@ -141,13 +142,11 @@ def test_trainings_together_are_those_alone(tmp_path: Path) -> None:
 
 
 def test_what_stops_one_of_them_does_not_stop_the_others(tmp_path: Path) -> None:
-    def make(config: TrainConfig) -> PointEnv:
-        return PointEnv(
-            config.engine.rows, config.episode_seed, stop_after=40 if config.train_seed == 1 else None
-        )
+    def make(config: TrainConfig) -> Stepper:
+        return make_points(config, stop_after=40 if config.train_seed == 1 else None)
 
     taken = tmp_path / "2"
-    train(small_config(taken, SHORT), make_point_env)
+    train(small_config(taken, SHORT), make_points)
     stopped = stopped_of(train_together(configs(tmp_path, SHORT), make))
     assert {index: type(why).__name__ for index, why in stopped.items()} == {1: "Stopped", 2: "ConfigError"}
     assert len(metrics(tmp_path / "0")) == 3
@@ -163,7 +162,7 @@ def test_one_that_diverges_among_trainings_is_reported_and_the_others_end(
             return super().update()
 
     monkeypatch.setattr(module, "Together", Diverging)
-    stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_point_env))
+    stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_points))
     assert list(stopped) == [1]
     assert isinstance(stopped[1], TrainingDiverged)
     assert all(len(metrics(tmp_path / name)) == 3 for name in "02")
@@ -177,14 +176,14 @@ def test_what_breaks_the_update_they_share_ends_them_all_and_no_other(
 
     monkeypatch.setattr(Together, "update", full)
     asked = [*configs(tmp_path, SHORT), small_config(tmp_path / "3", SHORT, "agent.hidden=[16]")]
-    stopped = stopped_of(train_together(asked, make_point_env))
+    stopped = stopped_of(train_together(asked, make_points))
     assert {index: str(why) for index, why in stopped.items()} == dict.fromkeys(range(3), "out of memory")
     assert len(metrics(tmp_path / "3")) == 3
 
 
 def test_those_told_to_stop_go_on_alone_or_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = configs(tmp_path / "whole", SHORT)
-    assert stopped_of(train_together(whole, make_point_env)) == {}
+    assert stopped_of(train_together(whole, make_points)) == {}
     calls = iter(range(1_000_000))
 
     def asked() -> AbstractContextManager[Callable[[], bool]]:
@@ -192,12 +191,12 @@ def test_those_told_to_stop_go_on_alone_or_together(tmp_path: Path, monkeypatch:
 
     with monkeypatch.context() as patched:
         patched.setattr(module, "asked_to_stop", asked)
-        stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_point_env))
+        stopped = stopped_of(train_together(configs(tmp_path, SHORT), make_points))
     assert [type(why) for why in stopped.values()] == [Preempted] * 3
     folders = [tmp_path / str(seed) for seed in range(3)]
     first, *others = [small_config(folder, resume=str(folder)) for folder in folders]
-    train(first, make_point_env)
-    assert stopped_of(train_together(others, make_point_env)) == {}
+    train(first, make_points)
+    assert stopped_of(train_together(others, make_points)) == {}
     for folder in folders:
         expected = metrics(tmp_path / "whole" / folder.name)
         torch.testing.assert_close(metrics(folder), expected, rtol=1e-2, atol=1e-3, equal_nan=True)
@@ -216,7 +215,7 @@ def test_those_that_cannot_share_an_update_take_turns(
     monkeypatch.setattr(module, "Together", Counted)
     asked = configs(tmp_path, SHORT)
     asked.append(small_config(tmp_path / "3", SHORT, "agent.hidden=[16]"))
-    assert stopped_of(train_together(asked, make_point_env)) == {}
+    assert stopped_of(train_together(asked, make_points)) == {}
     assert groups == [3]
     assert all(len(metrics(tmp_path / str(index))) == 3 for index in range(4))
 
@@ -273,10 +272,8 @@ def test_what_another_command_has_done_meanwhile_is_not_done_again(
 
 
 def test_the_folder_of_one_that_failed_is_free_while_the_others_go_on(tmp_path: Path) -> None:
-    def make(config: TrainConfig) -> PointEnv:
-        return PointEnv(
-            config.engine.rows, config.episode_seed, stop_after=40 if config.train_seed == 1 else None
-        )
+    def make(config: TrainConfig) -> Stepper:
+        return make_points(config, stop_after=40 if config.train_seed == 1 else None)
 
     found = train_together(configs(tmp_path, SHORT), make)
     assert next(found)[0] == 1

@@ -8,8 +8,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -22,12 +22,13 @@ from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.compose import environment, load_config
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.experiments.train import Guide, Training, train
+from hrl_comfort.experiments.stepper import Guide, Stepper
+from hrl_comfort.experiments.train import Training, train
 from hrl_comfort.experiments.train_cell import guide_of, successor_of, train_cell
 from hrl_comfort.experiments.training_log import claim
 from hrl_comfort.meta.options import make_policy
 from hrl_comfort.tasks import subtask
-from tests.point_env import LIMIT, PointEnv, Stopped, make_point_env, small_config
+from tests.point_env import LIMIT, PointEnv, Stopped, make_points, small_config
 
 
 def rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
@@ -38,15 +39,14 @@ def rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     """A whole training."""
-    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_point_env)
+    return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_points)
 
 
-def interrupted(folder: Path, calls: int, *overrides: str, guide: Any = None) -> Path:
-    def stopped(config: TrainConfig) -> PointEnv:
-        return PointEnv(config.engine.rows, config.episode_seed, stop_after=calls)
-
+def interrupted(
+    folder: Path, calls: int, *overrides: str, make: Callable[..., Stepper] = make_points
+) -> Path:
     with pytest.raises(Stopped):
-        train(small_config(folder, *overrides), stopped, guide)
+        train(small_config(folder, *overrides), lambda config: make(config, calls))
     return folder
 
 
@@ -54,7 +54,7 @@ def test_sac_learns_to_reach_the_origin(tmp_path):
     config = small_config(
         tmp_path / "run", "agent.decisions=6000", "agent.buffer_size=6000", "agent.learning_rate=0.003"
     )
-    policy = load_policy(train(config, make_point_env))
+    policy = load_policy(train(config, make_points))
     env = PointEnv(64, seed=7)
     env.set_precision(0.15)
     now, solved = env.reset(), torch.zeros(64, 1, dtype=torch.bool)
@@ -85,7 +85,7 @@ def test_reward_terms_sum_to_the_return(run):
 
 def test_a_row_without_a_finished_episode_has_empty_outcomes(tmp_path):
     overrides = ("curriculum=off", "task.precision.take_m=0.005", "agent.log_every=8", "agent.decisions=160")
-    table = rows(train(small_config(tmp_path / "run", *overrides), make_point_env))
+    table = rows(train(small_config(tmp_path / "run", *overrides), make_points))
     assert table[0]["episodes"] == "0"
     assert table[0]["success"] == table[0]["return"] == table[0]["reward/reach"] == ""
     assert int(table[-1]["episodes"]) >= 8  # the time limit has ended some
@@ -108,8 +108,8 @@ def test_the_folder_holds_what_the_contract_says(run):
 
 
 def test_the_same_seeds_write_the_same_metrics_and_another_seed_does_not(run, tmp_path):
-    again = train(small_config(tmp_path / "again"), make_point_env)
-    other = train(small_config(tmp_path / "other", train_seed=1), make_point_env)
+    again = train(small_config(tmp_path / "again"), make_points)
+    other = train(small_config(tmp_path / "other", train_seed=1), make_points)
     assert (again / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
     assert (other / "metrics.csv").read_bytes() != (run / "metrics.csv").read_bytes()
 
@@ -119,7 +119,7 @@ def test_a_training_stopped_half_way_and_resumed_is_bit_for_bit_the_same(run, tm
     half = interrupted(tmp_path / "half", calls)
     assert len(rows(half)) < len(rows(run))
     config = small_config(Path("elsewhere"), resume=str(half))
-    assert train(config, make_point_env) == half
+    assert train(config, make_points) == half
     assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
     mine, whole = checkpoint.load(half / "policy.pt"), checkpoint.load(run / "policy.pt")
     for name, tensor in whole["networks"]["actor"].items():
@@ -132,7 +132,7 @@ def test_resuming_passes_over_a_truncated_checkpoint(run, tmp_path):
     latest = half / "checkpoints" / "latest.pt"
     latest.write_bytes(latest.read_bytes()[:1000])
     with pytest.warns(UserWarning, match=r"latest\.pt"):
-        train(small_config(half, resume=str(half)), make_point_env)
+        train(small_config(half, resume=str(half)), make_points)
     assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
 
 
@@ -140,31 +140,31 @@ def test_a_killed_process_resumes_bit_for_bit(run, tmp_path):
     script = (
         "import sys; from pathlib import Path; from tests.point_env import *\n"
         "from hrl_comfort.experiments.train import train\n"
-        "train(small_config(Path(sys.argv[1])), lambda c: PointEnv(c.engine.rows, c.episode_seed, 100, True))"
+        "train(small_config(Path(sys.argv[1])), lambda c: make_points(c, 100, True))"
     )
     folder = tmp_path / "killed"
     command, root = [sys.executable, "-c", script, str(folder)], Path(__file__).parents[1]
     done = subprocess.run(command, cwd=root, capture_output=True, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
-    train(small_config(folder, resume=str(folder)), make_point_env)
+    train(small_config(folder, resume=str(folder)), make_points)
     assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
 
 
 def test_a_folder_that_holds_a_run_is_refused(run):
     with pytest.raises(ConfigError, match="already holds a run"):
-        train(small_config(run), make_point_env)
+        train(small_config(run), make_points)
 
 
 def test_a_folder_in_use_is_refused(tmp_path):
     with claim(tmp_path / "run", resume=False), pytest.raises(ConfigError, match="in use"):
-        train(small_config(tmp_path / "run"), make_point_env)
+        train(small_config(tmp_path / "run"), make_points)
 
 
 @pytest.mark.parametrize(("what", "message"), [("finished", "is finished"), ("nothing", "not a run folder")])
 def test_what_cannot_be_resumed_is_refused(run, tmp_path, what, message):
     folder = run if what == "finished" else tmp_path / "nothing"
     with pytest.raises(ConfigError, match=message):
-        train(small_config(tmp_path, resume=str(folder)), make_point_env)
+        train(small_config(tmp_path, resume=str(folder)), make_points)
 
 
 def test_a_checkpoint_from_before_learners_had_their_own_random_numbers_is_resumed(run, tmp_path):
@@ -172,38 +172,39 @@ def test_a_checkpoint_from_before_learners_had_their_own_random_numbers_is_resum
     latest = half / "checkpoints" / "latest.pt"
     state = checkpoint.load(latest)
     checkpoint.save(latest, {**state, "rng": state["learner"].pop("generator")})
-    train(small_config(tmp_path, resume=str(half)), make_point_env)
+    train(small_config(tmp_path, resume=str(half)), make_points)
     assert (half / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
 
 
 def test_training_on_starts_from_the_networks_of_the_run_and_skips_random_actions(run, tmp_path):
     config = small_config(tmp_path / "on", initial_policy=str(run))
-    training = Training(config, make_point_env(config), tmp_path / "on")
+    training = Training(config, make_points(config), tmp_path / "on")
     saved = checkpoint.load(run / "policy.pt")["networks"]
     for part, module in (("critics", training.learner.critics), ("targets", training.learner.targets)):
         for name, tensor in module.state_dict().items():
             assert torch.equal(tensor, saved[part][name])
     assert torch.equal(training.learner.log_alpha.detach(), saved["log_alpha"])
     training.decide()
-    fresh = Training(config, make_point_env(config), tmp_path / "on")
-    expected = fresh.learner.act(fresh.now["observation"])
+    training.take_in()
+    fresh = Training(config, make_points(config), tmp_path / "on")
+    expected = fresh.learner.act(fresh.observation)
     assert torch.equal(training.learner.buffer.storage[:8]["action"], expected)
 
 
 def test_training_on_from_networks_of_another_shape_is_refused(run, tmp_path):
     config = small_config(tmp_path / "on", "agent.hidden=[16,16]", initial_policy=str(run))
     with pytest.raises(ConfigError, match=r"hidden=\[32, 32\], this training \[16, 16\]"):
-        train(config, make_point_env)
+        train(config, make_points)
 
 
 def homeward(config: TrainConfig, env: PointEnv) -> Guide:
     """A guide that goes straight to the origin."""
+    return lambda: -env.point[: config.agent.guided_rows].clamp(-1, 1)
 
-    def guide() -> Callable[[], Tensor]:
-        action = -env.point[: config.agent.guided_rows].clamp(-1, 1)
-        return lambda: action
 
-    return guide
+def guided(config: TrainConfig, stop_after: int | None = None) -> Stepper:
+    env = PointEnv(config.engine.rows, config.episode_seed, stop_after)
+    return Stepper(config.agent, env, homeward(config, env))
 
 
 GUIDED = ("agent.guide=field", "agent.guided_rows=2")
@@ -211,10 +212,11 @@ GUIDED = ("agent.guide=field", "agent.guided_rows=2")
 
 def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
     config = small_config(tmp_path, *GUIDED)
-    env = make_point_env(config)
-    training = Training(config, env, tmp_path, homeward(config, env))
-    expected = homeward(config, env)()()
+    env = PointEnv(8, 0)
+    training = Training(config, Stepper(config.agent, env, homeward(config, env)), tmp_path)
+    expected = homeward(config, env)()
     training.decide()
+    training.take_in()
     stored = training.learner.buffer.storage[:8]
     assert torch.equal(stored["action"][:2], expected)
     assert stored["guided"].tolist() == [True, True, *[False] * 6]
@@ -222,21 +224,22 @@ def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
 
 def test_guided_episodes_count_in_no_success(tmp_path):
     config = small_config(tmp_path, *GUIDED, "curriculum=off", "task.precision.take_m=0.3")
-    env = make_point_env(config)
-    training = Training(config, env, tmp_path, lambda: lambda: torch.zeros(2, 2))
+    env = PointEnv(8, 0)
+    training = Training(config, Stepper(config.agent, env, lambda: torch.zeros(2, 2)), tmp_path)
     ended = 0
     for _ in range(LIMIT):
         env.point[2:] = 0.0  # whoever is not guided is there at once
-        finished = training.decide()
+        training.decide()
+        finished = training.take_in()
         assert all(success for _, success in finished)
         ended += len(finished)
     assert ended == 6 * LIMIT
 
 
 def test_a_guided_training_stopped_half_way_and_resumed_is_bit_for_bit_the_same(tmp_path):
-    whole = train(small_config(tmp_path / "whole", *GUIDED), make_point_env, homeward)
-    half = interrupted(tmp_path / "half", 120, *GUIDED, guide=homeward)
-    train(small_config(half, resume=str(half)), make_point_env, homeward)
+    whole = train(small_config(tmp_path / "whole", *GUIDED), guided)
+    half = interrupted(tmp_path / "half", 120, *GUIDED, make=guided)
+    train(small_config(half, resume=str(half)), guided)
     assert (half / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
@@ -248,7 +251,7 @@ def test_a_guide_without_rows_and_rows_without_a_guide_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"agent\.guided_rows=8 is outside its range \[0, 7\]"):
         small_config(tmp_path, "agent.guide=field", "agent.guided_rows=8")
     with pytest.raises(ConfigError, match="this environment knows no guide"):
-        train(small_config(tmp_path / "run", *GUIDED), make_point_env)
+        train(small_config(tmp_path / "run", *GUIDED), make_points)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +283,7 @@ def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, guide):
     act = make_policy(guide, episodes.subtask, env.engine.scene, environment(config), 0)
     expected = act(episodes.state.rows(torch.arange(2)))
     assert expected.abs().max() > 0
-    torch.testing.assert_close(guide_of(config, env)()(), expected)
+    torch.testing.assert_close(guide_of(config, env)(), expected)
     train_cell(config)
 
 
@@ -293,16 +296,18 @@ def test_a_success_is_worth_what_the_successor_makes_of_it(tmp_path):
 
     rewards = []
     for value in (None, successor):
-        env = make_point_env(config)
-        training = Training(config, env, tmp_path, successor=value)
+        env = PointEnv(8, 0)
+        agent = replace(config.agent, successor=value and "next")
+        training = Training(config, Stepper(agent, env, successor=value), tmp_path)
         env.point[:4], env.point[4:] = 0.0, 0.9  # four are there at once
         training.decide()
+        training.take_in()
         rewards.append(training.learner.buffer.storage[:8]["reward"])
     expected = torch.zeros(8)
     expected[:4] = 100.0 * 0.5 ** env.rand_step()["next", "decision_steps"][0, 0]
     torch.testing.assert_close(rewards[1] - rewards[0], expected)
     with pytest.raises(ConfigError, match="this environment knows no successor"):
-        train(small_config(tmp_path / "run", "agent.successor=next"), make_point_env)
+        train(small_config(tmp_path / "run", "agent.successor=next"), make_points)
 
 
 def trained(folder: Path, task: str, *overrides: str) -> Path:
@@ -337,7 +342,7 @@ def test_a_successor_that_begins_elsewhere_is_named(tmp_path):
 
 
 def test_best_prefers_the_tighter_precision_then_the_higher_success(tmp_path):
-    training = Training(config := small_config(tmp_path), make_point_env(config), tmp_path)
+    training = Training(config := small_config(tmp_path), make_points(config), tmp_path)
     verdicts = []
     for precision_m, successes in ((0.3, 20), (0.26, 10), (0.26, 9), (0.3, 20), (0.26, 11)):
         training.curriculum.load_state_dict({"precision_m": precision_m, "outcomes": []})

@@ -75,6 +75,8 @@ class AgentConfig:
     """Weight of the actor's squared distance from the guide's action, where the critics prefer that."""
     successor: str | None
     """The policy that takes over where this one succeeds: what that is worth to it counts as well."""
+    cells_apart: bool
+    """Step the cells in a process of their own while the learner learns. The bits are the same without."""
     log_every: int
     """Decisions between two rows of metrics.csv."""
     checkpoint_every: int

@@ -13,14 +13,13 @@ from pathlib import Path
 import torch
 import torchrl
 
-from hrl_comfort.compose import environment
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.bench import ranged
 from hrl_comfort.experiments.measure import write_table
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
 from hrl_comfort.experiments.train import Training
+from hrl_comfort.experiments.train_cell import stepper_of
 
 ROUNDS = 5
 SECONDS = 6.0
@@ -73,14 +72,16 @@ def training(config: TrainConfig) -> float:
     torchrl.logger.setLevel("WARNING")
     agent = replace(config.agent, warmup_decisions=0, guide=None, guided_rows=0, successor=None)
     with tempfile.TemporaryDirectory() as folder:
-        env = CellEnv(environment(config), config.engine.rows, config.episode_seed)
-        trained = Training(replace(config, agent=agent), env, Path(folder))
+        alone = replace(config, agent=agent)
+        trained = Training(alone, stepper_of(alone), Path(folder))
         while len(trained.learner.buffer) < agent.batch_size:
             trained.decide()
+            trained.take_in()
         before, began = trained.decisions, time.perf_counter()
         while time.perf_counter() - began < SECONDS:
             trained.decide()
             trained.learn(trained.due())
+            trained.take_in()
         return (trained.decisions - before) / (time.perf_counter() - began)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,12 +19,12 @@ from hrl_comfort.agents.policy import ActorPolicy
 from hrl_comfort.agents.sac import products
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
-from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.experiments.bench import ranged
 from hrl_comfort.experiments.measure import write_table
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
 from hrl_comfort.experiments.train import Training
+from hrl_comfort.experiments.train_cell import steps_of
 from hrl_comfort.sim.engine import Engine
 
 SEEDS = (0, 1, 2)
@@ -147,9 +148,8 @@ def success(env: EnvConfig, act: Act) -> float:
 
 def race(config: TrainConfig, clock: Clock) -> int:
     """Train by this project until `clock` says so; return the decisions made."""
-    with tempfile.TemporaryDirectory() as folder:
-        env = CellEnv(environment(config), config.engine.rows, config.episode_seed)
-        training = Training(config, env, Path(folder))
+    with tempfile.TemporaryDirectory() as folder, closing(steps_of(config)) as steps:
+        training = Training(config, steps, Path(folder))
         learner = training.learner
         policy = ActorPolicy(
             learner.average, learner.normaliser, {"observation_dim": learner.observation_dim}
@@ -163,6 +163,7 @@ def race(config: TrainConfig, clock: Clock) -> int:
         while not clock.done(act, training.decisions):
             training.decide()
             training.learn(training.due())
+            training.take_in()
         return training.decisions
 
 

@@ -1,20 +1,22 @@
-"""Teach one subtask to one policy: a thin loop over an environment, a learner and a curriculum."""
+"""Teach one subtask to one policy: a thin loop over what is stepped, a learner and a curriculum.
+
+While a decision is carried out the learner learns from all those before it. So the two can go on beside each
+other (`stepper_apart`), and where they take turns the training is the same to the bit.
+"""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import torchrl
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_initial_policy, save_policy
@@ -24,6 +26,7 @@ from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.experiments.curriculum import Curriculum
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import Show, training_line
+from hrl_comfort.experiments.stepper import Step, Steps
 from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
 
 FEWEST_EPISODES = 20
@@ -31,44 +34,28 @@ FEWEST_EPISODES = 20
 SAME_PRECISION_M = 0.005
 """Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
 
-
-Guide = Callable[[], Callable[[], Tensor]]
-"""() -> what waits for, and returns, the actions (guided rows, A) in [-1, 1] that a guide takes now."""
-Successor = Callable[[Tensor], Tensor]
-"""success (N,) bool of the latest decision -> value (N,) to the policy that takes over, 0 without success."""
-Make = Callable[[TrainConfig, Any], Any]
-"""(configuration, environment) -> a Guide or a Successor."""
+Make = Callable[[TrainConfig], Steps]
+"""configuration in force -> what is stepped."""
 
 
-def train(
-    config: TrainConfig,
-    make_env: Callable[[TrainConfig], EnvBase],
-    make_guide: Make | None = None,
-    make_successor: Make | None = None,
-) -> Path:
+def train(config: TrainConfig, make: Make) -> Path:
     """Train as `config` says and return the run folder.
 
     With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
-    it had never stopped. `make_env` gets the configuration in force; `make_guide` and `make_successor`,
-    called where the configuration names one, also the environment.
+    it had never stopped.
 
     Raises:
         ConfigError: a choice is not allowed, or the folder is taken.
         Preempted: SIGTERM came; a checkpoint has been written.
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
-    with begun(config, make_env, make_guide, make_successor) as training:
+    with begun(config, make) as training:
         training.run()
     return training.folder
 
 
 @contextmanager
-def begun(
-    config: TrainConfig,
-    make_env: Callable[[TrainConfig], EnvBase],
-    make_guide: Make | None = None,
-    make_successor: Make | None = None,
-) -> Iterator[Training]:
+def begun(config: TrainConfig, make: Make) -> Iterator[Training]:
     """Yield the training that `train` runs, at its beginning or where it stopped, and hold its folder.
 
     Raises:
@@ -80,28 +67,17 @@ def begun(
     resumes = config.resume is not None
     with claim(folder, resume=resumes):
         config = _config_of(folder) if resumes else config
-        env = make_env(config)
-        guide = _made("guide", config, env, make_guide)
-        successor = _made("successor", config, env, make_successor)
-        training = Training(config, env, folder, guide, successor, resumes)
-        if resumes:
-            try:
-                training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
-            except (KeyError, TypeError, RuntimeError) as error:
-                what = str(error).splitlines()[0]
-                raise ConfigError(
-                    f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
-                ) from error
-        yield training
-
-
-def _made(what: str, config: TrainConfig, env: EnvBase, make: Make | None) -> Any:
-    named = getattr(config.agent, what)
-    if named is None:
-        return None
-    if make is None:
-        raise ConfigError(f"agent.{what}={named}: this environment knows no {what}")
-    return make(config, env)
+        with closing(make(config)) as steps:
+            training = Training(config, steps, folder, resumes)
+            if resumes:
+                try:
+                    training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
+                except (KeyError, TypeError, RuntimeError) as error:
+                    what = str(error).splitlines()[0]
+                    raise ConfigError(
+                        f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
+                    ) from error
+            yield training
 
 
 def _config_of(folder: Path) -> TrainConfig:
@@ -116,24 +92,13 @@ def _config_of(folder: Path) -> TrainConfig:
 class Training:
     """One training in progress: everything that a resumable checkpoint holds."""
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        env: EnvBase,
-        folder: Path,
-        guide: Guide | None = None,
-        successor: Successor | None = None,
-        resumes: bool = False,
-    ) -> None:
-        self.config, self.env, self.folder = config, env, folder
-        self.guide, self.successor = guide, successor
-        self.rows = env.batch_size[0]
+    def __init__(self, config: TrainConfig, steps: Steps, folder: Path, resumes: bool = False) -> None:
+        self.config, self.steps, self.folder = config, steps, folder
+        self.rows, self.reward_names = steps.shape.rows, steps.shape.reward_names
         self.guided = torch.arange(self.rows) < config.agent.guided_rows
-        self.reward_names: tuple[str, ...] = env.reward_names
         torch.manual_seed(config.train_seed)
         agent = config.agent
-        observation_dim = env.observation_spec["observation"].shape[-1]
-        self.learner = Sac(agent, observation_dim, env.action_spec.shape[-1])
+        self.learner = Sac(agent, steps.shape.observation_dim, steps.shape.action_dim)
         if config.initial_policy is not None and not resumes:
             load_initial_policy(self.learner, Path(config.initial_policy))
         self.curriculum = Curriculum(config.curriculum, config.task.precision, agent.decisions)
@@ -144,13 +109,11 @@ class Training:
         self.best: dict[str, float] = {}
         self.recent: list[tuple[float, bool]] = []
         """Precision and success of the episodes since the last checkpoint."""
-        env.set_precision(self.curriculum.precision_m)
-        self.now: TensorDictBase = env.reset()
+        self.observation = steps.reset(self.curriculum.precision_m)
+        """(N, D): what the next decision is made on."""
         self.precision = torch.full((self.rows,), self.curriculum.precision_m, dtype=torch.float64)
         self.returns = torch.zeros(self.rows, dtype=torch.float64)
         self.terms = torch.zeros(self.rows, len(self.reward_names), dtype=torch.float64)
-        self._guiding: Callable[[], Tensor] | None = None
-        """What waits for the guide's next actions."""
         self.together = 1
         """How many policies share the updates."""
         self._resumed = False
@@ -163,7 +126,9 @@ class Training:
                 self.learn(due)
 
     def rounds(self, stop: Callable[[], bool], show: Show) -> Generator[int]:
-        """Make a decision in every row and yield how many updates are due, to the end; they are to be done.
+        """Let a decision begin in every row and yield how many updates are due by those before, to the end.
+
+        They are to be done before it goes on; at the end, those due by the last decision too.
 
         Raises:
             Preempted: `stop` says so; a checkpoint has been written.
@@ -181,11 +146,14 @@ class Training:
                 if stop():
                     checkpoint.save_resumable(self.folder / "checkpoints", self.state_dict())
                     raise Preempted(f"stopped by SIGTERM; go on with resume={self.folder}")
-                finished = self.decide()
-                shown.extend(success for _, success in finished)
+                self.decide()
                 yield self.due()
-                self.seconds = time.monotonic() - began
+                finished = self.take_in()
+                shown.extend(success for _, success in finished)
                 ends = self.decisions >= agent.decisions
+                if ends:
+                    yield self.due()
+                self.seconds = time.monotonic() - began
                 if self._due(agent.log_every) or ends:
                     lap = self._write_row(lap)
                 if self._due(agent.checkpoint_every) or ends:
@@ -207,54 +175,49 @@ class Training:
         """Return whether the decision just made was the first past a multiple of `every`."""
         return self.decisions // every > (self.decisions - self.rows) // every
 
-    def decide(self) -> list[tuple[float, bool]]:
-        """Make one decision in every row; return (precision, success) of the episodes that it ended."""
-        observation = self.now["observation"]
+    def decide(self) -> None:
+        """Let a decision begin in every row."""
         if self.config.initial_policy is None and self.decisions < self.config.agent.warmup_decisions:
             action = torch.rand(self.rows, self.learner.action_dim, generator=self.learner.generator) * 2 - 1
         else:
-            action = self.learner.act(observation)
-        if self.guide is not None:
-            guiding = self._guiding or self.guide()
-            action[self.guided] = guiding().to(action.dtype)
-        stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
-        self._guiding = self.guide and self.guide()  # it can think while updates are done
-        after = stepped["next"]
-        reward, steps = after["reward"][:, 0], after["decision_steps"][:, 0]
-        if self.successor is not None:
-            reward = reward + self.config.agent.gamma**steps * self.successor(after["success"][:, 0])
+            action = self.learner.act(self.observation)
+        self.steps.start(action, self.curriculum.precision_m)
+
+    def take_in(self) -> list[tuple[float, bool]]:
+        """Remember what the decision led to; return (precision, success) of the episodes that it ended."""
+        step = self.steps.finish()
         self.learner.remember(
-            observation,
-            action,
-            reward,
-            after["observation"],
-            after["terminated"][:, 0],
-            steps,
+            self.observation,
+            step.action,
+            step.reward + step.succession,
+            step.next_observation,
+            step.terminated,
+            step.decision_steps,
             self.guided,
         )
+        self.observation = step.observation
         self.decisions += self.rows
-        finished = self._end_episodes(after)
+        finished = self._end_episodes(step)
         self.curriculum.advance(self.decisions, finished)
-        self.env.set_precision(self.curriculum.precision_m)
         return finished
 
-    def _end_episodes(self, after: TensorDictBase) -> list[tuple[float, bool]]:
-        self.returns += after["reward"][:, 0].double()
-        self.terms += after["reward_terms"].double()
-        rows = after["done"][:, 0].nonzero()[:, 0]
+    def _end_episodes(self, step: Step) -> list[tuple[float, bool]]:
+        self.returns += step.reward.double()
+        self.terms += step.reward_terms.double()
+        rows = step.done.nonzero()[:, 0]
         finished = []
         for row in rows[~self.guided[rows]].tolist():
             outcome = {
-                "success": float(after["success"][row]),
+                "success": float(step.success[row]),
                 "return": float(self.returns[row]),
-                "steps": float(after["steps"][row]),
-                "human_collision": float(after["human_collision"][row]),
-                "other_collision": float(after["other_collision"][row]),
+                "steps": float(step.steps[row]),
+                "human_collision": float(step.human_collision[row]),
+                "other_collision": float(step.other_collision[row]),
             }
             terms = self.terms[row].tolist()
             outcome |= {f"reward/{name}": value for name, value in zip(self.reward_names, terms, strict=True)}
             self.log.episode(outcome)
-            finished.append((float(self.precision[row]), bool(after["success"][row])))
+            finished.append((float(self.precision[row]), bool(step.success[row])))
         self.returns[rows] = 0.0
         self.terms[rows] = 0.0
         self.precision[rows] = self.curriculum.precision_m  # what their next episodes have just started with
@@ -326,8 +289,7 @@ class Training:
         """Return all that is needed to continue, as plain data."""
         return {
             "learner": self.learner.state_dict(),
-            "env": self.env.state_dict(),
-            "now": dict(self.now.items()),
+            **self.steps.state_dict(),
             "curriculum": self.curriculum.state_dict(),
             "log": self.log.state_dict(),
             "rows": {"precision": self.precision, "returns": self.returns, "terms": self.terms},
@@ -341,8 +303,7 @@ class Training:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.learner.load_state_dict(state["learner"])
-        self.env.load_state_dict(state["env"])
-        self.now = TensorDict(state["now"], batch_size=self.env.batch_size)
+        self.observation = self.steps.load_state_dict({name: state[name] for name in ("env", "now")})
         self.curriculum.load_state_dict(state["curriculum"])
         self.log.load_state_dict(state["log"])
         rows: dict[str, Tensor] = state["rows"]
@@ -351,7 +312,6 @@ class Training:
         self.seconds = state["seconds"]
         self.best = state["best"]
         self.recent = [(precision_m, success) for precision_m, success in state.get("recent", [])]
-        self.env.set_precision(self.curriculum.precision_m)
         if "rng" in state:  # of a checkpoint from before learners had their own
             self.learner.generator.set_state(state["rng"])
         self._resumed = True

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
-from torchrl.envs import EnvBase
 
 from hrl_comfort.agents.policy import load_value
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.experiments.guide import SLOW, ActsApart, acting
-from hrl_comfort.experiments.train import Guide, Successor, train
+from hrl_comfort.experiments.stepper import Guide, Stepper, Steps, Successor
+from hrl_comfort.experiments.stepper_apart import StepperApart
+from hrl_comfort.experiments.train import train
 from hrl_comfort.experiments.train_together import Turn, Why, train_together
-from hrl_comfort.meta.options import observed_by
+from hrl_comfort.meta.options import make_policy, observed_by
 from hrl_comfort.tasks import subtask
 
 BEGINS = {"pick": "taken", "place": "left"}
@@ -25,17 +25,29 @@ BEGINS = {"pick": "taken", "place": "left"}
 
 def train_cell(config: TrainConfig) -> Path:
     """Train in the batched cell; see `train`."""
-    return train(config, cell_of, guide_of, successor_of)
+    return train(config, steps_of)
 
 
 def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[int, Why]]:
-    """Train in batched cells, together; see `train_together`."""
-    return train_together(configs, cell_of, guide_of, successor_of, turn)
+    """Train in batched cells, together, all in this process; see `train_together`."""
+    return train_together(configs, stepper_of, turn)
 
 
-def cell_of(config: TrainConfig) -> EnvBase:
-    """Return the cells that a training asks for."""
-    return CellEnv(environment(config), config.engine.rows, config.episode_seed)
+def steps_of(config: TrainConfig) -> Steps:
+    """Return the cells that a training asks for, in a process of their own if `agent.cells_apart`."""
+    return StepperApart(config) if config.agent.cells_apart else stepper_of(config)
+
+
+def stepper_of(config: TrainConfig) -> Stepper:
+    """Return the cells that a training asks for, in this process.
+
+    Raises:
+        ConfigError: a choice is not allowed, or its guide or successor does not go with it.
+    """
+    env = CellEnv(environment(config), config.engine.rows, config.episode_seed)
+    guide = None if config.agent.guide is None else guide_of(config, env)
+    successor = None if config.agent.successor is None else successor_of(config, env)
+    return Stepper(config.agent, env, guide, successor)
 
 
 def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
@@ -44,14 +56,19 @@ def guide_of(config: TrainConfig, env: CellEnv) -> Guide:
     Raises:
         ConfigError: there is no such policy, or it does not go with this training.
     """
-    episodes, rows = env.engine.episodes, torch.arange(config.agent.guided_rows)
-    here = acting(config, env.engine.scene)
-    apart = ActsApart(config) if config.agent.guide in SLOW else None
+    source, episodes = config.agent.guide, env.engine.episodes
+    rows = torch.arange(config.agent.guided_rows)
+    assert source is not None
+    if source == "random":
+        raise ConfigError("agent.guide=random shows nothing; choose field, expert or a run folder")
+    try:
+        act = make_policy(source, episodes.subtask, env.engine.scene, environment(config), config.train_seed)
+    except ConfigError as error:
+        raise ConfigError(f"agent.guide={source}: {error}") from error
 
-    def guide() -> Callable[[], Tensor]:
+    def guide() -> Tensor:
         assert episodes.state is not None
-        state = episodes.state.rows(rows)
-        return apart(state) if apart is not None else lambda: here(state)
+        return act(episodes.state.rows(rows))
 
     return guide
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 
-from torchrl.envs import EnvBase
-
 from hrl_comfort.agents.together import OWN, Diverged, Together, kind
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
@@ -26,9 +24,7 @@ def as_it_is(_: int, config: TrainConfig) -> TrainConfig:
 
 def train_together(
     configs: Sequence[TrainConfig],
-    make_env: Callable[[TrainConfig], EnvBase],
-    make_guide: Make | None = None,
-    make_successor: Make | None = None,
+    make: Make,
     turn: Turn = as_it_is,
 ) -> Iterator[tuple[int, Why]]:
     """Train as each of `configs` says, as `train` would; yield each one's index as it ends, and why it did.
@@ -51,7 +47,7 @@ def train_together(
                         if config is None:
                             continue
                         held[index] = all_held.enter_context(ExitStack())
-                        begins = begun(config, make_env, make_guide, make_successor)
+                        begins = begun(config, make)
                         trainings[index] = held[index].enter_context(begins)
                     except Exception as error:  # noqa: BLE001  it is yielded, and the others go on
                         yield index, error
