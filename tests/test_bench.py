@@ -129,6 +129,8 @@ def test_two_processes_are_held_to_what_two_loops_of_products_gain() -> None:
     rates = {
         ("training", "1"): 10,
         ("training", "2"): 18,
+        ("training, cells apart", "1"): 14,
+        ("training, cells apart", "2"): 17,
         ("matrix products", "1"): 5,
         ("matrix products", "2"): 10,
     }
@@ -136,7 +138,9 @@ def test_two_processes_are_held_to_what_two_loops_of_products_gain() -> None:
         {"loop": loop, "processes": n, "round": "0", "rounds_per_s": str(rate)}
         for (loop, n), rate in rates.items()
     ]
-    assert bench_cores.table(rows).splitlines()[-1].endswith("| 0.90 (0.90 to 0.90) |")
+    *_, apart, share = bench_cores.table(rows).splitlines()
+    assert apart.endswith("| 1.40 (1.40 to 1.40) | 0.94 (0.94 to 0.94) |  |")
+    assert share.endswith("| 0.90 (0.90 to 0.90) |")
 
 
 def test_a_training_and_products_have_a_rate(tmp_path: Path, monkeypatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import sys
 import traceback
 from typing import Any
@@ -55,6 +56,7 @@ def main() -> None:
     """Answer the process that started this one, until nothing more comes."""
     asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever else is printed
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # without a word, should whoever asked be gone
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")
     answers = Answers()
