@@ -91,20 +91,24 @@ curriculum_of() {
 }
 
 comfort() { # one policy for ten levels, by training seed: the task, the levels in earnest, shown ways round, farther apart
+    last=()
     for seed in ${SEEDS:-0 1 2 3 4}; do levels_of comfort/seed$seed; done
 }
 
-comfort_quick() { # the same with two fifths of the updates
-    for seed in ${SEEDS:-0 1 2}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
+comfort_quick() { # the same with two fifths of the updates, three fifths in the last part, and the mean of its actors
+    for seed in ${SEEDS:-0 1 2}; do
+        last=(agent.updates_per_decision=0.15 agent.actor_tau=5e-4)
+        levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1
+    done
 }
 
-levels_of() { # folder, overrides
+levels_of() { # folder, overrides; those in `last` are of the last part alone
     to=$1 more=("train_seed=$seed" "episode_seed=$seed" "${@:2}")
     train $to/pick_place_first experiment=comfort_gentle "${more[@]}"
     train $to/pick_place_second experiment=comfort_conditioned "${more[@]}" \
         "initial_policy=$ref/$to/pick_place_first"
     train $to/pick_place_third experiment=comfort_nearer "${more[@]}" "initial_policy=$ref/$to/pick_place_second"
-    train $to/pick_place experiment=comfort_nearest "${more[@]}" "initial_policy=$ref/$to/pick_place_third"
+    train $to/pick_place experiment=comfort_nearest "${more[@]}" "${last[@]}" "initial_policy=$ref/$to/pick_place_third"
     measure_levels $to/eval "policy=$ref/$to/pick_place"
 }
 

@@ -18,6 +18,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
+from hrl_comfort.experiments.own_process import KilledError
 from hrl_comfort.experiments.preemption import Preempted
 
 VERBS = {
@@ -29,8 +30,9 @@ VERBS = {
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
-ERRORS = (ConfigError, FloatingPointError, OSError)
-"""What gets one line and no traceback: a wrong choice, a training that diverged, a file that is not there."""
+ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
+"""What gets one line and no traceback: a wrong choice, a training that diverged, a process that was killed, a
+file that is not there."""
 
 
 def train(overrides: list[str]) -> None:

@@ -59,7 +59,7 @@ LATER: dict[str, Any] = {
     "agent.products": "highest",
     "agent.device": "cpu",
     "agent.successor": None,
-    "agent.cells_apart": False,
+    "agent.cells_apart": True,
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""

@@ -126,27 +126,16 @@ class PointEnv(EnvBase):
         self.point, self.near, self.steps = state["point"], state["near"], state["steps"]
 
 
+SMALL = (
+    "agent.decisions=1600", "agent.warmup_decisions=200", "agent.batch_size=64", "agent.hidden=[32,32]",
+    "agent.buffer_size=1000", "agent.log_every=200", "agent.checkpoint_every=300", "agent.keep_checkpoints=2",
+    "agent.target_entropy=-2", "agent.cells_apart=false", "curriculum.window=20", "engine.rows=8",
+)  # fmt: skip
+
+
 def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
     """Return a training of seconds; `changes` replace fields of the root."""
-    config = compose(
-        "train",
-        [
-            "agent.decisions=1600",
-            "agent.warmup_decisions=200",
-            "agent.batch_size=64",
-            "agent.hidden=[32,32]",
-            "agent.buffer_size=1000",
-            "agent.log_every=200",
-            "agent.checkpoint_every=300",
-            "agent.keep_checkpoints=2",
-            "agent.target_entropy=-2",
-            "curriculum.window=20",
-            "agent.cells_apart=false",
-            "engine.rows=8",
-            f"output='{output}'",
-            *overrides,
-        ],
-    )
+    config = compose("train", [*SMALL, f"output='{output}'", *overrides])
     assert isinstance(config, TrainConfig)
     return dataclasses.replace(config, **changes)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,12 @@ import pytest
 import torch
 
 from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.experiments.own_process import COMMAND, KilledError, same_paths
 from hrl_comfort.experiments.stepper_apart import StepperApart
+from hrl_comfort.experiments.stepper_process import _sent
 from hrl_comfort.experiments.train import Training
 from hrl_comfort.experiments.train_cell import train_cell
-from tests.point_env import small_config
+from tests.point_env import SMALL, small_config
 
 CHOICES = (
     "task=pick_place", "human=random_walk", "comfort=conditioned", "agent.guide=field", "agent.guided_rows=2",
@@ -22,6 +26,17 @@ CHOICES = (
     "agent.checkpoint_every=40", "agent.cells_apart=true", "task.limit_steps=30",
 )  # fmt: skip
 ACTION = torch.zeros(4, 6)
+
+
+def ends(group: int) -> bool:
+    """Return whether every process of a group is over, soon."""
+    for _ in range(3000):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.01)
+    return False
 
 
 def config_of(folder: Path, *overrides: str) -> TrainConfig:
@@ -76,15 +91,53 @@ def test_the_process_ends_with_the_training_even_while_it_steps(tmp_path, capfd)
 
 
 @pytest.mark.parametrize(
-    ("choice", "problem"),
+    ("choices", "problem"),
     [
-        ("agent.guide=nobody", "agent.guide=nobody: policy='nobody' is not there"),
-        ("agent.successor=nobody", "agent.successor=nobody: nobody: no such file"),
+        (["agent.guide=nobody"], "agent.guide=nobody: policy='nobody' is not there"),
+        (["agent.successor=nobody"], "agent.successor=nobody: nobody: no such file"),
+        (["agent.guide=expert", "human=none", "cell.ball_m=[-1.3,-0.07,0.287]"], "no posture found"),
     ],
 )
-def test_what_goes_wrong_in_the_process_is_raised_here(tmp_path, choice, problem):
+def test_what_goes_wrong_in_the_process_is_raised_here(tmp_path, choices, problem):
     with pytest.raises(ConfigError, match=problem):
-        train_cell(config_of(tmp_path / "run", choice))
+        train_cell(config_of(tmp_path / "run", *choices))
+
+
+def test_an_error_that_cannot_be_sent_arrives_by_name():
+    class Odd(Exception):
+        def __init__(self, one: str, other: str) -> None:
+            super().__init__(f"{one} {other}")
+
+    assert str(_sent(Odd("quite", "odd"))) == "Odd: quite odd"
+    assert isinstance(_sent(ConfigError("no")), ConfigError)
+
+
+def test_the_process_runs_this_code_wherever_the_command_is_given(tmp_path, monkeypatch):
+    (tmp_path / "torch.py").write_text("raise SystemExit('not this one')")
+    (tmp_path / "hrl_comfort").mkdir()
+    monkeypatch.chdir(tmp_path)
+    steps = StepperApart(config_of(tmp_path / "run"))
+    assert steps.shape.rows == 4
+    steps.close()
+
+
+def test_a_command_told_to_stop_leaves_a_checkpoint_and_no_process(whole, tmp_path):
+    folder = tmp_path / "stopped"
+    words = [*SMALL, *CHOICES, f"output='{folder}'"]
+    command = [*COMMAND, "train", *words]
+    started = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True, env=same_paths()
+    )
+    while not (folder / "checkpoints" / "latest.pt").exists():
+        assert started.poll() is None
+        time.sleep(0.01)
+    os.killpg(started.pid, signal.SIGTERM)
+    _, said = started.communicate()
+    assert started.returncode == 128 + signal.SIGTERM, said
+    assert "stopped by SIGTERM; go on with resume=" in said and "Traceback" not in said
+    assert ends(started.pid)
+    train_cell(replace(config_of(tmp_path / "unused"), resume=str(folder)))
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
 def test_told_to_stop_the_process_still_finishes_the_decision_under_way(apart):
@@ -100,5 +153,5 @@ def test_told_to_stop_the_process_still_finishes_the_decision_under_way(apart):
 def test_a_process_that_was_killed_is_named(apart):
     apart.reset(0.3)
     apart._process.kill()
-    with pytest.raises(RuntimeError, match="the process of the cells has ended, with exit code -9"):
+    with pytest.raises(KilledError, match="the process of the cells was ended by SIGKILL"):
         apart.state_dict()

@@ -17,7 +17,7 @@ from hydra._internal.hydra import Hydra
 from hrl_comfort import __main__ as commands
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments import own_process, sweep, sweep_job
-from hrl_comfort.experiments.own_process import JobKilledError, run_apart
+from hrl_comfort.experiments.own_process import KilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.sweep_job import Ended
 from hrl_comfort.experiments.sweep_record import find_jobs
@@ -49,7 +49,7 @@ def test_a_job_in_its_own_process_tells_what_went_wrong(says: Script) -> None:
     with pytest.raises(ConfigError, match=r"^no such policy$"):
         run_apart("train", [])
     says("import os; os.kill(os.getpid(), 9)")
-    with pytest.raises(JobKilledError, match="ended by SIGKILL, perhaps for want of memory"):
+    with pytest.raises(KilledError, match="ended by SIGKILL, perhaps for want of memory"):
         run_apart("train", [])
     says("import sys; print('hrl-comfort: go on with resume=a', file=sys.stderr); sys.exit(143)")
     with pytest.raises(Preempted, match=r"^go on with resume=a$"):

@@ -12,7 +12,7 @@ from hrl_comfort.agents.networks import LOG_STD_MAX, LOG_STD_MIN, narrow, tanh_g
 from hrl_comfort.agents.sac import Batch, Sac, TrainingDiverged, products, sac_losses, terms_of
 
 OWN = ("gamma", "entropy_coefficient", "successor", "cells_apart")
-"""What each learner may have its own of in its configuration; of the rest see `kind`."""
+"""What learners may differ in by configuration; of the rest see `kind`."""
 
 
 class Together:

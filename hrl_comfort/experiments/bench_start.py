@@ -12,7 +12,7 @@ from hrl_comfort.compose import override
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.experiments.bench import ranged
 from hrl_comfort.experiments.measure import write_table
-from hrl_comfort.experiments.own_process import COMMAND
+from hrl_comfort.experiments.own_process import COMMAND, same_paths
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
 
@@ -50,7 +50,7 @@ def table(rows: Sequence[Row]) -> str:
 def help_s() -> float:
     """Return the seconds that `--help` takes."""
     began = time.perf_counter()
-    subprocess.run([*COMMAND, "--help"], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([*COMMAND, "--help"], check=True, stdout=subprocess.DEVNULL, env=same_paths())
     return time.perf_counter() - began
 
 
@@ -68,7 +68,9 @@ def step_s(config: TrainConfig, overrides: Sequence[str]) -> float:
         short = [f"agent.decisions={config.engine.rows}", "agent.warmup_decisions=0", "agent.log_every=1"]
         words = ["train", *overrides, *short, override("output", run)]
         began = time.perf_counter()
-        training = subprocess.Popen([*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        training = subprocess.Popen(
+            [*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=same_paths()
+        )
         while training.poll() is None and not has_row(log):
             time.sleep(LOOK_S)
         seconds = time.perf_counter() - began

@@ -1,10 +1,12 @@
-"""A job of a sweep in a process of its own: one that is killed, out of memory say, takes no other along.
+"""Processes of one's own, which run the same code, and the jobs of a sweep in them.
 
-Joblib gives up a whole sweep when one of its processes is killed; so these only start the job and wait.
+A job that is killed, out of memory say, takes no other along: joblib gives up a whole sweep when one of its
+processes is killed, so these only start the job and wait.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -13,12 +15,25 @@ from types import FrameType
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.preemption import Preempted
 
-COMMAND = (sys.executable, "-m", "hrl_comfort")
+PYTHON = (sys.executable, "-P", "-m")
+"""Runs a module, wherever the command was given: `-P` keeps the modules that lie there out."""
+COMMAND = (*PYTHON, "hrl_comfort")
 PREFIX = "hrl-comfort: "
 
 
-class JobKilledError(RuntimeError):
-    """The process of a job was killed."""
+class KilledError(Exception):
+    """A process of one's own was killed."""
+
+
+def same_paths() -> dict[str, str]:
+    """Return the variables under which another Python finds the modules that this one does."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+
+
+def ended_by(code: int) -> str:
+    """Return which signal ended a process with this negative exit code."""
+    memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
+    return f"was ended by {signal.Signals(-code).name}{memory}"
 
 
 def run_apart(verb: str, words: list[str]) -> None:
@@ -26,7 +41,7 @@ def run_apart(verb: str, words: list[str]) -> None:
 
     Raises:
       ConfigError: it failed; what it said last.
-      JobKilledError: it was killed.
+      KilledError: it was killed.
       Preempted: it was told to stop, and has.
     """
     last, told = "", False
@@ -40,7 +55,8 @@ def run_apart(verb: str, words: list[str]) -> None:
 
     before = signal.signal(signal.SIGTERM, pass_on)
     try:
-        with subprocess.Popen([*COMMAND, verb, *words], stderr=subprocess.PIPE, text=True) as child:
+        command = [*COMMAND, verb, *words]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=same_paths()) as child:
             children.append(child)
             if told:  # while it was being started
                 child.send_signal(signal.SIGTERM)
@@ -55,7 +71,6 @@ def run_apart(verb: str, words: list[str]) -> None:
     if code == 128 + signal.SIGTERM or (told and code == -signal.SIGTERM):
         raise Preempted(why or "stopped by SIGTERM")
     if code < 0:
-        memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
-        raise JobKilledError(f"its process was ended by {signal.Signals(-code).name}{memory}")
+        raise KilledError(f"its process {ended_by(code)}")
     if code:
         raise ConfigError(why or f"exit code {code}")

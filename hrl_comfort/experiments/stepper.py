@@ -118,17 +118,17 @@ class Stepper:
         self._begun: tuple[Tensor, float] | None = None
 
     def reset(self, precision_m: float) -> Tensor:
-        """Begin episodes at this precision in every row; return the observation (N, D)."""
+        """See `Steps`."""
         self._env.set_precision(precision_m)
         self._now = self._env.reset()
         return self._now["observation"]
 
     def start(self, action: Tensor, precision_m: float) -> None:
-        """Let a decision (N, A) in [-1, 1] begin; episodes that begin after it are at this precision."""
+        """See `Steps`."""
         self._begun = action, precision_m
 
     def finish(self) -> Step:
-        """Make the decision begun; return what it led to."""
+        """See `Steps`."""
         assert self._begun is not None
         (action, precision_m), self._begun = self._begun, None
         self._env.set_precision(precision_m)
@@ -153,14 +153,14 @@ class Stepper:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything a bit-for-bit continuation needs, between two decisions."""
+        """See `Steps`."""
         return {"env": self._env.state_dict(), "now": dict(self._now.items())}
 
     def load_state_dict(self, state: dict[str, Any]) -> Tensor:
-        """Continue from `state_dict`; return the observation (N, D)."""
+        """See `Steps`."""
         self._env.load_state_dict(state["env"])
         self._now = TensorDict(state["now"], batch_size=self._env.batch_size)
         return self._now["observation"]
 
     def close(self) -> None:
-        """Let go of nothing: the environment ends with whoever holds it."""
+        """See `Steps`; nothing is held."""

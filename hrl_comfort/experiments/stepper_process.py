@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import sys
 import traceback
+import warnings
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
 import torchrl
+from numpy.typing import NDArray
 
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.stepper import Shape, Stepper
@@ -18,61 +21,63 @@ from hrl_comfort.experiments.train_cell import stepper_of
 
 
 class Answers:
-    """To the questions of a `StepperApart`, each named as what is asked; what is sent is numpy's."""
+    """To the questions of a `StepperApart`, by name; tensors are sent as numpy's arrays."""
 
     def __init__(self) -> None:
-        self._stepper: Stepper | None = None
+        self._stepper: Stepper
+        self.to: dict[str, Callable[..., Any]] = {
+            "make": self._make,
+            "reset": self._reset,
+            "step": self._step,
+            "state_dict": lambda: self._stepper.state_dict(),
+            "load_state_dict": lambda state: self._stepper.load_state_dict(state).numpy(),
+        }
 
-    @property
-    def stepper(self) -> Stepper:
-        """What `make` has made."""
-        assert self._stepper is not None
-        return self._stepper
-
-    def make(self, config: TrainConfig) -> Shape:
-        """Make the cells of a training."""
+    def _make(self, config: TrainConfig) -> Shape:
         self._stepper = stepper_of(config)
-        return self.stepper.shape
+        return self._stepper.shape
 
-    def reset(self, precision_m: float) -> Any:
-        """Return the observation (N, D)."""
-        return self.stepper.reset(precision_m).numpy()
+    def _reset(self, precision_m: float) -> NDArray[np.float32]:
+        observation: NDArray[np.float32] = self._stepper.reset(precision_m).numpy()
+        return observation
 
-    def step(self, action: Any, precision_m: float) -> dict[str, Any]:
-        """Return the fields of a `Step`."""
-        self.stepper.start(torch.from_numpy(action), precision_m)
-        return {name: value.numpy() for name, value in vars(self.stepper.finish()).items()}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return what the stepper's does."""
-        return self.stepper.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> Any:
-        """Return the observation (N, D)."""
-        return self.stepper.load_state_dict(state).numpy()
+    def _step(self, action: NDArray[np.float32], precision_m: float) -> dict[str, NDArray[Any]]:
+        self._stepper.start(torch.from_numpy(action), precision_m)
+        return {name: value.numpy() for name, value in vars(self._stepper.finish()).items()}
 
 
 def main() -> None:
     """Answer the process that started this one, until nothing more comes."""
-    asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever else is printed
+    asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # whatever else is read
+    os.dup2(2, 1)  # or printed
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # without a word, should whoever asked be gone
+    warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")
     answers = Answers()
     while True:
         try:
             question, *about = pickle.load(asked)
-        except EOFError:
+        except (EOFError, pickle.UnpicklingError):  # whoever asked is gone, maybe in the middle of it
             return
         said: object
         try:
-            said = getattr(answers, question)(*about)
+            said = answers.to[question](*about)
         except Exception as error:  # noqa: BLE001  it is raised where the answer is waited for
-            error.add_note(traceback.format_exc())  # tracebacks cannot be sent
-            said = error
+            said = _sent(error)
         pickle.dump(said, told, pickle.HIGHEST_PROTOCOL)
         told.flush()
+
+
+def _sent(error: Exception) -> Exception:
+    """Return what of an error arrives: its kind if that can be made again, and where it was raised."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001  whatever hinders it
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    error.add_note(traceback.format_exc())  # tracebacks cannot be sent
+    return error
 
 
 if __name__ == "__main__":

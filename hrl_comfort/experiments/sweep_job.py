@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from hrl_comfort.compose import compose, override
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, OtherRunError, left
-from hrl_comfort.experiments.own_process import JobKilledError, run_apart
+from hrl_comfort.experiments.own_process import KilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.run_folder import read_run
 from hrl_comfort.experiments.statistics import column
@@ -22,7 +22,7 @@ from hrl_comfort.experiments.training_end import training_end
 
 Run = Callable[[list[str]], None]
 """What runs a verb with its overrides."""
-ERRORS = (ConfigError, FloatingPointError, JobKilledError, OSError)
+ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
 """Failures whose message says it all; of others the class is named too."""
 TOLD_TOGETHER = ("basic", "joblib")
 """Launchers whose jobs are told to stop together: one that is told ends the sweep."""

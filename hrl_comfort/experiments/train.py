@@ -128,7 +128,7 @@ class Training:
     def rounds(self, stop: Callable[[], bool], show: Show) -> Generator[int]:
         """Let a decision begin in every row and yield how many updates are due by those before, to the end.
 
-        They are to be done before it goes on; at the end, those due by the last decision too.
+        The caller does them before it asks for the next; at the end, those due by the last decision too.
 
         Raises:
             Preempted: `stop` says so; a checkpoint has been written.
@@ -154,9 +154,9 @@ class Training:
                 if ends:
                     yield self.due()
                 self.seconds = time.monotonic() - began
-                if self._due(agent.log_every) or ends:
+                if self._passes(agent.log_every) or ends:
                     lap = self._write_row(lap)
-                if self._due(agent.checkpoint_every) or ends:
+                if self._passes(agent.checkpoint_every) or ends:
                     self.save(resumable=not ends)
                 show(self.decisions, shown, self.curriculum.precision_m)
         finally:
@@ -171,7 +171,7 @@ class Training:
         self.log.write_row(self.decisions, self.learner.updates, self.curriculum.precision_m, timing)
         return now
 
-    def _due(self, every: int) -> bool:
+    def _passes(self, every: int) -> bool:
         """Return whether the decision just made was the first past a multiple of `every`."""
         return self.decisions // every > (self.decisions - self.rows) // every
 
@@ -225,7 +225,7 @@ class Training:
         return finished
 
     def due(self) -> int:
-        """Return the number of updates that the decisions made ask for by now."""
+        """Count in the updates that the latest decisions ask for; return how many whole ones are due."""
         if self.decisions <= self.config.agent.warmup_decisions:
             return 0
         self.updates_due += self.rows * self.config.agent.updates_per_decision
