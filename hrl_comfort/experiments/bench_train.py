@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,7 +23,7 @@ from hrl_comfort.experiments.measure import write_table
 from hrl_comfort.experiments.panels import markdown
 from hrl_comfort.experiments.statistics import Row, number, read_rows
 from hrl_comfort.experiments.train import Training
-from hrl_comfort.experiments.train_cell import steps_of
+from hrl_comfort.experiments.train_cell import stepper_of
 from hrl_comfort.sim.engine import Engine
 
 SEEDS = (0, 1, 2)
@@ -88,8 +87,8 @@ def bench_train(config: TrainConfig) -> Path:
     if find_spec("stable_baselines3") is None:
         raise ConfigError("bench train needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
     torch.set_num_threads(1)
-    agent = replace(config.agent, guide=None, guided_rows=0, successor=None)
-    config = replace(config, agent=agent)
+    agent = replace(config.agent, guide=None, guided_rows=0, successor=None, cells_apart=False)
+    config = replace(config, agent=agent)  # one core each
     env = environment(config)
     found: list[list[object]] = []
     path = Path(config.output) / "train.csv"
@@ -148,8 +147,8 @@ def success(env: EnvConfig, act: Act) -> float:
 
 def race(config: TrainConfig, clock: Clock) -> int:
     """Train by this project until `clock` says so; return the decisions made."""
-    with tempfile.TemporaryDirectory() as folder, closing(steps_of(config)) as steps:
-        training = Training(config, steps, Path(folder))
+    with tempfile.TemporaryDirectory() as folder:
+        training = Training(config, stepper_of(config), Path(folder))
         learner = training.learner
         policy = ActorPolicy(
             learner.average, learner.normaliser, {"observation_dim": learner.observation_dim}
