@@ -22,7 +22,7 @@ PREFIX = "hrl-comfort: "
 
 
 class KilledError(Exception):
-    """A process of one's own was killed."""
+    """A process of one's own was killed, or is over before its time."""
 
 
 def same_paths() -> dict[str, str]:
@@ -31,7 +31,9 @@ def same_paths() -> dict[str, str]:
 
 
 def ended_by(code: int) -> str:
-    """Return which signal ended a process with this negative exit code."""
+    """Return what ended a process with this exit code, negative if it was a signal."""
+    if code >= 0:
+        return f"has ended, with exit code {code}"
     memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
     return f"was ended by {signal.Signals(-code).name}{memory}"
 

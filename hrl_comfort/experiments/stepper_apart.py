@@ -24,7 +24,7 @@ GRACE_S = 5.0
 class StepperApart:
     """Steps the cells of a training as its `Stepper` does, in a process that lasts as long as this.
 
-    Whatever is asked of it raises what went wrong there, and KilledError if the process was killed.
+    Whatever is asked of it raises what went wrong there, and KilledError if the process is over.
 
     Raises:
         ConfigError: see `train_cell.stepper_of`.
@@ -96,15 +96,13 @@ class StepperApart:
         finally:
             del answer  # an error would keep this, and the process, alive
 
-    def _ended(self) -> Exception:
+    def _ended(self) -> KilledError:
         try:
             code = self._process.wait(GRACE_S)
         except subprocess.TimeoutExpired:  # what it said cannot be read, and it goes on
             self._process.kill()
             code = self._process.wait()
-        if code < 0:
-            return KilledError(f"the process of the cells {ended_by(code)}")
-        return RuntimeError(f"the process of the cells has ended, with exit code {code}")
+        return KilledError(f"the process of the cells {ended_by(code)}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
