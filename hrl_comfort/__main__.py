@@ -18,6 +18,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
+from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
 from hrl_comfort.experiments.own_process import KilledError
 from hrl_comfort.experiments.preemption import Preempted
 
@@ -51,9 +52,12 @@ def train(overrides: list[str]) -> None:
     others = [line for line in overrides if not line.startswith("resume=")]
     if config.resume is not None and others:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+    # Imports take seconds: the process of the cells begins with its own while this one goes on to the rest.
+    apart = config.agent.cells_apart and config.resume is None
+    cells = AnsweringProcess(CELLS) if apart else None
     from hrl_comfort.experiments.train_cell import train_cell
 
-    train_cell(config)
+    train_cell(config, cells)
 
 
 def evaluate(overrides: list[str]) -> None:

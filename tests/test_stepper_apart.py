@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
 from hrl_comfort.experiments.own_process import COMMAND, KilledError, same_paths
 from hrl_comfort.experiments.stepper_apart import StepperApart
 from hrl_comfort.experiments.stepper_process import _sent
@@ -49,9 +50,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return train_cell(config_of(tmp_path_factory.mktemp("runs") / "whole", "agent.cells_apart=false"))
 
 
+def apart_in(folder: Path) -> StepperApart:
+    return StepperApart(config_of(folder), AnsweringProcess(CELLS))
+
+
 @pytest.fixture
 def apart(tmp_path: Path) -> StepperApart:
-    return StepperApart(config_of(tmp_path))
+    return apart_in(tmp_path)
 
 
 def test_a_training_is_the_same_to_the_bit_wherever_its_cells_are_stepped(whole, tmp_path):
@@ -80,14 +85,21 @@ def test_a_training_goes_on_wherever_its_cells_were_stepped(whole, tmp_path, mon
 
 
 def test_the_process_ends_with_the_training_even_while_it_steps(tmp_path, capfd):
-    apart = StepperApart(config_of(tmp_path))
-    process = apart._process
+    apart = apart_in(tmp_path)
+    process = apart._process.process
     apart.reset(0.3)
     apart.start(ACTION, 0.3)
     assert process.poll() is None
     del apart
     assert process.poll() == -signal.SIGKILL
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_cells_whose_process_has_begun_already_are_stepped_there(whole, tmp_path):
+    cells = AnsweringProcess(CELLS)
+    folder = train_cell(config_of(tmp_path / "apart"), cells)
+    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    assert cells.process.poll() == -signal.SIGKILL
 
 
 @pytest.mark.parametrize(
@@ -116,7 +128,7 @@ def test_the_process_runs_this_code_wherever_the_command_is_given(tmp_path, monk
     (tmp_path / "torch.py").write_text("raise SystemExit('not this one')")
     (tmp_path / "hrl_comfort").mkdir()
     monkeypatch.chdir(tmp_path)
-    steps = StepperApart(config_of(tmp_path / "run"))
+    steps = apart_in(tmp_path / "run")
     assert steps.shape.rows == 4
     steps.close()
 
@@ -145,13 +157,13 @@ def test_told_to_stop_the_process_still_finishes_the_decision_under_way(apart):
     for _ in range(2):
         apart.start(ACTION, 0.3)
         for number in (signal.SIGTERM, signal.SIGINT):
-            os.kill(apart._process.pid, number)
+            os.kill(apart._process.process.pid, number)
         assert apart.finish().observation.shape == (4, apart.shape.observation_dim)
     assert "env" in apart.state_dict()
 
 
 def test_a_process_that_was_killed_is_named(apart):
     apart.reset(0.3)
-    apart._process.kill()
+    apart._process.process.kill()
     with pytest.raises(KilledError, match="the process of the cells was ended by SIGKILL"):
         apart.state_dict()

@@ -12,6 +12,7 @@ from hrl_comfort.agents.policy import load_value
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
 from hrl_comfort.experiments.stepper import Guide, Stepper, Steps, Successor
 from hrl_comfort.experiments.stepper_apart import StepperApart
 from hrl_comfort.experiments.train import train
@@ -23,9 +24,9 @@ BEGINS = {"pick": "taken", "place": "left"}
 """A subtask's last stage -> where the subtask after it begins (`Subtask.start`)."""
 
 
-def train_cell(config: TrainConfig) -> Path:
-    """Train in the batched cell; see `train`."""
-    return train(config, steps_of)
+def train_cell(config: TrainConfig, cells: AnsweringProcess | None = None) -> Path:
+    """Train in the batched cell; see `train` and `steps_of`."""
+    return train(config, lambda config: steps_of(config, cells))
 
 
 def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[int, Why]]:
@@ -33,9 +34,14 @@ def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[in
     return train_together(configs, stepper_of, turn)
 
 
-def steps_of(config: TrainConfig) -> Steps:
-    """Return the cells that a training asks for, in a process of their own if `agent.cells_apart`."""
-    return StepperApart(config) if config.agent.cells_apart else stepper_of(config)
+def steps_of(config: TrainConfig, cells: AnsweringProcess | None = None) -> Steps:
+    """Return the cells that a training asks for, in a process of their own if `agent.cells_apart`.
+
+    That is `cells`, where it has begun already.
+    """
+    if not config.agent.cells_apart:
+        return stepper_of(config)
+    return StepperApart(config, cells or AnsweringProcess(CELLS))
 
 
 def stepper_of(config: TrainConfig) -> Stepper:
