@@ -7,6 +7,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import closing, nullcontext
 from importlib import import_module
 from pathlib import Path
 
@@ -18,9 +19,9 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
-from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
 from hrl_comfort.experiments.own_process import KilledError
 from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.stepper_process import StepperProcess
 
 VERBS = {
     "train": "teach one subtask to one policy, or a controller above them (train meta)",
@@ -52,12 +53,13 @@ def train(overrides: list[str]) -> None:
     others = [line for line in overrides if not line.startswith("resume=")]
     if config.resume is not None and others:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
-    # Imports take seconds: the process of the cells begins with its own while this one goes on to the rest.
+    # Imports take seconds: the cells' process begins with its own while this one goes on to the rest.
+    # Whether a training that is resumed wants such a process stands in its folder.
     apart = config.agent.cells_apart and config.resume is None
-    cells = AnsweringProcess(CELLS) if apart else None
-    from hrl_comfort.experiments.train_cell import train_cell
+    with closing(StepperProcess()) if apart else nullcontext() as process:
+        from hrl_comfort.experiments.train_cell import train_cell
 
-    train_cell(config, cells)
+        train_cell(config, process)
 
 
 def evaluate(overrides: list[str]) -> None:

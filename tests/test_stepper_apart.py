@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 import torch
 
+from hrl_comfort.__main__ import main
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
+from hrl_comfort.experiments import train_cell as train_cell_module
 from hrl_comfort.experiments.own_process import COMMAND, KilledError, same_paths
 from hrl_comfort.experiments.stepper_apart import StepperApart
-from hrl_comfort.experiments.stepper_process import _sent
+from hrl_comfort.experiments.stepper_main import ALONE, _sent
+from hrl_comfort.experiments.stepper_process import StepperProcess
 from hrl_comfort.experiments.train import Training
 from hrl_comfort.experiments.train_cell import train_cell
 from tests.point_env import SMALL, small_config
@@ -51,7 +53,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def apart_in(folder: Path) -> StepperApart:
-    return StepperApart(config_of(folder), AnsweringProcess(CELLS))
+    return StepperApart(config_of(folder), StepperProcess())
 
 
 @pytest.fixture
@@ -95,11 +97,43 @@ def test_the_process_ends_with_the_training_even_while_it_steps(tmp_path, capfd)
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_cells_whose_process_has_begun_already_are_stepped_there(whole, tmp_path):
-    cells = AnsweringProcess(CELLS)
-    folder = train_cell(config_of(tmp_path / "apart"), cells)
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[StepperProcess]:
+    """The processes that the command line begins; trainings begin no others."""
+    processes: list[StepperProcess] = []
+
+    def begin() -> StepperProcess:
+        processes.append(StepperProcess())
+        return processes[-1]
+
+    monkeypatch.setattr("hrl_comfort.__main__.StepperProcess", begin)
+    monkeypatch.setattr(train_cell_module, "StepperProcess", None)
+    return processes
+
+
+def test_the_command_begins_the_process_that_its_training_then_uses(whole, tmp_path, begun):
+    folder = tmp_path / "apart"
+    assert main(["train", *SMALL, *CHOICES, f"output={folder}"]) == 0
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-    assert cells.process.poll() == -signal.SIGKILL
+    assert [process.process.poll() for process in begun] == [-signal.SIGKILL]
+
+
+def test_the_process_ends_with_a_command_that_never_gets_to_it(whole, begun, capsys):
+    assert main(["train", *SMALL, *CHOICES, f"output={whole}"]) == 1
+    assert [process.process.poll() for process in begun] == [-signal.SIGKILL]
+
+
+def test_no_process_begins_for_cells_that_are_not_apart(tmp_path, begun):
+    words = [*SMALL, *CHOICES, "agent.cells_apart=false", f"output={tmp_path / 'here'}"]
+    assert main(["train", *words]) == 0
+    assert not begun
+
+
+def test_the_process_ends_while_it_imports_should_whoever_began_it_be_gone():
+    begun = StepperProcess()
+    assert begun.process.stdin is not None
+    begun.process.stdin.close()
+    assert begun.process.wait(60) == ALONE
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a training steps, in a process of its own (`stepper_process`): the learner learns meanwhile."""
+"""What a training steps, in a process of its own (`stepper_main`): the learner learns meanwhile."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.experiments.answering_process import AnsweringProcess
 from hrl_comfort.experiments.stepper import Shape, Step
+from hrl_comfort.experiments.stepper_process import StepperProcess
 
 
 class StepperApart:
@@ -21,7 +21,7 @@ class StepperApart:
         ConfigError: see `train_cell.stepper_of`.
     """
 
-    def __init__(self, config: TrainConfig, process: AnsweringProcess) -> None:
+    def __init__(self, config: TrainConfig, process: StepperProcess) -> None:
         self._process = process
         self.close = process.close
         """Ends the process."""

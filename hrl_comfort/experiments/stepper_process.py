@@ -1,84 +1,79 @@
-"""The process of a `StepperApart`: (question, *about) come in, and every one is answered."""
+"""The process of a `StepperApart`, as whoever asks it sees it.
+
+Light to import, so that the process can begin before what a training needs is imported here.
+"""
 
 from __future__ import annotations
 
-import os
+import contextlib
 import pickle
 import signal
-import traceback
-import warnings
-from collections.abc import Callable
+import subprocess
+import weakref
 from typing import Any
 
-import numpy as np
-import torch
-import torchrl
-from numpy.typing import NDArray
+from hrl_comfort.experiments.own_process import PYTHON, KilledError, ended_by, same_paths
 
-from hrl_comfort.config import TrainConfig
-from hrl_comfort.experiments.stepper import Shape, Stepper
-from hrl_comfort.experiments.train_cell import stepper_of
+COMMAND = (*PYTHON, "hrl_comfort.experiments.stepper_main")
+GRACE_S = 5.0
+"""For a process that has closed its ends to be over."""
 
 
-class Answers:
-    """To the questions of a `StepperApart`, by name; tensors are sent as numpy's arrays."""
+class StepperProcess:
+    """A process that imports what cells need and then answers, for as long as this lasts.
+
+    Questions and answers are pickled. Both `send` and `receive` raise KilledError if the process is over.
+    """
 
     def __init__(self) -> None:
-        self._stepper: Stepper
-        self.to: dict[str, Callable[..., Any]] = {
-            "make": self._make,
-            "reset": self._reset,
-            "step": self._step,
-            "state_dict": lambda: self._stepper.state_dict(),
-            "load_state_dict": lambda state: self._stepper.load_state_dict(state).numpy(),
-        }
-
-    def _make(self, config: TrainConfig) -> Shape:
-        self._stepper = stepper_of(config)
-        return self._stepper.shape
-
-    def _reset(self, precision_m: float) -> NDArray[np.float32]:
-        observation: NDArray[np.float32] = self._stepper.reset(precision_m).numpy()
-        return observation
-
-    def _step(self, action: NDArray[np.float32], precision_m: float) -> dict[str, NDArray[Any]]:
-        self._stepper.start(torch.from_numpy(action), precision_m)
-        return {name: value.numpy() for name, value in vars(self._stepper.finish()).items()}
-
-
-def main() -> None:
-    """Answer the process that started this one, until nothing more comes."""
-    asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # whatever else is read
-    os.dup2(2, 1)  # or printed
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # without a word, should whoever asked be gone
-    warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
-    torch.set_num_threads(1)
-    torchrl.logger.setLevel("WARNING")
-    answers = Answers()
-    while True:
+        # It is deaf from its first moment: a training that is told to stop still has to save its state.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
-            question, *about = pickle.load(asked)
-        except (EOFError, pickle.UnpicklingError):  # whoever asked is gone, maybe in the middle of it
-            return
-        said: object
+            self.process = subprocess.Popen(
+                COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=same_paths()
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self.close = weakref.finalize(self, _end, self.process)
+        """Ends the process; a second time, nothing."""
+
+    def send(self, question: object) -> None:
+        """Ask."""
+        assert self.process.stdin is not None
         try:
-            said = answers.to[question](*about)
-        except Exception as error:  # noqa: BLE001  it is raised where the answer is waited for
-            said = _sent(error)
-        pickle.dump(said, told, pickle.HIGHEST_PROTOCOL)
-        told.flush()
+            pickle.dump(question, self.process.stdin, pickle.HIGHEST_PROTOCOL)
+            self.process.stdin.flush()
+        except BrokenPipeError as error:
+            raise self._ended() from error
+
+    def receive(self) -> Any:
+        """Return the answer to the oldest question that has none yet, or raise what went wrong there."""
+        assert self.process.stdout is not None
+        try:
+            answer = pickle.load(self.process.stdout)  # of a process of our own
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise self._ended() from error
+        try:
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+        finally:
+            del answer  # an error would keep this, and the process, alive
+
+    def _ended(self) -> KilledError:
+        try:
+            code = self.process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:  # what it said cannot be read, and it goes on
+            self.process.kill()
+            code = self.process.wait()
+        return KilledError(f"the process of the cells {ended_by(code)}")
 
 
-def _sent(error: Exception) -> Exception:
-    """Return what of an error arrives: its kind if that can be made again, and where it was raised."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001  whatever hinders it
-        error = RuntimeError(f"{type(error).__name__}: {error}")
-    error.add_note(traceback.format_exc())  # tracebacks cannot be sent
-    return error
-
-
-if __name__ == "__main__":
-    main()
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the process; it has nothing to save."""
+    assert process.stdin is not None and process.stdout is not None
+    process.kill()
+    process.wait()
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.close()
+    process.stdout.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -12,9 +13,9 @@ from hrl_comfort.agents.policy import load_value
 from hrl_comfort.compose import environment
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.experiments.answering_process import CELLS, AnsweringProcess
 from hrl_comfort.experiments.stepper import Guide, Stepper, Steps, Successor
 from hrl_comfort.experiments.stepper_apart import StepperApart
+from hrl_comfort.experiments.stepper_process import StepperProcess
 from hrl_comfort.experiments.train import train
 from hrl_comfort.experiments.train_together import Turn, Why, train_together
 from hrl_comfort.meta.options import make_policy, observed_by
@@ -24,9 +25,9 @@ BEGINS = {"pick": "taken", "place": "left"}
 """A subtask's last stage -> where the subtask after it begins (`Subtask.start`)."""
 
 
-def train_cell(config: TrainConfig, cells: AnsweringProcess | None = None) -> Path:
+def train_cell(config: TrainConfig, process: StepperProcess | None = None) -> Path:
     """Train in the batched cell; see `train` and `steps_of`."""
-    return train(config, lambda config: steps_of(config, cells))
+    return train(config, partial(steps_of, process=process))
 
 
 def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[int, Why]]:
@@ -34,14 +35,14 @@ def train_cells(configs: Sequence[TrainConfig], turn: Turn) -> Iterator[tuple[in
     return train_together(configs, stepper_of, turn)
 
 
-def steps_of(config: TrainConfig, cells: AnsweringProcess | None = None) -> Steps:
+def steps_of(config: TrainConfig, process: StepperProcess | None = None) -> Steps:
     """Return the cells that a training asks for, in a process of their own if `agent.cells_apart`.
 
-    That is `cells`, where it has begun already.
+    In `process`, if that has begun already; it ends with them.
     """
     if not config.agent.cells_apart:
         return stepper_of(config)
-    return StepperApart(config, cells or AnsweringProcess(CELLS))
+    return StepperApart(config, process or StepperProcess())
 
 
 def stepper_of(config: TrainConfig) -> Stepper:
