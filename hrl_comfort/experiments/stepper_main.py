@@ -10,8 +10,8 @@ import threading
 import traceback
 import warnings
 
-ALONE = 1
-"""The exit code when whoever asks is gone."""
+ALONE = 3
+"""The exit code when whoever asks is gone; 1 is that of an error."""
 
 
 def main() -> None:
