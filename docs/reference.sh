@@ -183,8 +183,11 @@ sort_learned() { # a controller that learns; while it does, a crash costs it ten
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
         folder=$ref/sort/seed$seed/controller
-        if ! grep -qs '"finished": true' "$folder/provenance.json"; then
-            rm -rf "$folder" # it takes minutes: one that was stopped begins anew
+        if grep -qs '"finished": true' "$folder/provenance.json"; then
+            :
+        elif [ -d "$folder/checkpoints" ]; then
+            "${hrl[@]}" train meta "resume=$folder"
+        else
             "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" \
                 "${skills[@]}" meta_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
         fi

@@ -41,18 +41,18 @@ def train(overrides: list[str]) -> None:
     """Run `hrl-comfort train`."""
     from hrl_comfort.compose import compose
 
-    if overrides[:1] == ["meta"]:
-        controller = compose("train_meta", overrides[1:])
-        assert isinstance(controller, MetaTrainConfig)
-        from hrl_comfort.experiments.train_meta import train_meta
-
-        train_meta(controller)
-        return
-    config = compose("train", overrides)
-    assert isinstance(config, TrainConfig)
+    meta = overrides[:1] == ["meta"]
+    overrides = overrides[1:] if meta else overrides
+    config = compose("train_meta" if meta else "train", overrides)
+    assert isinstance(config, TrainConfig | MetaTrainConfig)
     others = [line for line in overrides if not line.startswith("resume=")]
     if config.resume is not None and others:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+    if isinstance(config, MetaTrainConfig):
+        from hrl_comfort.experiments.train_meta import train_meta
+
+        train_meta(config)
+        return
     # Imports take seconds: the cells' process begins with its own while this one goes on to the rest.
     # Whether a training that is resumed wants such a process stands in its folder.
     apart = config.agent.cells_apart and config.resume is None

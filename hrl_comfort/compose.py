@@ -63,6 +63,8 @@ LATER: dict[str, Any] = {
     "meta_agent.average_tau": 1.0,
 }
 """Keys that came later, and their value in a configuration written before they were."""
+META_LATER: dict[str, Any] = {"disturbance": "none", "resume": None}
+"""The same at the top of the training of a controller."""
 DEEP = "holds itself, or lists too deep in lists to be read"
 T = TypeVar("T")
 
@@ -145,8 +147,9 @@ def load_config(path: str | Path) -> Config:
 
 def _with_later_keys(loaded: Any) -> Any:
     """Return a configuration with what LATER says where it was written before these keys were."""
-    if isinstance(loaded, DictConfig) and "meta_agent" in loaded and "disturbance" not in loaded:
-        loaded["disturbance"] = "none"  # in the training of controllers; it came later
+    if isinstance(loaded, DictConfig) and "meta_agent" in loaded:
+        for name, value in META_LATER.items():
+            loaded.setdefault(name, value)
     for key, value in LATER.items():
         section, name = key.rsplit(".", 1)
         there = OmegaConf.select(loaded, section) if isinstance(loaded, DictConfig) else None

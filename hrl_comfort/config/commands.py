@@ -85,6 +85,8 @@ class MetaTrainConfig:
     train_seed: int
     episode_seed: int
     output: str
+    resume: str | None
+    """Run folder to continue; its own config.yaml is used."""
 
     def __post_init__(self) -> None:
         one_of("disturbance", self.disturbance, DISTURBANCES)

@@ -10,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,14 @@ from torch import Tensor
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import load_initial_policy, save_policy
 from hrl_comfort.agents.sac import Sac
-from hrl_comfort.compose import load_config, save_config
-from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.compose import save_config
+from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.curriculum import Curriculum
 from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import Show, training_line
+from hrl_comfort.experiments.resuming import go_on, stopped_config
 from hrl_comfort.experiments.stepper import Step, Steps
-from hrl_comfort.experiments.training_log import MetricsLog, claim, read_provenance, write_provenance
+from hrl_comfort.experiments.training_log import MetricsLog, claim, write_provenance
 
 FEWEST_EPISODES = 20
 """Episodes between two checkpoints below which neither can be called the best."""
@@ -66,27 +66,12 @@ def begun(config: TrainConfig, make: Make) -> Iterator[Training]:
     folder = Path(config.resume or config.output)
     resumes = config.resume is not None
     with claim(folder, resume=resumes):
-        config = _config_of(folder) if resumes else config
+        config = stopped_config(folder, TrainConfig) if resumes else config
         with closing(make(config)) as steps:
             training = Training(config, steps, folder, resumes)
             if resumes:
-                try:
-                    training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
-                except (KeyError, TypeError, RuntimeError) as error:
-                    what = str(error).splitlines()[0]
-                    raise ConfigError(
-                        f"resume={folder}: its checkpoint does not fit its config.yaml: {what}"
-                    ) from error
+                go_on(training, folder)
             yield training
-
-
-def _config_of(folder: Path) -> TrainConfig:
-    config = load_config(folder)
-    if not isinstance(config, TrainConfig):
-        raise ConfigError(f"resume={folder} is not the folder of a training")
-    if (folder / "provenance.json").exists() and read_provenance(folder)["finished"]:
-        raise ConfigError(f"resume={folder} is finished; train on from it with initial_policy={folder}")
-    return replace(config, output=str(folder), resume=None)
 
 
 class Training:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
 import torchrl
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from hrl_comfort.agents import checkpoint
 from hrl_comfort.compose import environment, save_config
 from hrl_comfort.config import MetaTrainConfig
+from hrl_comfort.experiments.preemption import Preempted, asked_to_stop
 from hrl_comfort.experiments.progress import training_line
+from hrl_comfort.experiments.resuming import go_on, stopped_config
 from hrl_comfort.experiments.training_log import claim, write_provenance
+from hrl_comfort.files import write_text
 from hrl_comfort.meta.observation import meta_observation
 from hrl_comfort.meta.option_env import OptionEnv
 from hrl_comfort.meta.q_learning import QLearner
@@ -27,14 +31,22 @@ COLUMNS = ("options", "updates", "episodes", "success", "placed", "return", "ste
 def train_meta(config: MetaTrainConfig) -> Path:
     """Train as `config` says; return the run folder: config.yaml, meta_metrics.csv, provenance.json, meta.pt.
 
+    With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
+    it had never stopped (but for skills that act at random).
+
     Raises:
       ConfigError: a choice is not allowed, a policy is missing, or the folder is taken.
+      Preempted: SIGTERM came; a checkpoint has been written.
     """
     torch.set_num_threads(1)
     torchrl.logger.setLevel("WARNING")
-    folder = Path(config.output)
-    with claim(folder, resume=False):
-        MetaTraining(config, folder).run()
+    folder = Path(config.resume or config.output)
+    resumes = config.resume is not None
+    with claim(folder, resume=resumes):
+        training = MetaTraining(stopped_config(folder, MetaTrainConfig) if resumes else config, folder)
+        if resumes:
+            go_on(training, folder)
+        training.run()
     return folder
 
 
@@ -61,45 +73,54 @@ class MetaTraining:
         self.learner = QLearner(config.meta_agent, width, count, config.train_seed)
         self.options = self.updates = 0
         self.due = 0.0
+        self.seconds = 0.0
         self.losses: list[float] = []
-        self.finished: list[tuple[float, float, float, float]] = []
+        self.finished: list[tuple[float, ...]] = []
         """Success, balls placed, undiscounted return and control steps of episodes since the last row."""
         self.returns = torch.zeros(config.engine.rows, dtype=torch.float64)
+        self.now: TensorDictBase = self.env.reset()
+        """What the next options are chosen on."""
+        self._rows: list[str] = []
+        """Lines of meta_metrics.csv."""
+        self._logged = 0
 
     def run(self) -> None:
-        """Train to the end."""
-        precision_m = self.config.task.precision.take_m
-        agent, began, logged = self.config.meta_agent, time.monotonic(), 0
-        save_config(self.config, self.folder / "config.yaml")
-        self._provenance(began, finished=False)
-        with (self.folder / METRICS).open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            now = self.env.reset()
-            with training_line("meta", agent.options, 0) as show:
-                while self.options < agent.options:
-                    now = self.step(now)
-                    self.learn()
-                    if self.options - logged >= agent.log_every or self.options >= agent.options:
-                        logged = self.options
-                        writer.writerow(self._row())
-                        file.flush()
-                        self._save()
-                    show(
-                        min(self.options, agent.options),
-                        [e[0] > 0 for e in self.finished[-100:]],
-                        precision_m,
-                    )
-        self._provenance(began, finished=True)
+        """Train to the end, or go on to it.
 
-    def _provenance(self, began: float, finished: bool) -> None:
+        Raises:
+          Preempted: SIGTERM came; a checkpoint has been written.
+        """
+        agent, precision_m = self.config.meta_agent, self.config.task.precision.take_m
+        checkpoints, began = self.folder / "checkpoints", time.monotonic() - self.seconds
+        save_config(self.config, self.folder / "config.yaml")
+        self._provenance(finished=False)
+        with training_line("meta", agent.options, self.options) as show, asked_to_stop() as stop:
+            while self.options < agent.options:
+                if stop():
+                    checkpoint.save_resumable(checkpoints, self.state_dict())
+                    raise Preempted(f"stopped by SIGTERM; go on with train meta resume={self.folder}")
+                self.step()
+                self.learn()
+                self.seconds = time.monotonic() - began
+                ends = self.options >= agent.options
+                if self.options - self._logged >= agent.log_every or ends:
+                    self._write_row()
+                    if not ends:
+                        checkpoint.save_resumable(checkpoints, self.state_dict())
+                    self._save()
+                latest = [episode[0] > 0 for episode in self.finished[-100:]]
+                show(min(self.options, agent.options), latest, precision_m)
+        self._provenance(finished=True)
+        checkpoint.drop_resumable(checkpoints)
+
+    def _provenance(self, finished: bool) -> None:
         write_provenance(
             self.folder,
             {"train_seed": self.config.train_seed, "episode_seed": self.config.episode_seed},
             finished=finished,
             options=self.options,
             updates=self.updates,
-            wall_seconds=round(time.monotonic() - began, 1),
+            wall_seconds=round(self.seconds, 1),
         )
 
     @property
@@ -111,10 +132,11 @@ class MetaTraining:
         share = min(1.0, 2 * self.options / agent.options)
         return agent.exploration_start + share * (agent.exploration_end - agent.exploration_start)
 
-    def step(self, now: TensorDictBase) -> TensorDictBase:
+    def step(self) -> None:
         """Let options begin where rows decide, until the next ones end."""
+        now = self.now
         chosen: Tensor = self.learner.choose(now["observation"], now["action_mask"], self.exploration)
-        stepped, now = self.env.step_and_maybe_reset(now.set("action", chosen))
+        stepped, self.now = self.env.step_and_maybe_reset(now.set("action", chosen))
         after = stepped["next"]
         transitions = self.env.transitions(after)
         self.learner.remember(transitions)
@@ -127,7 +149,6 @@ class MetaTraining:
                 (float(after["success"][row]), float(placed), float(self.returns[row]), float(steps))
             )
             self.returns[row] = 0.0
-        return now
 
     def learn(self) -> None:
         """Do the updates that are due."""
@@ -138,12 +159,37 @@ class MetaTraining:
             self.losses.append(self.learner.update())
             self.updates += 1
 
-    def _row(self) -> list[object]:
+    def _write_row(self) -> None:
         count = len(self.finished)
         means = [sum(e[k] for e in self.finished) / count if count else "" for k in range(4)]
         loss = sum(self.losses) / len(self.losses) if self.losses else ""
-        self.finished, self.losses = [], []
-        return [self.options, self.updates, count, *means, self.exploration, loss]
+        cells = [self.options, self.updates, count, *means, self.exploration, loss]
+        self._rows.append(",".join(map(str, cells)))
+        write_text(self.folder / METRICS, "\n".join([",".join(COLUMNS), *self._rows, ""]))
+        self.finished, self.losses, self._logged = [], [], self.options
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to continue, as plain data."""
+        return {
+            "learner": self.learner.state_dict(),
+            "env": self.env.state_dict(),
+            "now": dict(self.now.items()),
+            "returns": self.returns,
+            "finished": [list(each) for each in self.finished],
+            **{name: getattr(self, name) for name in self._PLAIN},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        self.env.load_state_dict(state["env"])
+        self.now = TensorDict(state["now"], batch_size=self.env.batch_size)
+        self.returns = state["returns"]
+        self.finished = [tuple(each) for each in state["finished"]]
+        for name in self._PLAIN:
+            setattr(self, name, state[name])
+        self.learner.load_state_dict(state["learner"])  # last, for it holds torch's random state
+
+    _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
 
     def _save(self) -> None:
         names = [option.name for option in self.env.running.options]

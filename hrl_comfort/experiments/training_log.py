@@ -44,7 +44,8 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        if not resume and (folder / "meta.pt").exists():
+        stopped = checkpoint.resumable(folder / "checkpoints")
+        if not resume and (folder / "meta.pt").exists() and not stopped:
             raise ConfigError(f"output={folder} already holds a controller; choose another")
         if not resume and _begun(folder):
             raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")

@@ -182,6 +182,23 @@ class OptionEnv(EnvBase):
             batch_size=[len(rows)],
         )
 
+    _TENSORS = ("_begin_rows", "_return", "_origin", "_origin_mask")
+
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
+        """Return everything a bit-for-bit continuation needs, between two steps."""
+        return {
+            "engine": self.engine.state_dict(),
+            "running": self.running.state_dict(),
+            **{name: getattr(self, name) for name in self._TENSORS},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
+        """Continue from `state_dict`."""
+        self.engine.load_state_dict(state_dict["engine"])
+        self.running.load_state_dict(state_dict["running"])
+        for name in self._TENSORS:
+            setattr(self, name, state_dict[name])
+
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self.engine.episodes.draws.seed = seed

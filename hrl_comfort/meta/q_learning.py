@@ -82,6 +82,29 @@ class QLearner:
         self.average.update_parameters(self.network)
         return float(found.detach())
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to continue, as plain data; of the buffer the filled part."""
+        size = len(self.buffer)
+        return {
+            "loss": self.loss.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "generator": torch.get_rng_state(),
+            "buffer": self.buffer.storage[:size].to_dict() if size else {},
+            "buffer_cursor": int(self.buffer.writer.state_dict()["_cursor"]),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`, in a learner that has stored nothing yet."""
+        self.loss.load_state_dict(state["loss"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        if state["buffer"]:
+            size = len(state["buffer"]["steps_to_next_obs"])
+            self.buffer.extend(TensorDict.from_dict(state["buffer"], batch_size=[size]))
+            self.buffer.writer.load_state_dict({"_cursor": state["buffer_cursor"]})
+        torch.set_rng_state(state["generator"])
+
     def save(self, path: Path, spec: dict[str, Any]) -> None:
         """Write the mean of networks and what is needed to use it."""
         shape = {

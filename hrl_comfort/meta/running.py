@@ -44,6 +44,17 @@ class Running:
         home = [(k, o.done) for k, o in enumerate(options) if isinstance(o, Pause) and o.done is not None]
         self._home = home[0] if home else None
 
+    _TENSORS = ("option", "started", "_until", "_from", "_preempted")
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what a bit-for-bit continuation needs."""
+        return {name: getattr(self, name) for name in self._TENSORS}
+
+    def load_state_dict(self, saved: dict[str, Tensor]) -> None:
+        """Continue from `state_dict`."""
+        for name in self._TENSORS:
+            setattr(self, name, saved[name])
+
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start now; where none can, each may (the episode is over).
 

@@ -6,7 +6,10 @@ the table where the first ball belongs, and wanders off after a while.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.config import DISTURBANCES
@@ -37,6 +40,14 @@ class Disturbance:
             return np.zeros_like(held)
         self._left[held] -= 1
         return held & (self._left == 0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a bit-for-bit continuation needs."""
+        return {"left": torch.from_numpy(self._left.copy())}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        self._left = saved["left"].numpy().copy()
 
     def stands(self, steps: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (N,) whether the person stands still at control steps (N,)."""

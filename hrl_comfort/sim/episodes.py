@@ -399,6 +399,7 @@ class Episodes:
             "walk": {name: torch.from_numpy(np.array(value)) for name, value in vars(self.walk).items()},
             "state": dict(vars(self.state)),
             "source": self.source.state_dict(),
+            "disturbance": self._disturbance.state_dict(),
             **{name: torch.from_numpy(getattr(self, name).copy()) for name in self._ARRAYS},
         }
 
@@ -408,5 +409,7 @@ class Episodes:
         self.walk = people.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])
+        if "disturbance" in saved:  # it came later
+            self._disturbance.load_state_dict(saved["disturbance"])
         for name in self._ARRAYS:
             setattr(self, name, saved[name].numpy().copy())

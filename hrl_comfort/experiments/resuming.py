@@ -1,0 +1,50 @@
+"""Going on with a training that was stopped: under its own configuration, from its newest good checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.compose import load_config
+from hrl_comfort.config import ConfigError, MetaTrainConfig, TrainConfig
+from hrl_comfort.experiments.training_log import read_provenance
+
+C = TypeVar("C", TrainConfig, MetaTrainConfig)
+WHAT = {TrainConfig: "training", MetaTrainConfig: "controller's training"}
+
+
+class Resumable(Protocol):
+    """A training that `state_dict` describes to the bit."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+
+
+def stopped_config(folder: Path, kind: type[C]) -> C:
+    """Return the configuration under which the training in `folder` goes on there.
+
+    Raises:
+        ConfigError: the folder is not that of such a training, or this is finished.
+    """
+    config = load_config(folder)
+    if not isinstance(config, kind):
+        raise ConfigError(f"resume={folder} is not the folder of a {WHAT[kind]}")
+    if (folder / "provenance.json").exists() and read_provenance(folder)["finished"]:
+        on = f"; train on from it with initial_policy={folder}" if kind is TrainConfig else ""
+        raise ConfigError(f"resume={folder} is finished{on}")
+    return replace(config, output=str(folder), resume=None)
+
+
+def go_on(training: Resumable, folder: Path) -> None:
+    """Let `training` continue from the newest good checkpoint in `folder`.
+
+    Raises:
+        ConfigError: there is none, or it belongs to another configuration.
+    """
+    try:
+        training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
+    except (KeyError, TypeError, RuntimeError) as error:
+        what = str(error).splitlines()[0]
+        raise ConfigError(f"resume={folder}: its checkpoint does not fit its config.yaml: {what}") from error

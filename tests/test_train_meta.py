@@ -1,0 +1,102 @@
+"""A controller's training that was stopped goes on to the same bits, or is refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.compose import compose
+from hrl_comfort.config import ConfigError, MetaTrainConfig
+from hrl_comfort.experiments import train_meta as module
+from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.train_meta import MetaTraining, train_meta
+from hrl_comfort.experiments.training_log import read_provenance
+
+CHOICES = (
+    "task.balls=2", "engine.rows=4", "meta_agent.options=48", "meta_agent.warmup_options=8",
+    "meta_agent.batch_size=8", "meta_agent.log_every=12", "meta_agent.buffer_size=40",
+    *(f"policies.{name}=expert" for name in ("pick", "place", "return")),
+)  # fmt: skip
+
+
+def config_of(folder: Path) -> MetaTrainConfig:
+    config = compose("train_meta", [*CHOICES, f"output='{folder}'"])
+    assert isinstance(config, MetaTrainConfig)
+    return config
+
+
+def resumed(folder: Path) -> MetaTrainConfig:
+    return replace(config_of(folder), resume=str(folder))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training that nobody stopped."""
+    return train_meta(config_of(tmp_path_factory.mktemp("runs") / "whole"))
+
+
+def same(one: Path, other: Path) -> bool:
+    """Return whether two finished trainings came to the same bits."""
+    networks = [checkpoint.load(folder / "meta.pt")["network"] for folder in (one, other)]
+    tensors = [torch.equal(networks[0][name], networks[1][name]) for name in networks[0]]
+    rows = [(folder / "meta_metrics.csv").read_bytes() for folder in (one, other)]
+    return all(tensors) and rows[0] == rows[1]
+
+
+class Killed(Exception):
+    """Stands for the end of the process."""
+
+
+@pytest.mark.parametrize("at", [14, 25, 40])
+def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch, at):
+    step = MetaTraining.step
+
+    def until(training: MetaTraining) -> None:
+        if training.options >= at:
+            raise Killed
+        step(training)
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(MetaTraining, "step", until)
+        with pytest.raises(Killed):
+            train_meta(config_of(folder))
+    train_meta(resumed(folder))
+    assert same(folder, whole)
+    assert read_provenance(folder)["finished"] and not checkpoint.resumable(folder / "checkpoints")
+
+
+def test_a_controllers_training_told_to_stop_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch):
+    @contextmanager
+    def told_soon() -> Iterator[Callable[[], bool]]:
+        asked = iter(range(100))
+        yield lambda: next(asked) >= 9
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "asked_to_stop", told_soon)
+        with pytest.raises(Preempted, match="go on with train meta resume="):
+            train_meta(config_of(folder))
+    assert not read_provenance(folder)["finished"]
+    with pytest.raises(ConfigError, match="already holds a run; choose another, or say resume="):
+        train_meta(config_of(folder))
+    assert main(["train", "meta", f"resume='{folder}'"]) == 0
+    assert same(folder, whole)
+
+
+def test_what_cannot_go_on_is_named(whole, tmp_path, capsys):
+    with pytest.raises(ConfigError, match=r"is finished$"):
+        train_meta(resumed(whole))
+    with pytest.raises(ConfigError, match="is not a run folder"):
+        train_meta(resumed(tmp_path / "nobody"))
+    assert main(["train", "meta", f"resume='{whole}'", "train_seed=1"]) == 1
+    assert "leave out train_seed=1" in capsys.readouterr().err
+    assert main(["train", f"resume='{whole}'"]) == 1
+    assert "is not the folder of a training" in capsys.readouterr().err
