@@ -10,11 +10,14 @@ hrl=(.venv/bin/hrl-comfort)
 
 train() { # folder, overrides; a training that was stopped goes on
     if grep -qs '"finished": true' "$ref/$1/provenance.json"; then return; fi
-    if [ -d "$ref/$1/checkpoints" ]; then
+    if stopped "$ref/$1"; then
         "${hrl[@]}" train "resume=$ref/$1"
     else
         "${hrl[@]}" train "output=$ref/$1" "${@:2}"
     fi
+}
+stopped() { # folder: a checkpoint is there to go on from
+    [ -e "$1/checkpoints/latest.pt" ] || [ -e "$1/checkpoints/previous.pt" ]
 }
 measure() { # folder, overrides
     "${hrl[@]}" evaluate "output=$ref/$1" episodes=1000 'group_by=[seen]' "${@:2}"
@@ -185,7 +188,7 @@ sort_learned() { # a controller that learns; while it does, a crash costs it ten
         folder=$ref/sort/seed$seed/controller
         if grep -qs '"finished": true' "$folder/provenance.json"; then
             :
-        elif [ -d "$folder/checkpoints" ]; then
+        elif stopped "$folder"; then
             "${hrl[@]}" train meta "resume=$folder"
         else
             "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" \

@@ -99,4 +99,36 @@ def test_what_cannot_go_on_is_named(whole, tmp_path, capsys):
     assert main(["train", "meta", f"resume='{whole}'", "train_seed=1"]) == 1
     assert "leave out train_seed=1" in capsys.readouterr().err
     assert main(["train", f"resume='{whole}'"]) == 1
-    assert "is not the folder of a training" in capsys.readouterr().err
+    assert f"trains a controller; say train meta resume={whole}" in capsys.readouterr().err
+
+
+@pytest.fixture
+def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a training killed after its first checkpoint."""
+
+    def never(training: MetaTraining) -> None:
+        raise Killed
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(MetaTraining, "_save", never)
+        with pytest.raises(Killed):
+            train_meta(config_of(folder))
+    return folder
+
+
+@pytest.mark.parametrize(("is_now", "was"), [("  - 32", "  - 128"), ("balls: 3", "balls: 2")])
+def test_a_checkpoint_of_another_configuration_is_refused_in_one_line(stopped, capsys, is_now, was):
+    file = stopped / "config.yaml"
+    assert was in file.read_text()
+    file.write_text(file.read_text().replace(was, is_now, 1))
+    assert main(["train", "meta", f"resume='{stopped}'"]) == 1
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1 and "its checkpoint does not fit its config.yaml: " in said[0]
+
+
+def test_a_controller_whose_training_left_nothing_to_go_on_from_may_be_trained_anew(whole, stopped):
+    checkpoint.drop_resumable(stopped / "checkpoints")
+    (stopped / "meta.pt").write_bytes((whole / "meta.pt").read_bytes())
+    train_meta(config_of(stopped))
+    assert same(stopped, whole)

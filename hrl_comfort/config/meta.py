@@ -55,7 +55,7 @@ class MetaAgentConfig:
     exploration_end: float
     """Probability of an option at random: from start to end over the first half of the training."""
     log_every: int
-    """Options between two rows of meta_metrics.csv."""
+    """Options between two rows of meta_metrics.csv, and two checkpoints."""
 
     def __post_init__(self) -> None:
         between("meta_agent.options", self.options, 1, 1e9)

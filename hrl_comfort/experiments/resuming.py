@@ -12,7 +12,10 @@ from hrl_comfort.config import ConfigError, MetaTrainConfig, TrainConfig
 from hrl_comfort.experiments.training_log import read_provenance
 
 C = TypeVar("C", TrainConfig, MetaTrainConfig)
-WHAT = {TrainConfig: "training", MetaTrainConfig: "controller's training"}
+WHAT = {TrainConfig: "a subtask", MetaTrainConfig: "a controller"}
+VERB = {TrainConfig: "train", MetaTrainConfig: "train meta"}
+MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError)
+"""What torch, TorchRL and this program raise at a state that is not the one they know."""
 
 
 class Resumable(Protocol):
@@ -29,8 +32,11 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
         ConfigError: the folder is not that of such a training, or this is finished.
     """
     config = load_config(folder)
+    if not isinstance(config, TrainConfig | MetaTrainConfig):
+        raise ConfigError(f"resume={folder} is not the folder of a training")
     if not isinstance(config, kind):
-        raise ConfigError(f"resume={folder} is not the folder of a {WHAT[kind]}")
+        other = type(config)
+        raise ConfigError(f"resume={folder} trains {WHAT[other]}; say {VERB[other]} resume={folder}")
     if (folder / "provenance.json").exists() and read_provenance(folder)["finished"]:
         on = f"; train on from it with initial_policy={folder}" if kind is TrainConfig else ""
         raise ConfigError(f"resume={folder} is finished{on}")
@@ -43,8 +49,16 @@ def go_on(training: Resumable, folder: Path) -> None:
     Raises:
         ConfigError: there is none, or it belongs to another configuration.
     """
+    state = checkpoint.load_resumable(folder / "checkpoints")
     try:
-        training.load_state_dict(checkpoint.load_resumable(folder / "checkpoints"))
-    except (KeyError, TypeError, RuntimeError) as error:
-        what = str(error).splitlines()[0]
+        training.load_state_dict(state)
+    except ConfigError:  # says it all
+        raise
+    except MISFITS as error:
+        what = str(_first(error)).strip().splitlines()[0]
         raise ConfigError(f"resume={folder}: its checkpoint does not fit its config.yaml: {what}") from error
+
+
+def _first(error: BaseException) -> BaseException:
+    """Return what an error was raised from, and that from, to the beginning."""
+    return error if error.__cause__ is None else _first(error.__cause__)

@@ -83,6 +83,7 @@ class MetaTraining:
         self._rows: list[str] = []
         """Lines of meta_metrics.csv."""
         self._logged = 0
+        self._resumed = False
 
     def run(self) -> None:
         """Train to the end, or go on to it.
@@ -92,8 +93,9 @@ class MetaTraining:
         """
         agent, precision_m = self.config.meta_agent, self.config.task.precision.take_m
         checkpoints, began = self.folder / "checkpoints", time.monotonic() - self.seconds
-        save_config(self.config, self.folder / "config.yaml")
-        self._provenance(finished=False)
+        if not self._resumed:
+            save_config(self.config, self.folder / "config.yaml")
+            self._provenance(finished=False)
         with training_line("meta", agent.options, self.options) as show, asked_to_stop() as stop:
             while self.options < agent.options:
                 if stop():
@@ -188,6 +190,7 @@ class MetaTraining:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self.learner.load_state_dict(state["learner"])  # last, for it holds torch's random state
+        self._resumed = True
 
     _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
 

@@ -44,10 +44,9 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        stopped = checkpoint.resumable(folder / "checkpoints")
-        if not resume and (folder / "meta.pt").exists() and not stopped:
-            raise ConfigError(f"output={folder} already holds a controller; choose another")
         if not resume and _begun(folder):
+            if (folder / "meta.pt").exists() and not checkpoint.resumable(folder / "checkpoints"):
+                raise ConfigError(f"output={folder} already holds a controller; choose another")
             raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")
         yield
     finally:
@@ -60,7 +59,7 @@ def _begun(folder: Path) -> bool:
         return True
     if (folder / "provenance.json").exists():
         return bool(read_provenance(folder)["finished"])
-    return (folder / "policy.pt").exists()
+    return any((folder / name).exists() for name in ("policy.pt", "meta.pt"))
 
 
 class MetricsLog:
