@@ -64,7 +64,7 @@ LATER: dict[str, Any] = {
 }
 """Keys that came later, and their value in a configuration written before they were."""
 META_LATER: dict[str, Any] = {"disturbance": "none", "resume": None}
-"""The same at the top of the training of a controller."""
+"""The same of a controller's training, outside its sections."""
 DEEP = "holds itself, or lists too deep in lists to be read"
 T = TypeVar("T")
 

@@ -55,7 +55,8 @@ def go_on(training: Resumable, folder: Path) -> None:
     except ConfigError:  # says it all
         raise
     except MISFITS as error:
-        what = str(_first(error)).strip().splitlines()[0]
+        first = _first(error)
+        what = [*str(first).strip().splitlines(), type(first).__name__][0]
         raise ConfigError(f"resume={folder}: its checkpoint does not fit its config.yaml: {what}") from error
 
 

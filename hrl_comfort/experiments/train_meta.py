@@ -53,6 +53,9 @@ def train_meta(config: MetaTrainConfig) -> Path:
 class MetaTraining:
     """One training in progress."""
 
+    _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
+    """Of its state, what is a number, a text or a list of them."""
+
     def __init__(self, config: MetaTrainConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
         env_config, levels = environment(config), config.comfort.levels
@@ -191,8 +194,6 @@ class MetaTraining:
             setattr(self, name, state[name])
         self.learner.load_state_dict(state["learner"])  # last, for it holds torch's random state
         self._resumed = True
-
-    _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
 
     def _save(self) -> None:
         names = [option.name for option in self.env.running.options]
