@@ -8,12 +8,17 @@ export OMP_NUM_THREADS=1
 ref=${REFERENCE:-runs/reference}
 hrl=(.venv/bin/hrl-comfort)
 
-train() { # folder, overrides; a training that was stopped goes on
+train() { # [meta] folder, overrides; a training that was stopped goes on
+    local verb=(train)
+    if [ "$1" = meta ]; then
+        verb+=(meta)
+        shift
+    fi
     if grep -qs '"finished": true' "$ref/$1/provenance.json"; then return; fi
     if stopped "$ref/$1"; then
-        "${hrl[@]}" train "resume=$ref/$1"
+        "${hrl[@]}" "${verb[@]}" "resume=$ref/$1"
     else
-        "${hrl[@]}" train "output=$ref/$1" "${@:2}"
+        "${hrl[@]}" "${verb[@]}" "output=$ref/$1" "${@:2}"
     fi
 }
 stopped() { # folder: a checkpoint is there to go on from
@@ -185,16 +190,9 @@ sort() { # several balls, beside somebody who goes from table to table, above th
 sort_learned() { # a controller that learns; while it does, a crash costs it ten balls, for on the last way home it costs none
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
-        folder=$ref/sort/seed$seed/controller
-        if grep -qs '"finished": true' "$folder/provenance.json"; then
-            :
-        elif stopped "$folder"; then
-            "${hrl[@]}" train meta "resume=$folder"
-        else
-            "${hrl[@]}" train meta "output=$folder" human=rounds "train_seed=$seed" "episode_seed=$seed" \
-                "${skills[@]}" meta_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
-        fi
-        meta+=(meta=learned "policies.meta=$folder")
+        train meta sort/seed$seed/controller human=rounds "train_seed=$seed" "episode_seed=$seed" \
+            "${skills[@]}" meta_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
+        meta+=(meta=learned "policies.meta=$ref/sort/seed$seed/controller")
         measure sort/seed$seed/learned "${meta[@]}"
         for kind in drop block; do measure sort/seed$seed/learned_$kind "${meta[@]}" disturbance=$kind; done
     done

@@ -18,6 +18,7 @@ from hrl_comfort.experiments.evaluate import evaluate
 from hrl_comfort.experiments.report import report
 from hrl_comfort.experiments.train import Training
 from hrl_comfort.experiments.train_cell import train_cell
+from tests.stopping import stopping
 
 SMALL = [
     "task=pick", "agent.decisions=960", "agent.warmup_decisions=160", "agent.hidden=[16,16]",
@@ -52,24 +53,10 @@ def test_a_run_folder_holds_what_the_contract_says(run: Path) -> None:
     assert load_config(run) == small(run)
 
 
-def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Stopped(Exception):
-        pass
-
-    decide = Training.decide
-
-    def until_half(training: Training) -> None:
-        if training.decisions >= 480:
-            raise Stopped
-        decide(training)
-
+def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(run: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pick"
-    with monkeypatch.context() as patch:
-        patch.setattr(Training, "decide", until_half)
-        with pytest.raises(Stopped):
-            train_cell(small(folder))
+    with stopping(Training, "decide", lambda training: training.decisions >= 480):
+        train_cell(small(folder))
     torch.manual_seed(12345)
     train_cell(small(tmp_path / "unused", f"resume='{folder}'"))
     assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()

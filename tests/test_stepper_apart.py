@@ -22,6 +22,7 @@ from hrl_comfort.experiments.stepper_process import StepperProcess
 from hrl_comfort.experiments.train import Training
 from hrl_comfort.experiments.train_cell import train_cell
 from tests.point_env import SMALL, small_config
+from tests.stopping import stopping
 
 CHOICES = (
     "task=pick_place", "human=random_walk", "comfort=conditioned", "agent.guide=field", "agent.guided_rows=2",
@@ -66,22 +67,10 @@ def test_a_training_is_the_same_to_the_bit_wherever_its_cells_are_stepped(whole,
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
-def test_a_training_goes_on_wherever_its_cells_were_stepped(whole, tmp_path, monkeypatch):
-    class Stopped(Exception):
-        pass
-
-    take_in = Training.take_in
-
-    def until_half(training: Training) -> list[tuple[float, bool]]:
-        if training.decisions >= 60:
-            raise Stopped
-        return take_in(training)
-
+def test_a_training_goes_on_wherever_its_cells_were_stepped(whole, tmp_path):
     folder = tmp_path / "half"
-    with monkeypatch.context() as patch:
-        patch.setattr(Training, "take_in", until_half)
-        with pytest.raises(Stopped):
-            train_cell(config_of(folder))
+    with stopping(Training, "take_in", lambda training: training.decisions >= 60):
+        train_cell(config_of(folder))
     train_cell(replace(config_of(tmp_path / "unused"), resume=str(folder)))
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 

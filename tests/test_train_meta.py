@@ -18,6 +18,7 @@ from hrl_comfort.experiments import train_meta as module
 from hrl_comfort.experiments.preemption import Preempted
 from hrl_comfort.experiments.train_meta import MetaTraining, train_meta
 from hrl_comfort.experiments.training_log import read_provenance
+from tests.stopping import stopping
 
 CHOICES = (
     "task.balls=2", "engine.rows=4", "meta_agent.options=48", "meta_agent.warmup_options=8",
@@ -50,24 +51,11 @@ def same(one: Path, other: Path) -> bool:
     return all(tensors) and rows[0] == rows[1]
 
 
-class Killed(Exception):
-    """Stands for the end of the process."""
-
-
 @pytest.mark.parametrize("at", [14, 25, 40])
-def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch, at):
-    step = MetaTraining.step
-
-    def until(training: MetaTraining) -> None:
-        if training.options >= at:
-            raise Killed
-        step(training)
-
+def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, tmp_path, at):
     folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        patch.setattr(MetaTraining, "step", until)
-        with pytest.raises(Killed):
-            train_meta(config_of(folder))
+    with stopping(MetaTraining, "step", lambda training: training.options >= at):
+        train_meta(config_of(folder))
     train_meta(resumed(folder))
     assert same(folder, whole)
     assert read_provenance(folder)["finished"] and not checkpoint.resumable(folder / "checkpoints")
@@ -103,17 +91,11 @@ def test_what_cannot_go_on_is_named(whole, tmp_path, capsys):
 
 
 @pytest.fixture
-def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def stopped(tmp_path: Path) -> Path:
     """The folder of a training killed after its first checkpoint."""
-
-    def never(training: MetaTraining) -> None:
-        raise Killed
-
     folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        patch.setattr(MetaTraining, "_save", never)
-        with pytest.raises(Killed):
-            train_meta(config_of(folder))
+    with stopping(MetaTraining, "_save", lambda _: True):
+        train_meta(config_of(folder))
     return folder
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
+from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
 
 FLOAT_BYTES = 4
@@ -338,15 +339,13 @@ class Sac:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data; of the buffer the filled part."""
-        size = len(self.buffer)
         return {
             "networks": self.networks_state(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "updates": self.updates,
             "generator": self.generator.get_state(),
-            "buffer": self.buffer.storage[:size].to_dict() if size else {},
-            "buffer_cursor": int(self.buffer.writer.state_dict()["_cursor"]),
+            **replay_state(self.buffer),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -358,7 +357,4 @@ class Sac:
         self.updates = state["updates"]
         if "generator" in state:  # older checkpoints have it beside the learner, as `rng`
             self.generator.set_state(state["generator"])
-        if state["buffer"]:
-            size = len(state["buffer"]["reward"])
-            self.buffer.extend(TensorDict(state["buffer"], batch_size=[size]))
-            self.buffer.writer.load_state_dict({"_cursor": state["buffer_cursor"]})
+        load_replay(self.buffer, state)

@@ -18,6 +18,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import WIDEST
+from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.meta import MetaAgentConfig
 from hrl_comfort.meta.choices import Choose, Decision
@@ -84,14 +85,12 @@ class QLearner:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data; of the buffer the filled part."""
-        size = len(self.buffer)
         return {
             "loss": self.loss.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "generator": torch.get_rng_state(),
-            "buffer": self.buffer.storage[:size].to_dict() if size else {},
-            "buffer_cursor": int(self.buffer.writer.state_dict()["_cursor"]),
+            **replay_state(self.buffer),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -99,10 +98,7 @@ class QLearner:
         self.loss.load_state_dict(state["loss"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
-        if state["buffer"]:
-            size = len(state["buffer"]["steps_to_next_obs"])
-            self.buffer.extend(TensorDict.from_dict(state["buffer"], batch_size=[size]))
-            self.buffer.writer.load_state_dict({"_cursor": state["buffer_cursor"]})
+        load_replay(self.buffer, state)
         torch.set_rng_state(state["generator"])
 
     def save(self, path: Path, spec: dict[str, Any]) -> None:
