@@ -25,7 +25,7 @@ from hrl_comfort.experiments.stepper_process import StepperProcess
 
 VERBS = {
     "train": "teach one subtask to one policy, or a controller above them (train meta)",
-    "evaluate": "measure a policy, or a chain of them (meta=scripted), on the evaluation set",
+    "evaluate": "measure a policy or a chain (meta=scripted), or how policies hand over (evaluate handover)",
     "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
     "bench": "measure the environment (env), updates (update, together), learning (train), cores, start",
@@ -41,18 +41,9 @@ def train(overrides: list[str]) -> None:
     """Run `hrl-comfort train`."""
     from hrl_comfort.compose import compose
 
-    meta = overrides[:1] == ["meta"]
-    overrides = overrides[1:] if meta else overrides
-    config = compose("train_meta" if meta else "train", overrides)
-    assert isinstance(config, TrainConfig | MetaTrainConfig)
-    others = [line for line in overrides if not line.startswith("resume=")]
-    if config.resume is not None and others:
-        raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
-    if isinstance(config, MetaTrainConfig):
-        from hrl_comfort.experiments.train_meta import train_meta
-
-        train_meta(config)
-        return
+    config = compose("train", overrides)
+    assert isinstance(config, TrainConfig)
+    _check_resumed_alone(config, overrides)
     # Imports take seconds: the cells' process begins with its own while this one goes on to the rest.
     # Whether a training that is resumed wants such a process stands in its folder.
     apart = config.agent.cells_apart and config.resume is None
@@ -62,19 +53,46 @@ def train(overrides: list[str]) -> None:
         train_cell(config, process)
 
 
+def train_meta(overrides: list[str]) -> None:
+    """Run `hrl-comfort train meta`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("train_meta", overrides)
+    assert isinstance(config, MetaTrainConfig)
+    _check_resumed_alone(config, overrides)
+    from hrl_comfort.experiments.train_meta import train_meta as run
+
+    run(config)
+
+
+def _check_resumed_alone(config: TrainConfig | MetaTrainConfig, overrides: list[str]) -> None:
+    """Raise ConfigError where a training is to go on, and otherwise than it began."""
+    others = [line for line in overrides if not line.startswith("resume=")]
+    if config.resume is not None and others:
+        raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+
+
 def evaluate(overrides: list[str]) -> None:
     """Run `hrl-comfort evaluate`."""
     from hrl_comfort.compose import compose
 
-    seams = overrides[:1] == ["handover"]
-    config = compose("evaluate", overrides[1:] if seams else overrides)
+    config = compose("evaluate", overrides)
     assert isinstance(config, EvaluateConfig)
-    if seams:
-        from hrl_comfort.experiments.handover import handover as run
-    elif config.endings is not None:
+    if config.endings is not None:
         from hrl_comfort.experiments.endings import record_endings as run
     else:
         from hrl_comfort.experiments.evaluate import evaluate as run
+
+    run(config)
+
+
+def handover(overrides: list[str]) -> None:
+    """Run `hrl-comfort evaluate handover`."""
+    from hrl_comfort.compose import compose
+
+    config = compose("evaluate", overrides)
+    assert isinstance(config, EvaluateConfig)
+    from hrl_comfort.experiments.handover import handover as run
 
     run(config)
 
@@ -138,14 +156,16 @@ def demo(overrides: list[str]) -> None:
 
 RUN: dict[str, Callable[[list[str]], None]] = {
     "train": train,
+    "train meta": train_meta,
     "evaluate": evaluate,
+    "evaluate handover": handover,
     "report": report,
     "figure": figure,
     "bench": bench,
     "demo": demo,
 }
-
-SWEPT = ("train", "evaluate")
+"""What each verb runs, alone or with the word after it."""
+SWEPT = ("train", "train meta", "evaluate")
 
 
 def sweep(verb: str, overrides: list[str], together: bool) -> None:
@@ -157,11 +177,11 @@ def sweep(verb: str, overrides: list[str], together: bool) -> None:
         raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
     if any(line.split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
-    from hrl_comfort.compose import check_overrides
+    from hrl_comfort.compose import check_overrides, root_of
 
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
-    checked = check_overrides(verb, rest, sweep=True)
+    checked = check_overrides(root_of(verb), rest, sweep=True)
     from hrl_comfort.experiments.sweep import multirun
 
     multirun(verb, RUN[verb], checked, outputs, together)
@@ -195,11 +215,13 @@ def main(words: list[str] | None = None) -> int:
         return 0
     verb, *rest = words
     try:
-        if verb not in RUN:
-            raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(RUN)}")
+        if verb not in VERBS:
+            raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
         swept = {"-m", "--multirun"} & set(rest)
         together = "--together" in rest
         overrides = [word for word in rest if word not in ("-m", "--multirun", "--together")]
+        if overrides and f"{verb} {overrides[0]}" in RUN:
+            verb, overrides = f"{verb} {overrides[0]}", overrides[1:]
         if together and not swept:
             raise ConfigError("--together goes with -m: it trains the policies of a sweep in one process")
         sweep(verb, overrides, together) if swept else RUN[verb](overrides)

@@ -44,6 +44,7 @@ ROOTS: dict[str, type[Config]] = {
     "report": ReportConfig,
     "figure": FigureConfig,
 }
+"""What a verb is configured by; that of `train meta` is `train_meta`."""
 AS_TRAINED: dict[str, tuple[str, ...]] = {
     "evaluate": tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"),
     "train_meta": ("robot", "cell", "human"),
@@ -76,6 +77,11 @@ def config_dir() -> Path:
         if (folder / "train.yaml").is_file():
             return folder
     raise ConfigError(f"conf/ is neither in {package} nor beside it; install the package again")
+
+
+def root_of(verb: str) -> str:
+    """Return the name in `ROOTS` of what configures a verb."""
+    return verb.replace(" ", "_")
 
 
 @cache

@@ -158,6 +158,46 @@ def test_a_sweep_of_evaluations_is_reported_too(tmp_path: Path) -> None:
     assert not (tmp_path / "sweep" / "report.png").exists()
 
 
+def make_controller(folder: Path, returns: float, finished: bool = True) -> None:
+    rows = [
+        {"options": 1000 * k, "updates": 0, "episodes": 50, "success": 1.0, "placed": 4.0}
+        | {"return": returns * k / 10, "steps": 600 - 10 * k}
+        for k in range(1, 11 if finished else 6)
+    ]
+    write(folder / "meta_metrics.csv", rows)
+    said = {"commit": "abc123", "finished": finished, "wall_seconds": 1800.0}
+    (folder / "provenance.json").write_text(json.dumps(said))
+    (folder / "config.yaml").write_text("task: {name: sort}\n")
+
+
+def test_a_sweep_of_controllers_is_compared_by_return_against_options(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    for k, returns in enumerate((1.0, 2.0, 3.0)):
+        Job("train meta", (f"train_seed={k}",), "done" if k < 2 else "running").write(sweep / str(k))
+        make_controller(sweep / str(k), returns, finished=k < 2)
+    table = read_sweep(sweep)
+    (row,) = table.rows
+    assert [row.count(state) for state in ("finished", "unfinished", "failed")] == [2, 1, 0]
+    assert table.entries[2].why == "running, or killed, 5000 options logged"
+    ends = {name: row.means[name]["mean"] for name in ("return", "placed", "steps", "minutes")}
+    assert ends == pytest.approx({"return": 1.5, "placed": 4, "steps": 500, "minutes": 30})
+    assert "precision_m" not in row.means
+    figure = sweep_figure.learning(table.rows)
+    assert figure is not None
+    (axis,) = figure.axes
+    assert axis.get_xlabel() == "options (thousands)" and "return" in axis.get_ylabel()
+    assert axis.lines[0].get_ydata()[-1] == pytest.approx(1.5)
+    (band,) = axis.collections
+    assert band.get_paths()[0].get_extents().y0 < -4, "a return is cut nowhere"
+
+
+def test_the_report_of_a_controllers_training_shows_its_curves(tmp_path: Path) -> None:
+    make_controller(tmp_path / "meta", 2.0)
+    page = reported(tmp_path / "meta").read_text(encoding="utf-8")
+    assert "control steps of an episode, and mean return" in page
+    assert "No learning curves" not in page and "precision in force" not in page
+
+
 def test_runs_beside_a_sweep_are_named(tmp_path: Path) -> None:
     sweep = make_sweep(tmp_path / "rates")
     make_training(sweep / "another", 0.5, np.random.default_rng(0))

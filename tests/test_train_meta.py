@@ -15,7 +15,9 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.compose import compose
 from hrl_comfort.config import ConfigError, MetaTrainConfig
 from hrl_comfort.experiments import train_meta as module
+from hrl_comfort.experiments.own_process import run_apart
 from hrl_comfort.experiments.preemption import Preempted
+from hrl_comfort.experiments.sweep_record import find_jobs
 from hrl_comfort.experiments.train_meta import MetaTraining, train_meta
 from hrl_comfort.experiments.training_log import read_provenance
 from tests.stopping import stopping
@@ -114,3 +116,31 @@ def test_a_controller_whose_training_left_nothing_to_go_on_from_may_be_trained_a
     (stopped / "meta.pt").write_bytes((whole / "meta.pt").read_bytes())
     train_meta(config_of(stopped))
     assert same(stopped, whole)
+
+
+def test_a_sweep_of_controllers_goes_on_with_what_was_stopped_and_skips_what_is_finished(
+    whole, tmp_path, capsys
+):
+    words = ["train", "meta", "-m", *CHOICES, "train_seed=0,1", f"output='{tmp_path}'"]
+    words.append("hydra.launcher.n_jobs=1")
+    with stopping(MetaTraining, "_save", lambda _: True):
+        train_meta(config_of(tmp_path / "0"))
+    capsys.readouterr()
+    assert main(words) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in out] == ["resumed", "done"]
+    assert same(tmp_path / "0", whole) and not same(tmp_path / "1", whole)
+    assert main(["train", "-m", "meta", *words[3:]]) == 0, "-m may stand anywhere"
+    out = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in out] == ["skipped, finished"] * 2
+    assert [job.verb for job in find_jobs(tmp_path).values()] == ["train meta"] * 2
+
+
+def test_a_job_with_a_controller_in_its_own_process_says_the_same(tmp_path):
+    with pytest.raises(ConfigError, match=r"^meta_agent\.gamma=2\.0 is outside its range"):
+        run_apart("train meta", ["meta_agent.gamma=2", f"output='{tmp_path}'"])
+
+
+def test_controllers_are_not_trained_together(capsys):
+    assert main(["train", "meta", "-m", "--together", "train_seed=0,1"]) == 1
+    assert "train meta cannot be run --together; train can" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from pathlib import Path
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.policy import policy_file
 from hrl_comfort.compose import load_config
-from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaTrainConfig, TrainConfig
 from hrl_comfort.experiments.training_log import read_provenance
 from hrl_comfort.meta.q_learning import choice_file
 
@@ -26,7 +26,7 @@ class Left(Enum):
     NOTHING = "skipped, finished"
 
 
-def left(config: TrainConfig | EvaluateConfig) -> Left:
+def left(config: TrainConfig | MetaTrainConfig | EvaluateConfig) -> Left:
     """Return what is left of the job that `config` describes, by what is in its output folder.
 
     An evaluation is finished while its summary is newer than every policy of it.

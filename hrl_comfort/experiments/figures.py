@@ -21,7 +21,7 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.experiments.run_folder import Recorded
+from hrl_comfort.experiments.run_folder import Recorded, counted
 from hrl_comfort.experiments.statistics import Floats, Row
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -103,7 +103,7 @@ def _curve(axis: Axes, x: Floats, y: Floats, colour: str, label: str | None = No
 
 
 def _thousands(table: Mapping[str, Floats]) -> Floats:
-    return table["decisions"] / 1000
+    return table[counted(table)] / 1000
 
 
 def learning_curves(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
@@ -147,6 +147,27 @@ def training_diagnostics(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
             axes[0, i].set_title(name)
             axes[-1, i].set_xlabel("decisions (thousands)")
         for row, label in enumerate(("return", "mean Q", "entropy (nats)")):
+            axes[row, 0].set_ylabel(label)
+        return figure
+
+
+def controller_curves(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
+    """Success, control steps and return over controllers' trainings; a column a run.
+
+    Args:
+      tables: run name to the columns of its meta_metrics.csv, each (n,).
+    """
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _grid(len(tables), (1, 1, 1), 4.8)
+        for i, (name, table) in enumerate(tables.items()):
+            x = _thousands(table)
+            _curve(axes[0, i], x, 100 * table["success"], BLUE)
+            _curve(axes[1, i], x, table["steps"], GREEN)
+            _curve(axes[2, i], x, table["return"], PURPLE)
+            axes[0, i].set(title=name, ylim=(-2, 102))
+            axes[1, i].set_ylim(bottom=0)
+            axes[2, i].set_xlabel("options (thousands)")
+        for row, label in enumerate(("success (%)", "steps", "return")):
             axes[row, 0].set_ylabel(label)
         return figure
 

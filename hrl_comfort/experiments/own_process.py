@@ -57,7 +57,7 @@ def run_apart(verb: str, words: list[str]) -> None:
 
     before = signal.signal(signal.SIGTERM, pass_on)
     try:
-        command = [*COMMAND, verb, *words]
+        command = [*COMMAND, *verb.split(), *words]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=same_paths()) as child:
             children.append(child)
             if told:  # while it was being started

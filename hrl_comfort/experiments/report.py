@@ -23,6 +23,7 @@ from hrl_comfort.experiments.run_folder import (
     ENDINGS,
     Recorded,
     Run,
+    counted,
     ending,
     find_runs,
     recorded_paths,
@@ -96,7 +97,9 @@ def _of(runs: Sequence[Run], what: Callable[[Run], dict[str, Floats] | None]) ->
 def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
     """Return the figures of training that the runs have data for."""
     found = {}
-    if metrics := _of(runs, lambda run: run.metrics):
+    trained = _of(runs, lambda run: run.metrics)
+    metrics = {name: table for name, table in trained.items() if counted(table) == "decisions"}
+    if metrics:
         found["learning"] = Picture(
             figures.data_uri(figures.learning_curves(metrics)),
             "Training episodes that succeeded, and that ended in a collision with the human, above the "
@@ -108,6 +111,14 @@ def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
             figures.data_uri(figures.training_diagnostics(metrics)),
             "Mean return of training episodes, mean Q value of the batch, and policy entropy.",
             "Return, Q value and entropy over training",
+        )
+    if controllers := {name: table for name, table in trained.items() if name not in metrics}:
+        found["controllers"] = Picture(
+            figures.data_uri(figures.controller_curves(controllers)),
+            "Training episodes that succeeded, control steps of an episode, and mean return. "
+            "Some options are chosen at random, ever fewer of them. "
+            "Thin lines are logged values, thick ones trailing means.",
+            "Success, steps and return over training of a controller",
         )
     if checkpoints := _of(runs, lambda run: run.checkpoints):
         precisions = {100 * p for table in checkpoints.values() for p in table.get("precision_m", ())}

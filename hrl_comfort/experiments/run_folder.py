@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ class Run:
     """What was evaluated, or else trained; empty when no config.yaml says."""
     provenance: dict[str, Any] | None
     metrics: dict[str, Floats] | None
+    """Columns of metrics.csv, or of a controller's meta_metrics.csv: see `counted`."""
     minutes: float | None
     groups: list[dict[str, Any]] | None
     episodes: list[Row] | None
@@ -53,6 +54,7 @@ class Run:
 
 NEEDED = {
     "metrics.csv": ("decisions", "episodes", "success", "return", "steps", "precision_m"),
+    "meta_metrics.csv": ("options", "episodes", "success", "placed", "return", "steps"),
     "timing.csv": ("seconds",),
     "episodes.csv": ("episode", "success"),
     "checkpoints.csv": ("decisions", "success"),
@@ -79,6 +81,20 @@ def _rows(path: Path) -> list[Row] | None:
 def _table(path: Path) -> dict[str, Floats] | None:
     rows = _rows(path)
     return {name: column(rows, name) for name in rows[0]} if rows else None
+
+
+def counted(metrics: Mapping[str, Floats]) -> str:
+    """Return which column counts how far a training is: its decisions, or a controller's options."""
+    return "decisions" if "decisions" in metrics else "options"
+
+
+def _minutes(timing: dict[str, Floats] | None, provenance: dict[str, Any] | None) -> float | None:
+    """Return how long a training took; a controller's has no timing.csv, and says so when it is finished."""
+    if timing is not None:
+        return float(timing["seconds"][-1]) / 60
+    if provenance is None or not provenance.get("finished") or "wall_seconds" not in provenance:
+        return None
+    return float(provenance["wall_seconds"]) / 60
 
 
 def _json(path: Path, needed: str) -> dict[str, Any] | None:
@@ -112,7 +128,7 @@ def read_run(folder: Path) -> Run:
     if evaluation == folder:
         del files["training" if (folder / "episodes.csv").is_file() else "evaluation"]
     read = {name: _config(file) for name, file in files.items() if file.is_file()}
-    timing = _table(folder / "timing.csv")
+    provenance = _json(folder / "provenance.json", "commit")
     summary = _json(evaluation / "summary.json", "groups")
     paths = evaluation / "paths.csv"
     return Run(
@@ -120,9 +136,9 @@ def read_run(folder: Path) -> Run:
         folder=folder,
         configs={name: text for name, (text, _) in read.items()},
         config=list(read.values())[-1][1] if read else {},
-        provenance=_json(folder / "provenance.json", "commit"),
-        metrics=_table(folder / "metrics.csv"),
-        minutes=None if timing is None else float(timing["seconds"][-1]) / 60,
+        provenance=provenance,
+        metrics=_table(folder / "metrics.csv") or _table(folder / "meta_metrics.csv"),
+        minutes=_minutes(_table(folder / "timing.csv"), provenance),
         groups=None if summary is None else summary["groups"],
         episodes=_rows(evaluation / "episodes.csv"),
         checkpoints=_table(evaluation / "checkpoints.csv"),

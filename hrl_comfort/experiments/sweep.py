@@ -19,7 +19,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
-from hrl_comfort.compose import config_dir, one_line, override
+from hrl_comfort.compose import config_dir, one_line, override, root_of
 from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.sweep_job import ERRORS, Ended, Run, job
 from hrl_comfort.experiments.sweep_record import find_jobs, planned
@@ -53,12 +53,13 @@ def multirun(verb: str, run: Run, checked: list[str], outputs: list[str], togeth
     command, batches, broke = uuid.uuid4().hex, None, ""
     trainings: list[Asked] = []
     task = partial(gather, trainings) if together else partial(job, verb, run, command)
+    root = root_of(verb)
     try:
-        asked = hydra_app.compose_config(verb, rest, RunMode.MULTIRUN, with_log_configuration=False)
+        asked = hydra_app.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
         folder = Path(asked.hydra.sweep.dir)
         rest.append(override("hydra.sweep.dir", folder))  # it may hold the time, which goes on
         with _every_job_waited_for(rest):
-            batches = hydra_app.multirun(verb, task, rest, with_log_configuration=False)
+            batches = hydra_app.multirun(root, task, rest, with_log_configuration=False)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     except ERRORS:

@@ -10,12 +10,12 @@ from pathlib import Path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from hrl_comfort.compose import compose, override
-from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.compose import compose, override, root_of
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaTrainConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, OtherRunError, left
 from hrl_comfort.experiments.own_process import KilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
-from hrl_comfort.experiments.run_folder import read_run
+from hrl_comfort.experiments.run_folder import counted, read_run
 from hrl_comfort.experiments.statistics import column
 from hrl_comfort.experiments.sweep_record import Job
 from hrl_comfort.experiments.training_end import training_end
@@ -30,18 +30,19 @@ TOLD_TOGETHER = ("basic", "joblib")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a job ended; as a number, for a sweeper that searches, its success."""
+    """How a job ended; as a number, for a sweeper that searches, its `score`."""
 
     what: str
     folder: str = ""
     problem: str | None = None
-    success: float = math.nan
+    score: float = math.nan
+    """Success, 0 to 1; a controller's mean return in training, for its skills succeed from the beginning."""
 
     def __float__(self) -> float:
-        """Return the success, 0 to 1; raise ValueError where there is none."""
-        if self.problem is not None or math.isnan(self.success):
+        """Return the score; raise ValueError where there is none."""
+        if self.problem is not None or math.isnan(self.score):
             raise ValueError(self.problem or "no episode tells of success")
-        return self.success
+        return self.score
 
 
 def job(verb: str, run: Run, command: str, _: object) -> Ended:
@@ -55,15 +56,15 @@ def job(verb: str, run: Run, command: str, _: object) -> Ended:
     record = Job(verb, overrides, "running", command=command)
     GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
     try:
-        config = compose(verb, words)
-        assert isinstance(config, TrainConfig | EvaluateConfig)
+        config = compose(root_of(verb), words)
+        assert isinstance(config, TrainConfig | MetaTrainConfig | EvaluateConfig)
         rest = left(config)
         record.write(folder)
         if rest is not Left.NOTHING:
             what = [override("resume", folder)] if rest is Left.REST else words
             run_apart(verb, what) if shared else run(what)
         replace(record, state="done").write(folder)
-        return Ended(rest.value, str(folder), success=math.nan if sweeper == "basic" else _success(folder))
+        return Ended(rest.value, str(folder), score=math.nan if sweeper == "basic" else _score(folder))
     except Preempted as stopped:
         replace(record, state="stopped", why=str(stopped)).write(folder)
         if launcher in TOLD_TOGETHER:
@@ -82,9 +83,10 @@ def failed(record: Job, folder: Path, error: Exception) -> Ended:
     return Ended("failed", str(folder), why)
 
 
-def _success(folder: Path) -> float:
-    """Return the success of a finished job, 0 to 1: at the end of a training, or of an evaluation."""
+def _score(folder: Path) -> float:
+    """Return the score of a finished job: at the end of a training, or of an evaluation."""
     found = read_run(folder)
     if found.metrics is not None:
-        return training_end(found.metrics).get("success", math.nan)
+        name = "success" if counted(found.metrics) == "decisions" else "return"
+        return training_end(found.metrics).get(name, math.nan)
     return float(column(found.episodes or [], "success").mean()) if found.episodes else math.nan

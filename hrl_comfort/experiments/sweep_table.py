@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from hrl_comfort.experiments.comfort_table import cell
-from hrl_comfort.experiments.run_folder import Run, read_run
-from hrl_comfort.experiments.statistics import column, seed_interval
+from hrl_comfort.experiments.run_folder import Run, counted, read_run
+from hrl_comfort.experiments.statistics import Floats, column, seed_interval
 from hrl_comfort.experiments.sweep_record import Job, find_jobs, planned
 from hrl_comfort.experiments.training_end import training_end
 
@@ -73,6 +73,7 @@ QUANTITIES = {
     "success": Quantity(_trained("success"), "training success (%)", 100, most=1),
     "return": Quantity(_trained("return"), "return", digits=2, least=-math.inf),
     "steps": Quantity(_trained("steps"), "steps"),
+    "placed": Quantity(_trained("placed"), "balls placed", digits=2),
     "precision_m": Quantity(_trained("precision_m"), "precision (cm)", 100),
     "minutes": Quantity(lambda run: run.minutes, "training (min)"),
     "eval_success": Quantity(_evaluated("success", False), "evaluated success (%)", 100, most=1),
@@ -159,9 +160,9 @@ def _entry(folder: Path, where: Path, job: Job) -> Entry:
 
 def _state(job: Job, run: Run) -> tuple[str, str]:
     """Return which of COUNTS a job is, and what is the matter with it."""
-    if job.verb == "train":
+    if job.verb in ("train", "train meta"):
         finished = run.provenance is not None and bool(run.provenance.get("finished"))
-        far = "" if run.metrics is None else f", {run.metrics['decisions'][-1]:.0f} decisions logged"
+        far = "" if run.metrics is None else _far(run.metrics)
     else:
         finished, far = job.state == "done" and run.groups is not None, ""
     if finished:
@@ -169,6 +170,11 @@ def _state(job: Job, run: Run) -> tuple[str, str]:
     if job.state == "failed":
         return "failed", job.why
     return "unfinished", (job.why or "running, or killed") + far
+
+
+def _far(metrics: Mapping[str, Floats]) -> str:
+    name = counted(metrics)
+    return f", {metrics[name][-1]:.0f} {name} logged"
 
 
 def _means(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""How a training did at its end: the rows of metrics.csv of the last tenth of its decisions."""
+"""How a training did at its end: the rows of its metrics of the last tenth of its decisions, or options."""
 
 from __future__ import annotations
 
@@ -6,25 +6,32 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hrl_comfort.experiments.run_folder import counted
 from hrl_comfort.experiments.statistics import Floats
 
 LAST = 0.1
-MEANS = ("success", "return", "steps")
+MEANS = ("success", "return", "steps", "placed")
 
 
 def training_end(metrics: Mapping[str, Floats]) -> dict[str, float]:
     """Return the means of success, return and steps over the episodes of the end, and the precision then.
 
     Args:
-      metrics: the columns of metrics.csv, each (n,); a row is the mean of the episodes since the last one.
+      metrics: the columns of metrics.csv or meta_metrics.csv, each (n,); a row is the mean of the episodes
+        since the last one.
 
     Returns:
-      `success` (0 to 1), `return`, `steps` (control steps), `precision_m`; what no episode tells is left out.
+      `success` (0 to 1), `return`, `steps` (control steps), `placed` (a controller's balls), `precision_m`;
+      what no episode or column tells is left out.
     """
-    late = metrics["decisions"] > (1 - LAST) * metrics["decisions"][-1]
-    episodes = np.diff(metrics["episodes"], prepend=0.0)
-    found = {"precision_m": float(metrics["precision_m"][-1])}
+    made = metrics[counted(metrics)]
+    late = made > (1 - LAST) * made[-1]
+    # A controller's rows count the episodes since the last one, the others those so far.
+    episodes = np.diff(metrics["episodes"], prepend=0.0) if "decisions" in metrics else metrics["episodes"]
+    found = {"precision_m": float(metrics["precision_m"][-1])} if "precision_m" in metrics else {}
     for name in MEANS:
+        if name not in metrics:
+            continue
         there = late & np.isfinite(metrics[name]) & (episodes > 0)
         if there.any():
             found[name] = float(np.average(metrics[name][there], weights=episodes[there]))
