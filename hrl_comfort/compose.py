@@ -333,7 +333,9 @@ def _built(cls: Any, tree: Any, before: str = "") -> Any:
 
 
 def _check_inside(key: str, value: Any, hint: Any) -> None:
-    """Raise ConfigError where a list or dict stands in `value` that has no place there: OmegaConf lets it."""
+    """Raise ConfigError at an empty text, and at lists and dicts out of place: OmegaConf lets them."""
+    if value == "":
+        raise ConfigError(f"{key}='' is empty; give it a value, or leave it out")
     if get_origin(hint) not in (list, dict):
         return
     kind = get_args(hint)[-1]

@@ -141,6 +141,10 @@ def test_the_paper_experiment_is_the_papers():
         ),
         (["evaluate", "levels=[1]", "endings=e.npz"], "levels=[1] does not go with endings="),
         (["evaluate", "levels=[1]", "checkpoints=all"], "levels=[1] does not go with checkpoints=all"),
+        (["train", "resume="], "resume='' is empty; give it a value, or leave it out"),
+        (["train", "output="], "output='' is empty"),
+        (["train", "meta", "policies.pick="], "policies='' is empty"),
+        (["evaluate", "policy="], "policy='' is empty"),
         (["report"], "run must be set: run=VALUE"),
         (["report", "run=/no/such/folder"], "/no/such/folder"),
         (["report", "task=pick"], "task is not a key; report has output, run, video"),
@@ -259,8 +263,9 @@ def test_policies_of_a_chain_are_named_by_subtask():
     "value", ["a b", "it's", "x=1,2", "C:\\runs", "a\\", "\\'b", "[]", "${x}", "", "null ", "ü"]
 )
 def test_text_from_python_reaches_the_configuration_unchanged(value):
-    if value == "${x}":
-        with pytest.raises(ConfigError, match="'x' not found"):
+    refused = {"${x}": "'x' not found", "": "initial_policy='' is empty"}
+    if value in refused:
+        with pytest.raises(ConfigError, match=refused[value]):
             trained(override("initial_policy", value))
     else:
         assert trained(override("initial_policy", value)).initial_policy == value

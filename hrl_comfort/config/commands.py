@@ -54,8 +54,6 @@ class TrainConfig:
     """policy.pt or run folder whose actor, critics and normaliser training starts from."""
 
     def __post_init__(self) -> None:
-        if not self.output:
-            raise ConfigError("output='' must be a folder")
         between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
         between("agent.guided_rows", self.agent.guided_rows, 0, self.engine.rows - 1)
         _check_seeds(self.train_seed, self.episode_seed)
@@ -90,8 +88,6 @@ class MetaTrainConfig:
 
     def __post_init__(self) -> None:
         one_of("disturbance", self.disturbance, DISTURBANCES)
-        if not self.output:
-            raise ConfigError("output='' must be a folder")
         if self.task.name != "sort":
             raise ConfigError(
                 f"task.name={self.task.name!r} leaves nothing to choose; train meta takes task=sort"
@@ -143,8 +139,6 @@ class EvaluateConfig:
         one_of("disturbance", self.disturbance, DISTURBANCES)
         if self.disturbance != "none":
             self._check_disturbance()
-        if not self.output:
-            raise ConfigError("output='' must be a folder")
         chained = self.meta.name != "none"
         if chained and self.policy is not None:
             raise ConfigError(
