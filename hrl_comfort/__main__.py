@@ -175,7 +175,7 @@ def sweep(verb: str, overrides: list[str], together: bool) -> None:
     """
     if verb not in SWEPT:
         raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
-    if any(line.split("=")[0] == "resume" for line in overrides):
+    if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
     from hrl_comfort.compose import check_overrides, root_of
 

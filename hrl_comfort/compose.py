@@ -224,7 +224,7 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             return line if line[0] == "+" else f"++{line}"  # the user's own key: nothing to override
         fields = get_type_hints(kind) if dataclasses.is_dataclass(kind) else {}
         if name not in fields:
-            inside = ".".join(parts[:depth]) or root
+            inside = ".".join(parts[:depth]) or root.replace("_", " ")
             names = sorted({*fields, *(allowed if depth == 0 else ())})
             have = ", ".join(names) or "none"
             raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {have}")
@@ -339,11 +339,11 @@ def _check_inside(key: str, value: Any, hint: Any) -> None:
     if get_origin(hint) not in (list, dict):
         return
     kind = get_args(hint)[-1]
-    for each in value.values() if isinstance(value, dict) else value:
+    for name, each in value.items() if isinstance(value, dict) else enumerate(value):
         if isinstance(each, dict) or isinstance(each, list) is not (get_origin(kind) is list):
             wanted = getattr(kind, "__name__", kind)
             raise ConfigError(f"{key}={value!r} holds {each!r}, which is not of type {wanted}")
-        _check_inside(key, each, kind)
+        _check_inside(f"{key}.{name}" if isinstance(value, dict) else f"{key}[{name}]", each, kind)
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)

@@ -118,7 +118,7 @@ def test_the_report_writes_table_and_figure_beside_the_sweep_and_names_what_is_n
 
 
 def test_runs_that_are_not_finished_are_drawn_thin_and_in_no_mean(sweep: Path) -> None:
-    figure = sweep_figure.learning(read_sweep(sweep).rows)
+    figure = sweep_figure.learning(read_sweep(sweep))
     assert figure is not None
     (axis,) = figure.axes
     thin = [line for line in axis.lines if line.get_linewidth() < 1 and len(line.get_xdata()) > 1]
@@ -182,13 +182,32 @@ def test_a_sweep_of_controllers_is_compared_by_return_against_options(tmp_path: 
     ends = {name: row.means[name]["mean"] for name in ("return", "placed", "steps", "minutes")}
     assert ends == pytest.approx({"return": 1.5, "placed": 4, "steps": 500, "minutes": 30})
     assert "precision_m" not in row.means
-    figure = sweep_figure.learning(table.rows)
+    figure = sweep_figure.learning(table)
     assert figure is not None
     (axis,) = figure.axes
     assert axis.get_xlabel() == "options (thousands)" and "return" in axis.get_ylabel()
     assert axis.lines[0].get_ydata()[-1] == pytest.approx(1.5)
     (band,) = axis.collections
     assert band.get_paths()[0].get_extents().y0 < -4, "a return is cut nowhere"
+    page = reported(sweep).read_text(encoding="utf-8")
+    assert "Mean return of training episodes" in page and "Training episodes that succeed" not in page
+
+
+def test_jobs_of_several_verbs_in_one_folder_are_no_sweep(tmp_path: Path) -> None:
+    for k, verb in enumerate(("train", "train meta")):
+        Job(verb, (f"train_seed={k}",), "done").write(tmp_path / str(k))
+    make_training(tmp_path / "0", 0.9, np.random.default_rng(0))
+    make_controller(tmp_path / "1", 0.9)
+    with pytest.raises(ConfigError, match="holds jobs of train and of train meta; give each"):
+        read_sweep(tmp_path)
+
+
+def test_a_training_that_took_no_number_of_seconds_is_named(tmp_path: Path) -> None:
+    make_controller(tmp_path, 1.0)
+    said = json.loads((tmp_path / "provenance.json").read_text())
+    (tmp_path / "provenance.json").write_text(json.dumps({**said, "wall_seconds": None}))
+    with pytest.raises(ConfigError, match=r"provenance\.json is damaged: wall_seconds=None is no number"):
+        reported(tmp_path)
 
 
 def test_the_report_of_a_controllers_training_shows_its_curves(tmp_path: Path) -> None:
@@ -196,6 +215,7 @@ def test_the_report_of_a_controllers_training_shows_its_curves(tmp_path: Path) -
     page = reported(tmp_path / "meta").read_text(encoding="utf-8")
     assert "control steps of an episode, and mean return" in page
     assert "No learning curves" not in page and "precision in force" not in page
+    assert "policies.meta=RUN" in page and "policy=RUN" not in page, "it would be refused"
 
 
 def test_runs_beside_a_sweep_are_named(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.experiments.run_folder import Recorded, counted
+from hrl_comfort.experiments.learning_curve import curve_of
+from hrl_comfort.experiments.run_folder import Recorded
 from hrl_comfort.experiments.statistics import Floats, Row
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -103,7 +104,7 @@ def _curve(axis: Axes, x: Floats, y: Floats, colour: str, label: str | None = No
 
 
 def _thousands(table: Mapping[str, Floats]) -> Floats:
-    return table[counted(table)] / 1000
+    return table[curve_of(table).progress] / 1000
 
 
 def learning_curves(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:

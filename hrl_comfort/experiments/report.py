@@ -19,11 +19,11 @@ import jinja2
 
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.experiments import figures
+from hrl_comfort.experiments.learning_curve import CONTROLLER, POLICY, curve_of
 from hrl_comfort.experiments.run_folder import (
     ENDINGS,
     Recorded,
     Run,
-    counted,
     ending,
     find_runs,
     recorded_paths,
@@ -98,8 +98,7 @@ def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
     """Return the figures of training that the runs have data for."""
     found = {}
     trained = _of(runs, lambda run: run.metrics)
-    metrics = {name: table for name, table in trained.items() if counted(table) == "decisions"}
-    if metrics:
+    if metrics := {name: table for name, table in trained.items() if curve_of(table) is POLICY}:
         found["learning"] = Picture(
             figures.data_uri(figures.learning_curves(metrics)),
             "Training episodes that succeeded, and that ended in a collision with the human, above the "
@@ -233,6 +232,16 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     return f"{run.name}, episode {episode[0]}{at_level}, {which}; drawn from its joint angles, real time.", ""
 
 
+def _evaluation(run: Run) -> str:
+    """Return the command that would evaluate a run."""
+    if run.metrics is not None and curve_of(run.metrics) is CONTROLLER:
+        return (
+            "hrl-comfort evaluate task=sort meta=learned comfort=sort reward=sort policies.meta=RUN "
+            "policies.pick=… policies.place=… policies.return=… output=RUN/eval"
+        )
+    return f"hrl-comfort evaluate policy=RUN task={run.name}"
+
+
 def report(config: ReportConfig) -> Path:
     """Write the page about `config.run` to `config.output` (report.html in the run), and return its path.
 
@@ -255,7 +264,7 @@ def report(config: ReportConfig) -> Path:
         title=folder.resolve().name,
         runs=runs,
         headline=headline(runs),
-        not_evaluated=[run.name for run in runs if run.groups is None],
+        not_evaluated=[(run.name, _evaluation(run)) for run in runs if run.groups is None],
         curves=_curves(runs),
         paths=_path_pictures(runs),
         timelines=_timelines(runs),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.experiments.learning_curve import CURVES
 from hrl_comfort.experiments.statistics import Floats, Row, column, number, read_rows
 
 ORDER = ("pick", "place", "return", "pick_place", "cycle")
@@ -43,7 +44,7 @@ class Run:
     """What was evaluated, or else trained; empty when no config.yaml says."""
     provenance: dict[str, Any] | None
     metrics: dict[str, Floats] | None
-    """Columns of metrics.csv, or of a controller's meta_metrics.csv: see `counted`."""
+    """Columns of what its training logged: see `learning_curve`."""
     minutes: float | None
     groups: list[dict[str, Any]] | None
     episodes: list[Row] | None
@@ -83,18 +84,22 @@ def _table(path: Path) -> dict[str, Floats] | None:
     return {name: column(rows, name) for name in rows[0]} if rows else None
 
 
-def counted(metrics: Mapping[str, Floats]) -> str:
-    """Return which column counts how far a training is: its decisions, or a controller's options."""
-    return "decisions" if "decisions" in metrics else "options"
+def _logged(folder: Path) -> dict[str, Floats] | None:
+    tables = (_table(folder / curve.file) for curve in CURVES)
+    return next((table for table in tables if table is not None), None)
 
 
-def _minutes(timing: dict[str, Floats] | None, provenance: dict[str, Any] | None) -> float | None:
+def _minutes(folder: Path, provenance: dict[str, Any] | None) -> float | None:
     """Return how long a training took; a controller's has no timing.csv, and says so when it is finished."""
+    timing = _table(folder / "timing.csv")
     if timing is not None:
         return float(timing["seconds"][-1]) / 60
     if provenance is None or not provenance.get("finished") or "wall_seconds" not in provenance:
         return None
-    return float(provenance["wall_seconds"]) / 60
+    seconds = provenance["wall_seconds"]
+    if not isinstance(seconds, int | float):
+        raise ConfigError(f"{folder / 'provenance.json'} is damaged: wall_seconds={seconds!r} is no number")
+    return seconds / 60
 
 
 def _json(path: Path, needed: str) -> dict[str, Any] | None:
@@ -137,8 +142,8 @@ def read_run(folder: Path) -> Run:
         configs={name: text for name, (text, _) in read.items()},
         config=list(read.values())[-1][1] if read else {},
         provenance=provenance,
-        metrics=_table(folder / "metrics.csv") or _table(folder / "meta_metrics.csv"),
-        minutes=_minutes(_table(folder / "timing.csv"), provenance),
+        metrics=_logged(folder),
+        minutes=_minutes(folder, provenance),
         groups=None if summary is None else summary["groups"],
         episodes=_rows(evaluation / "episodes.csv"),
         checkpoints=_table(evaluation / "checkpoints.csv"),
@@ -155,7 +160,8 @@ def find_runs(folder: Path) -> list[Run]:
     """
 
     def is_run(path: Path) -> bool:
-        marks = ("metrics.csv", "episodes.csv", "eval/episodes.csv", "eval/summary.json", "config.yaml")
+        logs = (curve.file for curve in CURVES)
+        marks = (*logs, "episodes.csv", "eval/episodes.csv", "eval/summary.json", "config.yaml")
         return any((path / mark).is_file() for mark in marks)
 
     if not folder.is_dir():

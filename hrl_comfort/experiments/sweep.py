@@ -128,6 +128,8 @@ def _of_plugins(overrides: list[str]) -> list[str]:
 def _folders(output: str) -> list[str]:
     """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
     output = output.strip("'\"")
+    if not output:
+        raise ConfigError("output='' is empty; give it a value, or leave it out")
     head, sign, tail = output.partition("${")
     if not sign:
         return [f"hydra.sweep.dir='{output}'"]

@@ -13,9 +13,10 @@ from hydra.core.hydra_config import HydraConfig
 from hrl_comfort.compose import compose, override, root_of
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaTrainConfig, TrainConfig
 from hrl_comfort.experiments.again import Left, OtherRunError, left
+from hrl_comfort.experiments.learning_curve import curve_of
 from hrl_comfort.experiments.own_process import KilledError, run_apart
 from hrl_comfort.experiments.preemption import Preempted
-from hrl_comfort.experiments.run_folder import counted, read_run
+from hrl_comfort.experiments.run_folder import read_run
 from hrl_comfort.experiments.statistics import column
 from hrl_comfort.experiments.sweep_record import Job
 from hrl_comfort.experiments.training_end import training_end
@@ -36,12 +37,12 @@ class Ended:
     folder: str = ""
     problem: str | None = None
     score: float = math.nan
-    """Success, 0 to 1; a controller's mean return in training, for its skills succeed from the beginning."""
+    """Of a training that of its `LearningCurve`, of an evaluation success, 0 to 1."""
 
     def __float__(self) -> float:
         """Return the score; raise ValueError where there is none."""
         if self.problem is not None or math.isnan(self.score):
-            raise ValueError(self.problem or "no episode tells of success")
+            raise ValueError(self.problem or "no episode tells of a score")
         return self.score
 
 
@@ -87,6 +88,5 @@ def _score(folder: Path) -> float:
     """Return the score of a finished job: at the end of a training, or of an evaluation."""
     found = read_run(folder)
     if found.metrics is not None:
-        name = "success" if counted(found.metrics) == "decisions" else "return"
-        return training_end(found.metrics).get(name, math.nan)
+        return training_end(found.metrics).get(curve_of(found.metrics).score, math.nan)
     return float(column(found.episodes or [], "success").mean()) if found.episodes else math.nan

@@ -35,7 +35,7 @@ def sweep_report(folder: Path, output: Path) -> bool:
         raise ConfigError(
             f"output={str(output)!r} is the page; its {output.suffix} file is written beside it"
         )
-    figure = learning(sweep.rows)
+    figure = learning(sweep)
     write_text(output.with_suffix(".csv"), as_csv(sweep))
     write_text(output.with_suffix(".md"), _markdown(sweep))
     if figure is not None:
@@ -60,6 +60,7 @@ def sweep_report(folder: Path, output: Path) -> bool:
         jobs=len(sweep.entries),
         others=_others(folder, sweep),
         figure=None if figure is None else data_uri(figure),
+        curve=sweep.curve,
         left_out=max(0, len(sweep.rows) - len(LOOKS)),
     )
     write_text(output, page)

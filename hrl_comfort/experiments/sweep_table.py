@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from hrl_comfort.config import ConfigError
 from hrl_comfort.experiments.comfort_table import cell
-from hrl_comfort.experiments.run_folder import Run, counted, read_run
+from hrl_comfort.experiments.learning_curve import LearningCurve, curve_of
+from hrl_comfort.experiments.run_folder import Run, read_run
 from hrl_comfort.experiments.statistics import Floats, column, seed_interval
 from hrl_comfort.experiments.sweep_record import Job, find_jobs, planned
 from hrl_comfort.experiments.training_end import training_end
@@ -119,14 +121,25 @@ class Sweep:
         """Return every job, by combination."""
         return [entry for row in self.rows for entry in row.entries]
 
+    @property
+    def curve(self) -> LearningCurve | None:
+        """Return the learning curve of its trainings; None where none has logged anything."""
+        logged = (entry.run.metrics for entry in self.entries if entry.run is not None)
+        return next((curve_of(metrics) for metrics in logged if metrics is not None), None)
+
 
 def read_sweep(folder: Path) -> Sweep:
     """Return the sweep in a folder; one without rows where the folder holds none.
 
     Raises:
-      ConfigError: a file in it is damaged.
+      ConfigError: a file in it is damaged, or its jobs are of several verbs.
     """
     jobs = find_jobs(folder)
+    verbs = sorted({job.verb for job in jobs.values()})
+    if len(verbs) > 1:
+        raise ConfigError(
+            f"{folder} holds jobs of {' and of '.join(verbs)}; give each sweep a folder of its own"
+        )
     entries = [_entry(folder, where, job) for where, job in jobs.items()]
     begun = {job.overrides for job in jobs.values()}
     asked = planned(folder) if jobs else []
@@ -173,7 +186,7 @@ def _state(job: Job, run: Run) -> tuple[str, str]:
 
 
 def _far(metrics: Mapping[str, Floats]) -> str:
-    name = counted(metrics)
+    name = curve_of(metrics).progress
     return f", {metrics[name][-1]:.0f} {name} logged"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hrl_comfort.experiments.run_folder import counted
+from hrl_comfort.experiments.learning_curve import POLICY, curve_of
 from hrl_comfort.experiments.statistics import Floats
 
 LAST = 0.1
@@ -14,7 +14,7 @@ MEANS = ("success", "return", "steps", "placed")
 
 
 def training_end(metrics: Mapping[str, Floats]) -> dict[str, float]:
-    """Return the means of success, return and steps over the episodes of the end, and the precision then.
+    """Return the means of success, return, steps and balls placed at the end, and the precision then.
 
     Args:
       metrics: the columns of metrics.csv or meta_metrics.csv, each (n,); a row is the mean of the episodes
@@ -24,10 +24,10 @@ def training_end(metrics: Mapping[str, Floats]) -> dict[str, float]:
       `success` (0 to 1), `return`, `steps` (control steps), `placed` (a controller's balls), `precision_m`;
       what no episode or column tells is left out.
     """
-    made = metrics[counted(metrics)]
-    late = made > (1 - LAST) * made[-1]
-    # A controller's rows count the episodes since the last one, the others those so far.
-    episodes = np.diff(metrics["episodes"], prepend=0.0) if "decisions" in metrics else metrics["episodes"]
+    curve = curve_of(metrics)
+    late = metrics[curve.progress] > (1 - LAST) * metrics[curve.progress][-1]
+    # A controller's rows count the episodes since the last one, a policy's those so far.
+    episodes = np.diff(metrics["episodes"], prepend=0.0) if curve is POLICY else metrics["episodes"]
     found = {"precision_m": float(metrics["precision_m"][-1])} if "precision_m" in metrics else {}
     for name in MEANS:
         if name not in metrics:
