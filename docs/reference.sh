@@ -105,7 +105,7 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
 
 comfort_quick() { # the same with two fifths of the updates, three fifths in the last part, and the mean of its actors
     last=(agent.updates_per_decision=0.15 agent.actor_tau=5e-4)
-    for seed in ${SEEDS:-0 1 2}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
+    for seed in ${SEEDS:-0 1 2 3 4}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
 }
 
 levels_of() { # folder, overrides; those in `last` are of the last part alone
