@@ -239,6 +239,7 @@ def main(words: list[str] | None = None) -> int:
 
 def console() -> None:
     """Run as the installed command."""
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reports on every buffer that it allocates
     warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
     try:
         code = main()

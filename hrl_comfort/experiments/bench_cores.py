@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-import torchrl
 
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.experiments.bench import ranged
@@ -78,7 +77,6 @@ def table(rows: Sequence[Row]) -> str:
 def training(config: TrainConfig) -> float:
     """Return decisions a second of a training, updates and all."""
     torch.set_num_threads(1)
-    torchrl.logger.setLevel("WARNING")
     agent = replace(config.agent, warmup_decisions=0, guide=None, guided_rows=0, successor=None)
     alone = replace(config, agent=agent)
     with tempfile.TemporaryDirectory() as folder, closing(steps_of(alone)) as steps:
