@@ -335,7 +335,7 @@ def _built(cls: Any, tree: Any, before: str = "") -> Any:
 def _check_inside(key: str, value: Any, hint: Any) -> None:
     """Raise ConfigError at an empty text, and at lists and dicts out of place: OmegaConf lets them."""
     if value == "":
-        raise ConfigError(f"{key}='' is empty; give it a value, or leave it out")
+        raise ConfigError(f"{key}='' is empty; it takes a value")
     if get_origin(hint) not in (list, dict):
         return
     kind = get_args(hint)[-1]

@@ -141,7 +141,7 @@ def test_the_paper_experiment_is_the_papers():
         ),
         (["evaluate", "levels=[1]", "endings=e.npz"], "levels=[1] does not go with endings="),
         (["evaluate", "levels=[1]", "checkpoints=all"], "levels=[1] does not go with checkpoints=all"),
-        (["train", "resume="], "resume='' is empty; give it a value, or leave it out"),
+        (["train", "resume="], "resume='' is empty; it takes a value"),
         (["train", "output="], "output='' is empty"),
         (["train", "-m", "output=", "train_seed=0,1"], "output='' is empty"),
         (["train", "meta", "policies.pick="], "policies.pick='' is empty"),

@@ -129,7 +129,7 @@ def test_a_missing_extra_is_named_in_one_line(
 def test_a_search_is_told_the_success_and_nothing_of_a_failure() -> None:
     assert float(Ended("done", score=0.75)) == 0.75
     for ended in (Ended("failed", problem="no policy"), Ended("done", score=math.nan)):
-        with pytest.raises(ValueError, match=r"no policy|no episode tells"):
+        with pytest.raises(ValueError, match=r"no policy|no episode has ended"):
             float(ended)
 
 

@@ -167,7 +167,7 @@ def make_controller(folder: Path, returns: float, finished: bool = True) -> None
     write(folder / "meta_metrics.csv", rows)
     said = {"commit": "abc123", "finished": finished, "wall_seconds": 1800.0}
     (folder / "provenance.json").write_text(json.dumps(said))
-    (folder / "config.yaml").write_text("task: {name: sort}\n")
+    (folder / "config.yaml").write_text("task: {name: sort}\nmeta_agent: {gamma: 0.998}\n")
 
 
 def test_a_sweep_of_controllers_is_compared_by_return_against_options(tmp_path: Path) -> None:

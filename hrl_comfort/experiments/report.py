@@ -19,7 +19,7 @@ import jinja2
 
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.experiments import figures
-from hrl_comfort.experiments.learning_curve import CONTROLLER, POLICY, curve_of
+from hrl_comfort.experiments.learning_curve import POLICY, curve_of
 from hrl_comfort.experiments.run_folder import (
     ENDINGS,
     Recorded,
@@ -234,7 +234,7 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
 
 def _evaluation(run: Run) -> str:
     """Return the command that would evaluate a run."""
-    if run.metrics is not None and curve_of(run.metrics) is CONTROLLER:
+    if "meta_agent" in run.config:
         return (
             "hrl-comfort evaluate task=sort meta=learned comfort=sort reward=sort policies.meta=RUN "
             "policies.pick=… policies.place=… policies.return=… output=RUN/eval"

@@ -90,7 +90,7 @@ def _logged(folder: Path) -> dict[str, Floats] | None:
 
 
 def _minutes(folder: Path, provenance: dict[str, Any] | None) -> float | None:
-    """Return how long a training took; a controller's has no timing.csv, and says so when it is finished."""
+    """Return how long a training took; of a controller's its provenance tells, once it is finished."""
     timing = _table(folder / "timing.csv")
     if timing is not None:
         return float(timing["seconds"][-1]) / 60
@@ -171,7 +171,7 @@ def find_runs(folder: Path) -> list[Run]:
     inside = [path for path in folder.iterdir() if path.is_dir() and is_run(path)]
     if not inside:
         raise ConfigError(
-            f"run={str(folder)!r} holds no run: neither metrics.csv nor eval/episodes.csv is in it"
+            f"run={str(folder)!r} holds no run: neither config.yaml nor eval/episodes.csv is in it"
         )
     place = {name: i for i, name in enumerate(ORDER)}
     inside.sort(key=lambda path: (place.get(path.name, len(ORDER)), path.name))

@@ -129,7 +129,7 @@ def _folders(output: str) -> list[str]:
     """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
     output = output.strip("'\"")
     if not output:
-        raise ConfigError("output='' is empty; give it a value, or leave it out")
+        raise ConfigError("output='' is empty; it takes a value")
     head, sign, tail = output.partition("${")
     if not sign:
         return [f"hydra.sweep.dir='{output}'"]

@@ -42,7 +42,7 @@ class Ended:
     def __float__(self) -> float:
         """Return the score; raise ValueError where there is none."""
         if self.problem is not None or math.isnan(self.score):
-            raise ValueError(self.problem or "no episode tells of a score")
+            raise ValueError(self.problem or "no episode has ended, so there is no score")
         return self.score
 
 
