@@ -34,6 +34,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
+from hrl_comfort.config.checks import filled
 from hrl_comfort.files import write_text
 
 Config = TrainConfig | MetaTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
@@ -334,8 +335,7 @@ def _built(cls: Any, tree: Any, before: str = "") -> Any:
 
 def _check_inside(key: str, value: Any, hint: Any) -> None:
     """Raise ConfigError at an empty text, and at lists and dicts out of place: OmegaConf lets them."""
-    if value == "":
-        raise ConfigError(f"{key}='' is empty; it takes a value")
+    filled(key, value)
     if get_origin(hint) not in (list, dict):
         return
     kind = get_args(hint)[-1]

@@ -21,6 +21,12 @@ class ConfigError(ValueError):
         super().__init__(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}")
 
 
+def filled(key: str, value: object) -> None:
+    """Raise ConfigError where `value` is an empty text, which names nothing."""
+    if value == "":
+        raise ConfigError(f"{key}='' is empty; it takes a value")
+
+
 def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise ConfigError unless `value` is one of `allowed`."""
     if value not in allowed:

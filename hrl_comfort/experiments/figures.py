@@ -138,37 +138,33 @@ def training_diagnostics(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
     Args:
       tables: run name to the columns of its metrics.csv, each (n,).
     """
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(len(tables), (1, 1, 1), 4.8)
-        rows = (("return", BLUE), ("q_mean", GREEN), ("entropy", PURPLE))
-        for i, (name, table) in enumerate(tables.items()):
-            for row, (key, colour) in enumerate(rows):
-                if key in table:
-                    _curve(axes[row, i], _thousands(table), table[key], colour)
-            axes[0, i].set_title(name)
-            axes[-1, i].set_xlabel("decisions (thousands)")
-        for row, label in enumerate(("return", "mean Q", "entropy (nats)")):
-            axes[row, 0].set_ylabel(label)
-        return figure
+    rows = (("return", "return", BLUE), ("q_mean", "mean Q", GREEN), ("entropy", "entropy (nats)", PURPLE))
+    return _over_training(tables, rows)
 
 
 def controller_curves(tables: Mapping[str, Mapping[str, Floats]]) -> Figure:
-    """Success, control steps and return over controllers' trainings; a column a run.
+    """Share of successes, control steps and return over controllers' trainings; a column a run.
 
     Args:
       tables: run name to the columns of its meta_metrics.csv, each (n,).
     """
+    rows = (("success", "success (share)", BLUE), ("steps", "steps", GREEN), ("return", "return", PURPLE))
+    return _over_training(tables, rows)
+
+
+def _over_training(
+    tables: Mapping[str, Mapping[str, Floats]], rows: Sequence[tuple[str, str, str]]
+) -> Figure:
+    """Draw logged columns, each with its label and colour, one below the other; a column a run."""
     with matplotlib.rc_context(STYLE):
         figure, axes = _grid(len(tables), (1, 1, 1), 4.8)
         for i, (name, table) in enumerate(tables.items()):
-            x = _thousands(table)
-            _curve(axes[0, i], x, 100 * table["success"], BLUE)
-            _curve(axes[1, i], x, table["steps"], GREEN)
-            _curve(axes[2, i], x, table["return"], PURPLE)
-            axes[0, i].set(title=name, ylim=(-2, 102))
-            axes[1, i].set_ylim(bottom=0)
-            axes[2, i].set_xlabel("options (thousands)")
-        for row, label in enumerate(("success (%)", "steps", "return")):
+            for row, (key, _, colour) in enumerate(rows):
+                if key in table:
+                    _curve(axes[row, i], _thousands(table), table[key], colour)
+            axes[0, i].set_title(name)
+            axes[-1, i].set_xlabel(f"{curve_of(table).progress} (thousands)")
+        for row, (_, label, _) in enumerate(rows):
             axes[row, 0].set_ylabel(label)
         return figure
 

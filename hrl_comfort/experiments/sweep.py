@@ -21,6 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.compose import config_dir, one_line, override, root_of
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import filled
 from hrl_comfort.experiments.sweep_job import ERRORS, Ended, Run, job
 from hrl_comfort.experiments.sweep_record import find_jobs, planned
 from hrl_comfort.experiments.sweep_together import Asked, check_together, gather, train_all
@@ -128,8 +129,7 @@ def _of_plugins(overrides: list[str]) -> list[str]:
 def _folders(output: str) -> list[str]:
     """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
     output = output.strip("'\"")
-    if not output:
-        raise ConfigError("output='' is empty; it takes a value")
+    filled("output", output)
     head, sign, tail = output.partition("${")
     if not sign:
         return [f"hydra.sweep.dir='{output}'"]
