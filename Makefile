@@ -25,7 +25,7 @@ test: lint
 
 # 10,000 generated inputs, drawn anew each time: what is said, files, streams, states. Some minutes.
 fuzz: setup
-	HRL_COMFORT_INPUTS=$(or $(INPUTS),11000) $(BIN)/python -m pytest -q tests/test_generated_*.py
+	HRL_COMFORT_INPUTS=$(or $(INPUTS),11000) $(BIN)/python -m pytest -q tests/*/test_generated_*.py
 
 demo: setup
 	$(BIN)/hrl-comfort demo

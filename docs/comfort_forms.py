@@ -15,13 +15,13 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from hrl_comfort.comfort.terms import FORMS, THRESHOLDS, distance_term
-from hrl_comfort.compose import compose
+from hrl_comfort.config.compose import compose
 
 LEVELS = (1, 4, 7, 10)
 STYLES = dict(zip(LEVELS, ("-", "--", "-.", ":"), strict=True))
 COLOURS = dict(zip(LEVELS, ("#440154", "#31688e", "#35b779", "#d9a400"), strict=True))
 """Dark to light, as in viridis; the style of the line tells them apart too."""
-THRESHOLD = {"reference": "reference", "bounded": "levels", "eased": "levels"}
+THRESHOLD = {"reference": "reference", "target_distance": "levels", "target_distance_one_sided": "levels"}
 """What goes with a form; the others take `range`, which fits the paper's example."""
 
 

@@ -37,26 +37,26 @@ record() { # folder, episodes, policy, overrides
     "${hrl[@]}" evaluate "output=$ref/comfort/$1" record=true episodes="$2" "policy=$3" "${@:4}"
 }
 endings() { # how a policy leaves the arm, over episodes drawn as in training: the evaluation set stays held out
-    [ -f "$ref/$1/endings.npz" ] || "${hrl[@]}" evaluate "policy=$ref/$1" episodes=2000 "endings=$ref/$1/endings.npz"
+    [ -f "$ref/$1/terminal_states.npz" ] || "${hrl[@]}" evaluate "policy=$ref/$1" episodes=2000 "terminal_states=$ref/$1/terminal_states.npz"
 }
 
 line() { # pick, place and return, each begun where the one before it ends, and their chain
-    train pick experiment=reference task=pick agent.decisions=120000
+    train pick experiment=reference task=pick agent.policy_steps=120000
     endings pick
-    train place experiment=reference task=place agent.decisions=300000 "task.start=$ref/pick/endings.npz"
+    train place experiment=reference task=place agent.policy_steps=300000 "task.start=$ref/pick/terminal_states.npz"
     endings place
-    train return experiment=reference task=return agent.decisions=200000 "task.start=$ref/place/endings.npz"
+    train return experiment=reference task=return agent.policy_steps=200000 "task.start=$ref/place/terminal_states.npz"
     for task in pick place return; do measure $task/eval "policy=$ref/$task"; done
-    measure cycle/eval task=cycle meta=scripted \
+    measure cycle/eval task=cycle meta_controller=scripted \
         "policies.pick=$ref/pick" "policies.place=$ref/place" "policies.return=$ref/return"
 }
 
 points() { # reaching points to 5 cm; the longer way is trained on, past 5 cm, lest it stop short
     train reach experiment=points task=reach
-    train point_to_point_first experiment=points task=point_to_point agent.decisions=600000
-    train point_to_point_second experiment=points task=point_to_point agent.decisions=300000 \
+    train point_to_point_first experiment=points task=point_to_point agent.policy_steps=600000
+    train point_to_point_second experiment=points task=point_to_point agent.policy_steps=300000 \
         "initial_policy=$ref/point_to_point_first" curriculum.start_m=0.05 curriculum.end_m=0.03 reward.arrival_speed=0
-    train point_to_point experiment=points task=point_to_point agent.decisions=200000 agent.learning_rate=1e-4 \
+    train point_to_point experiment=points task=point_to_point agent.policy_steps=200000 agent.learning_rate=1e-4 \
         "initial_policy=$ref/point_to_point_second" curriculum.start_m=0.03 curriculum.end_m=0.03 reward.arrival_speed=0
     for task in reach point_to_point_first point_to_point_second point_to_point; do measure $task/eval "policy=$ref/$task"; done
 }
@@ -67,17 +67,17 @@ fine() { # the line's policies trained on to 2 cm
         train fine/$task experiment=fine task=$task "initial_policy=$ref/$task" "task.start=$start"
         for cm in 10 5 2; do
             measure fine/$task/eval_${cm}cm "policy=$ref/fine/$task" \
-                "task.precision.take_m=0.$(printf %02d $cm)" "task.precision.leave_m=0.$(printf %02d $cm)" \
-                "task.precision.home_deg=$cm"
+                "task.precision.grasp_tolerance_m=0.$(printf %02d $cm)" "task.precision.place_tolerance_m=0.$(printf %02d $cm)" \
+                "task.precision.home_tolerance_deg=$cm"
         done
     done
 }
 
 approach() { # beside somebody who walks at the gripper, a touch ever dearer, at last from all round; and blind to it
     train pick_place_approach_first experiment=approach
-    train pick_place_approach_second experiment=approach agent.decisions=200000 curriculum=off \
+    train pick_place_approach_second experiment=approach agent.policy_steps=200000 curriculum=off \
         reward.human_collision=-40 "initial_policy=$ref/pick_place_approach_first"
-    train pick_place_approach experiment=approach agent.decisions=400000 curriculum=off reward.human_collision=-100 \
+    train pick_place_approach experiment=approach agent.policy_steps=400000 curriculum=off reward.human_collision=-100 \
         human.spawn=anywhere 'human.spawn_radius_m=[0.38,1.3]' "initial_policy=$ref/pick_place_approach_second"
     for part in pick_place_approach_first pick_place_approach_second pick_place_approach; do
         measure $part/eval "policy=$ref/$part"
@@ -93,7 +93,7 @@ curriculum() { # adaptive against off, the same number of decisions, three seeds
 curriculum_of() {
     for seed in 0 1 2; do
         folder=curriculum/$1_$seed
-        train $folder task=pick_place "curriculum=$1" agent.decisions=40000 train_seed=$seed episode_seed=$seed
+        train $folder task=pick_place "curriculum=$1" agent.policy_steps=40000 train_seed=$seed episode_seed=$seed
         measure $folder/eval "policy=$ref/$folder"
     done
 }
@@ -104,8 +104,8 @@ comfort() { # one policy for ten levels, by training seed: the task, the levels 
 }
 
 comfort_quick() { # the same with two fifths of the updates, three fifths in the last part, and the mean of its actors
-    last=(agent.updates_per_decision=0.15 agent.actor_tau=5e-4)
-    for seed in ${SEEDS:-0 1 2 3 4}; do levels_of comfort/quick/seed$seed agent.updates_per_decision=0.1; done
+    last=(agent.updates_per_policy_step=0.15 agent.ema_rate=5e-4)
+    for seed in ${SEEDS:-0 1 2 3 4}; do levels_of comfort/quick/seed$seed agent.updates_per_policy_step=0.1; done
 }
 
 levels_of() { # folder, overrides; those in `last` are of the last part alone
@@ -140,12 +140,12 @@ comfort_cycle() { # pick, place and return with levels, and their chain: each sk
             train $to/${task}_second experiment=comfort_skill task=$task "${seeds[@]}" "task.start=$start" \
                 "initial_policy=$ref/$to/${task}_first"
             endings $to/${task}_second
-            start=$ref/$to/${task}_second/endings.npz
+            start=$ref/$to/${task}_second/terminal_states.npz
         done
         refine comfort_skill_finer _second _third
         finish
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        measure $to/cycle task=cycle meta=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}" \
+        measure $to/cycle task=cycle meta_controller=scripted comfort=conditioned 'levels=[1,4,7,10]' "${skills[@]}" \
             task.ball_jitter_m=0.075
     done
 }
@@ -154,24 +154,24 @@ finish() { # the last parts: back from where place ends, then place, paid for wh
     last=(experiment=comfort_skill_last "${seeds[@]}")
     train $to/pick "${last[@]}" task=pick task.start=ik "initial_policy=$ref/$to/pick_third"
     many $to/pick
-    many $to/place_third "task.start=$ref/$to/pick/endings.npz"
-    train $to/return "${last[@]}" task=return "task.start=$ref/$to/place_third/endings.npz" \
+    many $to/place_third "task.start=$ref/$to/pick/terminal_states.npz"
+    train $to/return "${last[@]}" task=return "task.start=$ref/$to/place_third/terminal_states.npz" \
         "initial_policy=$ref/$to/return_third"
-    train $to/place "${last[@]}" task=place agent.decisions=160000 "task.start=$ref/$to/pick/endings.npz" \
-        "agent.successor=$ref/$to/return" "initial_policy=$ref/$to/place_third"
+    train $to/place "${last[@]}" task=place agent.policy_steps=160000 "task.start=$ref/$to/pick/terminal_states.npz" \
+        "agent.next_skill=$ref/$to/return" "initial_policy=$ref/$to/place_third"
 }
 many() { # folder, overrides: its endings anew, more of them
-    "${hrl[@]}" evaluate "policy=$ref/$1" episodes=6000 "endings=$ref/$1/endings.npz" "${@:2}"
+    "${hrl[@]}" evaluate "policy=$ref/$1" episodes=6000 "terminal_states=$ref/$1/terminal_states.npz" "${@:2}"
 }
 refine() { # experiment, endings of the folders before and after: each skill trained on, place longest, for it fails most
     start=ik
     for task in pick place return; do
         more=()
-        if [ $task = place ]; then more=(agent.decisions=160000); fi
+        if [ $task = place ]; then more=(agent.policy_steps=160000); fi
         train $to/$task$3 experiment=$1 task=$task "${seeds[@]}" "task.start=$start" "${more[@]}" \
             "initial_policy=$ref/$to/$task$2"
         endings $to/$task$3
-        start=$ref/$to/$task$3/endings.npz
+        start=$ref/$to/$task$3/terminal_states.npz
     done
 }
 
@@ -179,20 +179,20 @@ sort() { # several balls, beside somebody who goes from table to table, above th
     # and with ten seconds a skill instead of two
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
-        for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta=$name; done
+        for name in scripted cautious random; do measure sort/seed$seed/$name "${meta[@]}" meta_controller=$name; done
         for kind in drop block; do
-            measure sort/seed$seed/scripted_$kind "${meta[@]}" meta=scripted disturbance=$kind
+            measure sort/seed$seed/scripted_$kind "${meta[@]}" meta_controller=scripted disturbance=$kind
         done
-        measure sort/seed$seed/scripted_patient "${meta[@]}" meta=scripted meta.time_limit_steps=500
+        measure sort/seed$seed/scripted_patient "${meta[@]}" meta_controller=scripted meta_controller.time_limit_steps=500
     done
 }
 
 sort_learned() { # a controller that learns; while it does, a crash costs it ten balls, for on the last way home it costs none
     for seed in ${SEEDS:-0 1 2}; do
         sorting $seed
-        train meta sort/seed$seed/controller human=rounds "train_seed=$seed" "episode_seed=$seed" \
-            "${skills[@]}" meta_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
-        meta+=(meta=learned "policies.meta=$ref/sort/seed$seed/controller")
+        train meta_controller sort/seed$seed/controller human=patrol "train_seed=$seed" "episode_seed=$seed" \
+            "${skills[@]}" meta_controller_agent.options=180000 reward.human_collision=-10 reward.other_collision=-10
+        meta+=(meta_controller=learned "policies.meta_controller=$ref/sort/seed$seed/controller")
         measure sort/seed$seed/learned "${meta[@]}"
         for kind in drop block; do measure sort/seed$seed/learned_$kind "${meta[@]}" disturbance=$kind; done
     done
@@ -201,7 +201,7 @@ sort_learned() { # a controller that learns; while it does, a crash costs it ten
 sorting() { # seed; sets what its evaluations have in common
     to=comfort/seed$1
     skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-    meta=(task=sort comfort=sort reward=sort human=rounds "${skills[@]}")
+    meta_controller=(task=sort comfort=sort reward=sort human=patrol "${skills[@]}")
 }
 
 figures_sort() { # from the evaluations of sort
@@ -242,7 +242,7 @@ forms() { # what each form comes to, from the policy that knows the task, with t
     for form in $forms; do
         threshold=range scale=1
         case $form in reference) threshold=reference ;; bounded | eased) threshold=levels scale=3 ;; esac
-        train comfort/forms/$form experiment=comfort_nearer agent.decisions=50000 "comfort.form=$form" \
+        train comfort/forms/$form experiment=comfort_nearer agent.policy_steps=50000 "comfort.form=$form" \
             "comfort.threshold=$threshold" comfort.scale=$scale "initial_policy=$ref/comfort/seed0/pick_place_first"
         measure comfort/forms/$form/eval "policy=$ref/comfort/forms/$form" 'levels=[1,4,7,10]'
     done
@@ -251,8 +251,8 @@ forms() { # what each form comes to, from the policy that knows the task, with t
 }
 
 field() { # the rival that learns nothing
-    measure_levels comfort/field task=pick_place policy=field comfort=conditioned \
-        task.precision.take_m=0.30 task.precision.leave_m=0.30
+    measure_levels comfort/field task=pick_place policy=potential_field comfort=conditioned \
+        task.precision.grasp_tolerance_m=0.30 task.precision.place_tolerance_m=0.30
 }
 
 figures() { # from the evaluations of comfort, comfort_quick and field; what is recorded for a picture is not kept
@@ -284,21 +284,21 @@ divisions() { # the cycle with three, two and one network, 200,000 decisions eac
     # where the one before it ends, and what that is worth (evaluate handover)
     for seed in ${SEEDS:-0 1 2}; do
         to=hierarchy/seed$seed
-        learn three/pick task=pick agent.decisions=30000
-        learn three/place_alone task=place agent.decisions=60000
-        learn three/return_alone task=return agent.decisions=40000
-        chain three/pick three/place task=place agent.decisions=40000
-        chain three/place three/return task=return agent.decisions=30000
-        learn two/pick_place task=pick_place agent.decisions=130000
-        learn two/return_alone task=return agent.decisions=40000
-        chain two/pick_place two/return task=return agent.decisions=30000
-        learn one/cycle task=cycle agent.decisions=200000
+        learn three/pick task=pick agent.policy_steps=30000
+        learn three/place_alone task=place agent.policy_steps=60000
+        learn three/return_alone task=return agent.policy_steps=40000
+        chain three/pick three/place task=place agent.policy_steps=40000
+        chain three/place three/return task=return agent.policy_steps=30000
+        learn two/pick_place task=pick_place agent.policy_steps=130000
+        learn two/return_alone task=return agent.policy_steps=40000
+        chain two/pick_place two/return task=return agent.policy_steps=30000
+        learn one/cycle task=cycle agent.policy_steps=200000
         of=$ref/$to
-        measure $to/three/eval task=cycle meta=scripted \
+        measure $to/three/eval task=cycle meta_controller=scripted \
             "policies.pick=$of/three/pick" "policies.place=$of/three/place" "policies.return=$of/three/return"
-        measure $to/two/eval task=cycle meta=scripted division=two \
+        measure $to/two/eval task=cycle meta_controller=scripted division=two \
             "policies.pick_place=$of/two/pick_place" "policies.return=$of/two/return"
-        measure $to/one/eval task=cycle meta=scripted division=one "policies.cycle=$of/one/cycle"
+        measure $to/one/eval task=cycle meta_controller=scripted division=one "policies.cycle=$of/one/cycle"
         handover before _alone
         handover after ""
     done
@@ -316,7 +316,7 @@ seams() { # handovers of the skills of comfort_cycle, at levels drawn anew for e
     for seed in ${SEEDS:-0 1 2}; do
         to=comfort/seed$seed
         skills=("policies.pick=$ref/$to/pick" "policies.place=$ref/$to/place" "policies.return=$ref/$to/return")
-        "${hrl[@]}" evaluate handover task=cycle meta=scripted comfort=conditioned episodes=1000 \
+        "${hrl[@]}" evaluate handover task=cycle meta_controller=scripted comfort=conditioned episodes=1000 \
             task.ball_jitter_m=0.075 "output=$ref/hierarchy/seed$seed/handover_comfort" "${skills[@]}"
     done
 }
@@ -326,15 +326,15 @@ figures_seams() { # from seams
         "evaluations=['$ref/hierarchy/seed*/handover_comfort']"
 }
 learn() { # folder, overrides; alone, from starts made up, 30 cm to 10 cm; kept is the mean of some 2,000 updates
-    train "$to/$1" experiment=reference agent.actor_tau=5e-4 "train_seed=$seed" "episode_seed=$seed" "${@:2}"
+    train "$to/$1" experiment=reference agent.ema_rate=5e-4 "train_seed=$seed" "episode_seed=$seed" "${@:2}"
 }
 chain() { # the skill before, folder, overrides: trained on at 10 cm from how the skill before it leaves the arm
     endings "$to/$1"
-    learn "$2" curriculum=off agent.learning_rate=1e-4 agent.critic_first_updates=2000 \
-        "initial_policy=$ref/$to/${2}_alone" "task.start=$ref/$to/$1/endings.npz" "${@:3}"
+    learn "$2" curriculum=off agent.learning_rate=1e-4 agent.critic_warmup_updates=2000 \
+        "initial_policy=$ref/$to/${2}_alone" "task.start=$ref/$to/$1/terminal_states.npz" "${@:3}"
 }
 handover() { # name, ending of the folders of place and return
-    "${hrl[@]}" evaluate handover task=cycle meta=scripted episodes=1000 "output=$ref/$to/handover_$1" \
+    "${hrl[@]}" evaluate handover task=cycle meta_controller=scripted episodes=1000 "output=$ref/$to/handover_$1" \
         "policies.pick=$ref/$to/three/pick" "policies.place=$ref/$to/three/place$2" \
         "policies.return=$ref/$to/three/return$2"
 }

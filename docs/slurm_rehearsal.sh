@@ -120,18 +120,18 @@ states() { show sacct --allocations --format=JobID%12,JobName%12,State%12,ExitCo
 
 show sinfo
 small=(hydra/launcher=submitit_slurm hydra.launcher.cpus_per_task=1 hydra.launcher.timeout_min=20 task=reach
-  agent.warmup_decisions=160 "agent.hidden=[16,16]" agent.batch_size=32 agent.log_every=160
-  agent.checkpoint_every=320 engine.rows=8)
+  agent.learning_starts=160 "agent.hidden=[16,16]" agent.batch_size=32 agent.log_every=160
+  agent.checkpoint_every=320 engine.num_envs=8)
 
 echo; echo "== 1. two jobs cannot work"
-broken=(train -m "${small[@]}" agent.decisions=640 initial_policy=null,/no/such/run train_seed=0,1 output="$folder/broken")
+broken=(train -m "${small[@]}" agent.policy_steps=640 initial_policy=null,/no/such/run train_seed=0,1 output="$folder/broken")
 echo "\$ hrl-comfort ${broken[*]}"
 hrl-comfort "${broken[@]}" && code=0 || code=$?
 echo "exit code $code"
 states
 
 echo; echo "== 2. one is told to stop, one is cancelled"
-sweep=(train -m "${small[@]}" agent.decisions=4800 train_seed=0,1,2 output="$folder/sweep")
+sweep=(train -m "${small[@]}" agent.policy_steps=4800 train_seed=0,1,2 output="$folder/sweep")
 echo "\$ hrl-comfort ${sweep[*]}"
 hrl-comfort "${sweep[@]}" > "$folder/log/sweep.out" 2>&1 &
 command=$!

@@ -18,17 +18,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hrl_comfort.experiments.bench import table as environment
 from hrl_comfort.experiments.bench_cores import table as cores
 from hrl_comfort.experiments.bench_start import table as start
 from hrl_comfort.experiments.bench_together import table as together
-from hrl_comfort.experiments.bench_train import table as learning
-from hrl_comfort.experiments.bench_update import table as update
-from hrl_comfort.experiments.comfort_table import markdown, series
-from hrl_comfort.experiments.controller_returns import table as controllers
-from hrl_comfort.experiments.divisions import table as divisions
-from hrl_comfort.experiments.handover_figures import table as handover
-from hrl_comfort.experiments.statistics import column, describe, read_rows
+
+from hrl_comfort.analysis.intervals import column, describe, read_rows
+from hrl_comfort.analysis.tables import markdown, series
+from hrl_comfort.benchmarks.env import table as environment
+from hrl_comfort.benchmarks.train import table as learning
+from hrl_comfort.benchmarks.update import table as update
+from hrl_comfort.plots.controllers import table as controllers
+from hrl_comfort.plots.divisions import table as divisions
+from hrl_comfort.plots.handover import table as handover
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "docs" / "reproduce.md", ROOT / "docs" / "benchmarks.md")

@@ -23,8 +23,8 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
     Raises:
       ConfigError: a choice is not allowed.
     """
-    from hrl_comfort.compose import compose, environment, override
     from hrl_comfort.config import ConfigError, TrainConfig
+    from hrl_comfort.config.compose import compose, environment, override
 
     config = compose("train", [override(key, value) for key, value in {"task": task, **choices}.items()])
     if not isinstance(config, TrainConfig):

@@ -7,7 +7,6 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from contextlib import closing, nullcontext
 from importlib import import_module
 from pathlib import Path
 
@@ -15,20 +14,19 @@ from hrl_comfort.config import (
     ConfigError,
     EvaluateConfig,
     FigureConfig,
-    MetaTrainConfig,
+    MetaControllerTrainConfig,
     ReportConfig,
     TrainConfig,
 )
-from hrl_comfort.experiments.own_process import KilledError
-from hrl_comfort.experiments.preemption import Preempted
-from hrl_comfort.experiments.stepper_process import StepperProcess
+from hrl_comfort.sweeps.subprocesses import KilledError
+from hrl_comfort.training.preemption import Preempted
 
 VERBS = {
-    "train": "teach one subtask to one policy, or a controller above them (train meta)",
-    "evaluate": "measure a policy or a chain (meta=scripted), or how policies hand over (evaluate handover)",
+    "train": "teach one subtask to one policy, or a controller above them (train meta_controller)",
+    "evaluate": "measure a policy or a chain (meta_controller=scripted), or how policies hand over (evaluate handover)",
     "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "bench": "measure the environment (env), updates (update, together), learning (train), cores, start",
+    "bench": "measure the environment (env), updates (update), learning (train)",
     "demo": "train, evaluate, chain and report, in minutes",
 }
 
@@ -39,33 +37,29 @@ file that is not there."""
 
 def train(overrides: list[str]) -> None:
     """Run `hrl-comfort train`."""
-    from hrl_comfort.compose import compose
+    from hrl_comfort.config.compose import compose
 
     config = compose("train", overrides)
     assert isinstance(config, TrainConfig)
     _check_resumed_alone(config, overrides)
-    # Imports take seconds: the cells' process begins with its own while this one goes on to the rest.
-    # Whether a training that is resumed wants such a process stands in its folder.
-    apart = config.agent.cells_apart and config.resume is None
-    with closing(StepperProcess()) if apart else nullcontext() as process:
-        from hrl_comfort.experiments.train_cell import train_cell
+    from hrl_comfort.training.cell import train_cell
 
-        train_cell(config, process)
+    train_cell(config)
 
 
-def train_meta(overrides: list[str]) -> None:
-    """Run `hrl-comfort train meta`."""
-    from hrl_comfort.compose import compose
+def train_meta_controller(overrides: list[str]) -> None:
+    """Run `hrl-comfort train meta_controller`."""
+    from hrl_comfort.config.compose import compose
 
-    config = compose("train_meta", overrides)
-    assert isinstance(config, MetaTrainConfig)
+    config = compose("train_meta_controller", overrides)
+    assert isinstance(config, MetaControllerTrainConfig)
     _check_resumed_alone(config, overrides)
-    from hrl_comfort.experiments.train_meta import train_meta as run
+    from hrl_comfort.training.controller_trainer import train_meta_controller as run
 
     run(config)
 
 
-def _check_resumed_alone(config: TrainConfig | MetaTrainConfig, overrides: list[str]) -> None:
+def _check_resumed_alone(config: TrainConfig | MetaControllerTrainConfig, overrides: list[str]) -> None:
     """Raise ConfigError where a training is to go on, and otherwise than it began."""
     others = [line for line in overrides if not line.startswith("resume=")]
     if config.resume is not None and others:
@@ -74,89 +68,82 @@ def _check_resumed_alone(config: TrainConfig | MetaTrainConfig, overrides: list[
 
 def evaluate(overrides: list[str]) -> None:
     """Run `hrl-comfort evaluate`."""
-    from hrl_comfort.compose import compose
+    from hrl_comfort.config.compose import compose
 
     config = compose("evaluate", overrides)
     assert isinstance(config, EvaluateConfig)
-    if config.endings is not None:
-        from hrl_comfort.experiments.endings import record_endings as run
+    if config.terminal_states is not None:
+        from hrl_comfort.evaluation.terminal_states import record_terminal_states as run
     else:
-        from hrl_comfort.experiments.evaluate import evaluate as run
+        from hrl_comfort.evaluation.evaluate import evaluate as run
 
     run(config)
 
 
 def handover(overrides: list[str]) -> None:
     """Run `hrl-comfort evaluate handover`."""
-    from hrl_comfort.compose import compose
+    from hrl_comfort.config.compose import compose
 
     config = compose("evaluate", overrides)
     assert isinstance(config, EvaluateConfig)
-    from hrl_comfort.experiments.handover import handover as run
+    from hrl_comfort.evaluation.handover import handover as run
 
     run(config)
 
 
 def report(overrides: list[str]) -> None:
     """Run `hrl-comfort report`; a folder alone is its run."""
-    from hrl_comfort.compose import compose, override
+    from hrl_comfort.config.compose import compose, override
 
     config = compose("report", [override("run", each) if Path(each).is_dir() else each for each in overrides])
     assert isinstance(config, ReportConfig)
-    from hrl_comfort.experiments.report import report as run
+    from hrl_comfort.report.report import report as run
 
     run(config)
 
 
 def figure(overrides: list[str]) -> None:
     """Run `hrl-comfort figure`."""
-    from hrl_comfort.compose import compose
+    from hrl_comfort.config.compose import compose
 
     config = compose("figure", overrides)
     assert isinstance(config, FigureConfig)
-    from hrl_comfort.experiments.figure import figure as run
+    from hrl_comfort.plots.figure import figure as run
 
     run(config)
 
 
 BENCHMARKS = {
-    "env": "hrl_comfort.experiments.bench:bench_env",
-    "update": "hrl_comfort.experiments.bench_update:bench_update",
-    "train": "hrl_comfort.experiments.bench_train:bench_train",
-    "together": "hrl_comfort.experiments.bench_together:bench_together",
-    "cores": "hrl_comfort.experiments.bench_cores:bench_cores",
+    "env": "hrl_comfort.benchmarks.env:bench_env",
+    "update": "hrl_comfort.benchmarks.update:bench_update",
+    "train": "hrl_comfort.benchmarks.train:bench_train",
 }
 """Imported when asked for; they need the simulator, and some of them peers."""
 
 
 def bench(words: list[str]) -> None:
     """Run one of the benchmarks."""
-    if not words or words[0] not in (*BENCHMARKS, "start"):
+    if not words or words[0] not in BENCHMARKS:
         what = words[0] if words else "(nothing)"
-        raise ConfigError(f"bench {what} is not known; say bench {', '.join(BENCHMARKS)} or start")
-    from hrl_comfort.compose import compose
+        raise ConfigError(f"bench {what} is not known; choose one of {', '.join(BENCHMARKS)}")
+    from hrl_comfort.config.compose import compose
 
     config = compose("train", words[1:])
     assert isinstance(config, TrainConfig)
-    if words[0] == "start":
-        from hrl_comfort.experiments.bench_start import bench_start
-
-        bench_start(config, words[1:])
-        return
     module, name = BENCHMARKS[words[0]].split(":")
     getattr(import_module(module), name)(config)
 
 
 def demo(overrides: list[str]) -> None:
     """Run `hrl-comfort demo`."""
-    from hrl_comfort.experiments.demo import demo as run
+    from hrl_comfort.training.hierarchy_trainer import demo as run
 
     run(overrides)
 
 
 RUN: dict[str, Callable[[list[str]], None]] = {
     "train": train,
-    "train meta": train_meta,
+    "train meta_controller": train_meta_controller,
     "evaluate": evaluate,
     "evaluate handover": handover,
     "report": report,
@@ -165,11 +152,11 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "demo": demo,
 }
 """What each verb runs, alone or with the word after it."""
-SWEPT = ("train", "train meta", "evaluate")
+SWEPT = ("train", "train meta_controller", "evaluate")
 
 
-def sweep(verb: str, overrides: list[str], together: bool) -> None:
-    """Run `verb` once for every combination of the swept overrides; `together`, in one process.
+def sweep(verb: str, overrides: list[str]) -> None:
+    """Run `verb` once for every combination of the swept overrides.
 
     What runs the jobs takes seconds to import: it is imported once every choice has been checked.
     """
@@ -177,21 +164,21 @@ def sweep(verb: str, overrides: list[str], together: bool) -> None:
         raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
     if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
-    from hrl_comfort.compose import check_overrides, root_of
+    from hrl_comfort.config.compose import check_overrides, root_of
 
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
     checked = check_overrides(root_of(verb), rest, sweep=True)
-    from hrl_comfort.experiments.sweep import multirun
+    from hrl_comfort.sweeps.launcher import multirun
 
-    multirun(verb, RUN[verb], checked, outputs, together)
+    multirun(verb, RUN[verb], checked, outputs)
 
 
 def help_text() -> str:
     """Return the verbs and, by group, what can be chosen."""
     package = Path(__file__).resolve().parent
     conf = package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
-    lines = ["usage: hrl-comfort VERB [key=value ...] [-m [--together]]", "", "verbs"]
+    lines = ["usage: hrl-comfort VERB [key=value ...] [-m]", "", "verbs"]
     lines += [f"  {verb:<10} {what}" for verb, what in VERBS.items()]
     lines += ["", "groups (group=choice)"]
     for group in sorted(p for p in conf.iterdir() if p.is_dir()):
@@ -199,9 +186,8 @@ def help_text() -> str:
         lines.append(f"  {group.name:<10} {', '.join(names)}")
     lines += [
         "",
-        f"Every value in {conf} can be set: agent.decisions=50000, task.precision.take_m=0.2.",
+        f"Every value in {conf} can be set: agent.policy_steps=50000, task.precision.grasp_tolerance_m=0.2.",
         "-m runs every combination: hrl-comfort train -m task=pick,place train_seed=0,1",
-        "-m --together trains them in one process, one update for all.",
         "output=DIR says where a command writes.",
     ]
     return "\n".join(lines)
@@ -218,13 +204,10 @@ def main(words: list[str] | None = None) -> int:
         if verb not in VERBS:
             raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
         swept = {"-m", "--multirun"} & set(rest)
-        together = "--together" in rest
-        overrides = [word for word in rest if word not in ("-m", "--multirun", "--together")]
+        overrides = [word for word in rest if word not in ("-m", "--multirun")]
         if overrides and f"{verb} {overrides[0]}" in RUN:
             verb, overrides = f"{verb} {overrides[0]}", overrides[1:]
-        if together and not swept:
-            raise ConfigError("--together goes with -m: it trains the policies of a sweep in one process")
-        sweep(verb, overrides, together) if swept else RUN[verb](overrides)
+        sweep(verb, overrides) if swept else RUN[verb](overrides)
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

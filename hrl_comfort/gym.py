@@ -30,7 +30,7 @@ def _name(task: str) -> str:
 
 
 IDS = {task: f"hrl_comfort/{_name(task)}-v0" for task in SUBTASKS if task != "sort"}
-"""Subtask -> its id; `sort` is for controllers (`hrl_comfort.meta.option_env`)."""
+"""Subtask -> its id; `sort` is for controllers (`hrl_comfort.hierarchy.option_env`)."""
 
 for _task, _id in IDS.items():
     _where: dict[str, Any] = {

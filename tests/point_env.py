@@ -13,9 +13,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from hrl_comfort.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.experiments.stepper import Stepper
+from hrl_comfort.config.compose import compose
+from hrl_comfort.training.collector import Collector
 
 LIMIT = 20
 FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
@@ -127,9 +127,9 @@ class PointEnv(EnvBase):
 
 
 SMALL = (
-    "agent.decisions=1600", "agent.warmup_decisions=200", "agent.batch_size=64", "agent.hidden=[32,32]",
+    "agent.policy_steps=1600", "agent.learning_starts=200", "agent.batch_size=64", "agent.hidden=[32,32]",
     "agent.buffer_size=1000", "agent.log_every=200", "agent.checkpoint_every=300", "agent.keep_checkpoints=2",
-    "agent.target_entropy=-2", "agent.cells_apart=false", "curriculum.window=20", "engine.rows=8",
+    "agent.target_entropy=-2", "curriculum.window=20", "engine.num_envs=8",
 )  # fmt: skip
 
 
@@ -140,5 +140,5 @@ def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
     return dataclasses.replace(config, **changes)
 
 
-def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> Stepper:
-    return Stepper(config.agent, PointEnv(config.engine.rows, config.episode_seed, stop_after, kill))
+def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> Collector:
+    return Collector(config.agent, PointEnv(config.engine.num_envs, config.episode_seed, stop_after, kill))

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.compose import check_overrides, compose, load_config
-from hrl_comfort.experiments.measure import COLUMNS
-from hrl_comfort.experiments.training_log import read_provenance
+from hrl_comfort.config.compose import check_overrides, compose, load_config
+from hrl_comfort.evaluation.rollout import COLUMNS
+from hrl_comfort.training.logger import read_provenance
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
@@ -35,8 +35,11 @@ def commands() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("page", "line"), commands())
 def test_every_command_in_the_docs_is_accepted(page: str, line: str) -> None:
     _, verb, *words = shlex.split(line, comments=True)
-    if words[0] in ("meta", "handover"):
-        verb, words = {"meta": "train_meta", "handover": "evaluate"}[words[0]], words[1:]
+    if words[0] in ("meta_controller", "handover"):
+        verb, words = (
+            {"meta_controller": "train_meta_controller", "handover": "evaluate"}[words[0]],
+            words[1:],
+        )
     overrides = [word for word in words if word not in ("-m", "--together")]
     assert check_overrides(verb, overrides, sweep="-m" in words), page
 

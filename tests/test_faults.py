@@ -17,8 +17,8 @@ import torch
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError
-from hrl_comfort.experiments.preemption import Preempted
-from hrl_comfort.experiments.train import train
+from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.trainer import train
 from tests.point_env import make_points, small_config
 
 KILLS = 20
@@ -107,7 +107,7 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: Path, tmp_path: Pa
 def test_who_is_told_to_stop_writes_a_checkpoint_and_goes_on_from_there(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "told"
     assert stopped(folder) < 5
-    assert checkpoint.load(folder / "checkpoints" / "latest.pt")["decisions"] >= 200
+    assert checkpoint.load(folder / "checkpoints" / "latest.pt")["policy_steps"] >= 200
     go_on(folder)
     same_end(folder, whole)
 

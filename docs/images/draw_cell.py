@@ -13,8 +13,8 @@ import imageio.v3 as imageio
 import mujoco
 import numpy as np
 
-from hrl_comfort.compose import compose
-from hrl_comfort.experiments.statistics import column, read_rows
+from hrl_comfort.analysis.intervals import column, read_rows
+from hrl_comfort.config.compose import compose
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 
 EPISODE, STAGE, SHARE = "1", 1, 0.65

@@ -15,7 +15,7 @@ from zipfile import BadZipFile, ZipFile
 import torch
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files import write_atomically
+from hrl_comfort.files.atomic import write_atomically
 
 FORMAT = "hrl-comfort checkpoint"
 DAMAGED = (
@@ -64,9 +64,9 @@ def load(path: Path) -> dict[str, Any]:
     return state
 
 
-def step_path(folder: Path, decisions: int) -> Path:
+def step_path(folder: Path, policy_steps: int) -> Path:
     """Return the name of the light checkpoint after so many decisions."""
-    return folder / f"step_{decisions:09d}.pt"
+    return folder / f"step_{policy_steps:09d}.pt"
 
 
 def steps(folder: Path) -> list[Path]:

@@ -47,7 +47,7 @@ class Batch:
 
 
 class Sampler(Protocol):
-    """Draws actions."""
+    """EpisodeSampler actions."""
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (B, A) and their log-probability (B,) for standard normal `noise` (B, A)."""
@@ -100,9 +100,7 @@ def terms_of(losses: tuple[Tensor, ...], log_alpha: Tensor) -> Tensor:
     return torch.stack([each.detach() for each in scalars])
 
 
-def imitation_loss(
-    observation: Tensor, action: Tensor, value: Tensor, actor: Actor, critics: TwinCritics
-) -> Tensor:
+def bc_loss(observation: Tensor, action: Tensor, value: Tensor, actor: Actor, critics: TwinCritics) -> Tensor:
     """Return the squared distance of the actor's mode from actions of a guide, where those are better.
 
     Behaviour cloning behind a filter (Nair et al. 2018, arXiv:1709.10089, section IV-C): only where the less
@@ -123,7 +121,7 @@ def _device(name: str) -> torch.device:
 
 
 @contextmanager
-def products(precision: str) -> Iterator[None]:
+def matmul_precision(precision: str) -> Iterator[None]:
     """Let float32 matrix products be computed at this inner precision, and as before afterwards."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(precision)
@@ -138,12 +136,11 @@ def _check_memory(transitions: int, numbers: int) -> None:
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > there:
         raise ConfigError(
-            f"agent.buffer_size={transitions} takes {needed / 1e9:.0f} GB; "
-            f"this machine has {there / 1e9:.0f} GB"
+            f"agent.buffer_size={transitions} takes {needed / 1e9:.0f} GB; this machine has {there / 1e9:.0f} GB"
         )
 
 
-class Sac:
+class SAC:
     """The learner: networks, their targets, the entropy coefficient, one optimiser and the replay buffer.
 
     Its `generator` goes on from torch's global random state as it is once the networks have been drawn, and
@@ -179,9 +176,7 @@ class Sac:
         self._target_parameters: list[Tensor] = list(self.targets.parameters())
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
-        self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.buffer_size, device=self.device)
-        )
+        self.buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(config.buffer_size, device=self.device))
         self.updates = 0
         self.generator = torch.Generator()
         self.generator.set_state(torch.get_rng_state())
@@ -200,7 +195,7 @@ class Sac:
         next_observation: Tensor,
         terminated: Tensor,
         steps: Tensor,
-        guided: Tensor | None = None,
+        demonstrated: Tensor | None = None,
     ) -> None:
         """Store N transitions: (N, D), (N, A), (N,) reward, (N, D), (N,) bool, (N,) control steps taken.
 
@@ -208,7 +203,7 @@ class Sac:
         action is a guide's; none is, if not given.
         """
         self.normaliser.update(observation.to(self.device))
-        guided = torch.zeros_like(terminated) if guided is None else guided
+        demonstrated = torch.zeros_like(terminated) if demonstrated is None else demonstrated
         discount = torch.where(terminated, 0.0, self.config.gamma ** steps.float())
         self.buffer.extend(
             TensorDict(
@@ -218,7 +213,7 @@ class Sac:
                     "reward": reward.float(),
                     "next_observation": next_observation,
                     "discount": discount,
-                    "guided": guided,
+                    "demonstrated": demonstrated,
                 },
                 batch_size=[len(observation)],
             )
@@ -230,11 +225,11 @@ class Sac:
         Raises:
             TrainingDiverged: a term is not finite; the parameters are left as they were.
         """
-        with products(self.config.products):
+        with matmul_precision(self.config.matmul_precision):
             return self._update()
 
     def _update(self) -> dict[str, float]:
-        batch, guided, noise, next_noise = self.draw()
+        batch, demonstrated, noise, next_noise = self.draw()
         losses = sac_losses(
             batch,
             self.actor,
@@ -249,13 +244,13 @@ class Sac:
         self.optimiser.zero_grad(set_to_none=True)
         critic_loss, actor_loss, alpha_loss, *_ = losses
         loss = critic_loss
-        if self.updates >= self.config.critic_first_updates:
-            loss = loss + actor_loss + alpha_loss + self._imitation(batch, guided)
+        if self.updates >= self.config.critic_warmup_updates:
+            loss = loss + actor_loss + alpha_loss + self._bc_loss(batch, demonstrated)
         loss.backward()
         self.optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self.config.tau)
-            torch._foreach_lerp_(self._average_parameters, self._actor_parameters, self.config.actor_tau)
+            torch._foreach_lerp_(self._average_parameters, self._actor_parameters, self.config.ema_rate)
         self.updates += 1
         return terms
 
@@ -273,7 +268,7 @@ class Sac:
             discount=sample["discount"],
         )
         noise, next_noise = torch.randn(2, *batch.action.shape, generator=self.generator).to(self.device)
-        return batch, sample["guided"], noise, next_noise
+        return batch, sample["demonstrated"], noise, next_noise
 
     def checked(self, values: Sequence[float]) -> dict[str, float]:
         """Return the values of `TERMS` by name.
@@ -287,16 +282,16 @@ class Sac:
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         return terms
 
-    def _imitation(self, batch: Batch, guided: Tensor) -> Tensor | float:
-        """Return the weighted `imitation_loss` of the guided transitions, per transition of the batch."""
-        rows = guided.nonzero()[:, 0]
+    def _bc_loss(self, batch: Batch, demonstrated: Tensor) -> Tensor | float:
+        """Return the weighted `bc_loss` of the guided transitions, per transition of the batch."""
+        rows = demonstrated.nonzero()[:, 0]
         if not len(rows):
             return 0.0
         observation, action = batch.observation[rows], batch.action[rows]
         with torch.no_grad():
             value = self.critics(observation, action)
-        loss = imitation_loss(observation, action, value, self.actor, self.critics)
-        return self.config.imitation * loss / len(guided)
+        loss = bc_loss(observation, action, value, self.actor, self.critics)
+        return self.config.bc_weight * loss / len(demonstrated)
 
     def networks_state(self) -> dict[str, Any]:
         """Return the learnt tensors.
@@ -314,9 +309,7 @@ class Sac:
         for part in ("actor", "critics"):
             for name, tensor in state[part].items():
                 if not tensor.isfinite().all():
-                    raise TrainingDiverged(
-                        f"training diverged at update {self.updates}: {part} {name} is not finite"
-                    )
+                    raise TrainingDiverged(f"training diverged at update {self.updates}: {part} {name} is not finite")
         return state
 
     def policy_state(self) -> dict[str, Any]:
@@ -351,10 +344,8 @@ class Sac:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`, in a learner that has stored nothing yet."""
         self.load_networks(state["networks"])
-        # Checkpoints from before there was a mean kept the newest actor, as actor_tau = 1 does.
-        self.average.load_state_dict(state.get("average", state["networks"]["actor"]))
+        self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates = state["updates"]
-        if "generator" in state:  # older checkpoints have it beside the learner, as `rng`
-            self.generator.set_state(state["generator"])
+        self.generator.set_state(state["generator"])
         load_replay(self.buffer, state)

@@ -55,7 +55,7 @@ def comfort_reward(config: ComfortConfig, max_step_deg: float) -> Change:
     return term
 
 
-def limit_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tensor:
+def max_episode_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tensor:
     """Return the time limit (N,) in control steps at levels (N,).
 
     Where speed counts (beta > 0) it grows with 1 / threshold of F_conf2, so that slow is possible.
@@ -65,9 +65,9 @@ def limit_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tensor:
     return torch.ceil(limit * config.levels / level).to(torch.int64)
 
 
-def longest_limit_steps(limit: int, config: ComfortConfig) -> int:
+def longest_max_episode_steps(limit: int, config: ComfortConfig) -> int:
     """Return the time limit at level 1, the longest there is, in control steps."""
-    return int(limit_steps(torch.ones(1, dtype=torch.float64), limit, config))
+    return int(max_episode_steps(torch.ones(1, dtype=torch.float64), limit, config))
 
 
 def increment(before: State, after: State) -> Tensor:

@@ -190,7 +190,5 @@ def make_source(config: ComfortConfig, rows: int) -> Source:
       ConfigError: no such source, a bad recording, or a stream that cannot be opened.
     """
     if config.source not in SOURCES:
-        raise ConfigError(
-            f"comfort.source={config.source!r} is not allowed; choose one of {', '.join(SOURCES)}"
-        )
+        raise ConfigError(f"comfort.source={config.source!r} is not allowed; choose one of {', '.join(SOURCES)}")
     return SOURCES[config.source](config, rows)

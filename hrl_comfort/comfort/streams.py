@@ -81,9 +81,7 @@ class Signal:
         if self._smooth is None or now - self.last_good_s > stream.stall_s or stream.smoothing_s == 0:
             self._smooth = share
         else:
-            self._smooth += (share - self._smooth) * -math.expm1(
-                (self.last_good_s - now) / stream.smoothing_s
-            )
+            self._smooth += (share - self._smooth) * -math.expm1((self.last_good_s - now) / stream.smoothing_s)
         self.last_good_s = now
 
     def _warn(self, kind: str, what: str) -> None:
@@ -144,8 +142,7 @@ class Lsl:
         found = pylsl.resolve_byprop("name", name, timeout=config.stream.stall_s)
         if not found:
             raise ConfigError(
-                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within "
-                f"{config.stream.stall_s:g} s"
+                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within {config.stream.stall_s:g} s"
             )
         self._inlet = pylsl.StreamInlet(found[0], recover=True)
         self._inlet.open_stream(timeout=config.stream.stall_s)

@@ -85,17 +85,17 @@ def bounded(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
 
     The project's own. Never positive, so nothing is gained by staying anywhere; and it draws a robot nearer
     whose person is at ease, where forms that only push away leave it where the task takes it. To it comes
-    -haste (C_l - 1) / (N_c - 1) a step: who is at ease would rather have it done soon.
+    -time_penalty (C_l - 1) / (N_c - 1) a step: who is at ease would rather have it done soon.
     """
     off = (distance - theta).abs() / (config.max_m - config.min_m)
     return -off.clamp(max=1.0).pow(config.power)
 
 
 def eased(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
-    """`bounded`, but beyond theta |d - theta| counts w times, w = (d_max - theta) / (d_max - d_min).
+    """`target_distance`, but beyond theta |d - theta| counts w times, w = (d_max - theta) / (d_max - d_min).
 
     The project's own: who is least at ease minds no robot that is farther than need be. With
-    `threshold=levels`, w is (C_l - 1) / (N_c - 1). `haste` comes to it as to `bounded`.
+    `threshold=levels`, w is (C_l - 1) / (N_c - 1). `time_penalty` comes to it as to `target_distance`.
     """
     span = config.max_m - config.min_m
     weight = torch.where(distance < theta, 1.0, ((config.max_m - theta) / span).clamp(0.0, 1.0))
@@ -108,17 +108,17 @@ FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {
     "reference": reference,
     "linear": linear,
     "logarithmic": logarithmic,
-    "bounded": bounded,
-    "eased": eased,
+    "target_distance": bounded,
+    "target_distance_one_sided": eased,
 }
-HASTY = ("bounded", "eased")
-"""Forms to which `haste` comes."""
+HASTY = ("target_distance", "target_distance_one_sided")
+"""Forms to which `time_penalty` comes."""
 
 
 def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Tensor:
     """F_conf1 (...,) of distance (...,) m at level (...,), in the form and with the threshold of `config`."""
     term = FORMS[config.form](distance, THRESHOLDS[config.threshold](level, config), config)
-    return term - config.haste * ease(level, config) if config.form in HASTY else term
+    return term - config.time_penalty * ease(level, config) if config.form in HASTY else term
 
 
 # ---- F_conf2, by joint increment -----------------------------------------------------------------------
@@ -162,9 +162,7 @@ def speed_term(increment: Tensor, level: Tensor, max_step_deg: float, config: Co
 # ---- together ------------------------------------------------------------------------------------------
 
 
-def comfort(
-    distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig
-) -> Tensor:
+def comfort(distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:
     """F_comfort = alpha F_conf1 + beta F_conf2, Eq. 4, before `comfort.scale`."""
     total = torch.zeros_like(distance)
     if config.alpha:

@@ -15,30 +15,30 @@ from hrl_comfort.config.commands import (
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
-    MetaTrainConfig,
+    MetaControllerTrainConfig,
     ReportConfig,
     TrainConfig,
 )
 from hrl_comfort.config.constants import (
     CONTROL_STEP_S,
-    ENDINGS_SEED,
     EVALUATION_EPISODES,
     FAR_AWAY_M,
     FIRST_SEED,
+    TERMINAL_STATES_SEED,
 )
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
-from hrl_comfort.config.meta import MetaAgentConfig, MetaConfig
+from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.task import PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [
     "CONTROL_STEP_S",
     "DISTURBANCES",
-    "ENDINGS_SEED",
     "EVALUATION_EPISODES",
     "FAR_AWAY_M",
     "FIGURES",
     "FIRST_SEED",
+    "TERMINAL_STATES_SEED",
     "AgentConfig",
     "CellConfig",
     "ComfortConfig",
@@ -49,9 +49,9 @@ __all__ = [
     "EvaluateConfig",
     "FigureConfig",
     "HumanConfig",
-    "MetaAgentConfig",
-    "MetaConfig",
-    "MetaTrainConfig",
+    "MetaControllerAgentConfig",
+    "MetaControllerConfig",
+    "MetaControllerTrainConfig",
     "PrecisionConfig",
     "ReportConfig",
     "RewardConfig",

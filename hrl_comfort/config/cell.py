@@ -44,12 +44,12 @@ class CellConfig:
 class EngineConfig:
     """The batched simulation."""
 
-    rows: int
+    num_envs: int
     threads: int
     substeps: int
     """Physics steps a control step of 20 ms."""
 
     def __post_init__(self) -> None:
-        between("engine.rows", self.rows, 1, 65536)
+        between("engine.num_envs", self.num_envs, 1, 65536)
         between("engine.threads", self.threads, 1, 256)
         between("engine.substeps", self.substeps, 1, 100)

@@ -8,7 +8,7 @@ from itertools import pairwise
 from hrl_comfort.config.checks import ConfigError, between, one_of, point
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
-FORMS = ("paper", "reference", "linear", "logarithmic", "bounded", "eased")
+FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
 LATEST_S = 1e9
@@ -91,9 +91,9 @@ class ComfortConfig:
     max_m: float
     """Range of distances, d_min and d_max of the threshold."""
     power: float
-    """`form=bounded`: 1 weighs every centimetre from the preferred distance alike, 2 the far ones more."""
-    haste: float
-    """`form=bounded`: what a control step costs beside somebody wholly at ease, before alpha and scale."""
+    """`form=target_distance`: 1 weighs every centimetre from the preferred distance alike, 2 the far ones more."""
+    time_penalty: float
+    """`form=target_distance`: what a control step costs beside somebody wholly at ease, before alpha and scale."""
     alpha: float
     """Weight of the distance term, F_conf1."""
     beta: float
@@ -112,9 +112,7 @@ class ComfortConfig:
         if self.level is not None:
             between("comfort.level", self.level, 1, self.levels)
             if self.source != "fixed":
-                raise ConfigError(
-                    f"comfort.level={self.level} goes with comfort.source=fixed, not {self.source}"
-                )
+                raise ConfigError(f"comfort.level={self.level} goes with comfort.source=fixed, not {self.source}")
         between("comfort.change_s", self.change_s, 0.1, 3600.0)
         self._check_schedule()
         if self.source == "file" and self.file is None:
@@ -125,7 +123,7 @@ class ComfortConfig:
         between("comfort.max_m", self.max_m, 0.01, 10.0)
         between("comfort.min_m", self.min_m, 0.0, self.max_m - 0.001)
         between("comfort.power", self.power, 0.5, 8.0)
-        between("comfort.haste", self.haste, 0.0, 10.0)
+        between("comfort.time_penalty", self.time_penalty, 0.0, 10.0)
         between("comfort.alpha", self.alpha, 0.0, 1.0)
         between("comfort.beta", self.beta, 0.0, 1.0)
         one_of("comfort.speed_form", self.speed_form, SPEED_FORMS)
@@ -138,9 +136,7 @@ class ComfortConfig:
         if self.source == "schedule" and not times:
             raise ConfigError("comfort.schedule_s=[] must hold times, the first 0, such as [0,2]")
         if len(times) != len(levels):
-            raise ConfigError(
-                f"comfort.schedule_levels={levels} must be as many as comfort.schedule_s={times}"
-            )
+            raise ConfigError(f"comfort.schedule_levels={levels} must be as many as comfort.schedule_s={times}")
         point("comfort.schedule_s", times, len(times), LATEST_S)
         if times and (times[0] != 0 or any(after <= before for before, after in pairwise(times))):
             raise ConfigError(f"comfort.schedule_s={times} must start at 0 and rise")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, one_of
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import ENDINGS_SEED, EVALUATION_EPISODES, FIRST_SEED
+from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
-from hrl_comfort.config.meta import MetaAgentConfig, MetaConfig
+from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.task import RewardConfig, TaskConfig
 
 
@@ -29,7 +29,7 @@ class EnvConfig:
 
 def _check_seeds(train_seed: int, episode_seed: int) -> None:
     between("train_seed", train_seed, 0, 2**63 - 1)
-    between("episode_seed", episode_seed, 0, ENDINGS_SEED - 1)
+    between("episode_seed", episode_seed, 0, TERMINAL_STATES_SEED - 1)
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class TrainConfig:
     """policy.pt or run folder whose actor, critics and normaliser training starts from."""
 
     def __post_init__(self) -> None:
-        between("agent.buffer_size", self.agent.buffer_size, self.engine.rows, 1e8)
-        between("agent.guided_rows", self.agent.guided_rows, 0, self.engine.rows - 1)
+        between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
+        between("agent.demonstrator_envs", self.agent.demonstrator_envs, 0, self.engine.num_envs - 1)
         _check_seeds(self.train_seed, self.episode_seed)
 
 
@@ -64,8 +64,8 @@ DISTURBANCES = ("none", "drop", "block")
 
 
 @dataclass(frozen=True)
-class MetaTrainConfig:
-    """`hrl-comfort train meta`: a controller above frozen policies."""
+class MetaControllerTrainConfig:
+    """`hrl-comfort train meta_controller`: a controller above frozen policies."""
 
     robot: RobotConfig
     cell: CellConfig
@@ -74,8 +74,8 @@ class MetaTrainConfig:
     task: TaskConfig
     reward: RewardConfig
     engine: EngineConfig
-    meta: MetaConfig
-    meta_agent: MetaAgentConfig
+    meta_controller: MetaControllerConfig
+    meta_controller_agent: MetaControllerAgentConfig
     policies: dict[str, str]
     """Subtask name to policy."""
     disturbance: str
@@ -90,10 +90,12 @@ class MetaTrainConfig:
         one_of("disturbance", self.disturbance, DISTURBANCES)
         if self.task.name != "sort":
             raise ConfigError(
-                f"task.name={self.task.name!r} leaves nothing to choose; train meta takes task=sort"
+                f"task.name={self.task.name!r} leaves nothing to choose; train meta_controller takes task=sort"
             )
-        if self.meta.name != "learned":
-            raise ConfigError(f"meta.name={self.meta.name!r} learns nothing; choose meta=learned")
+        if self.meta_controller.name != "learned":
+            raise ConfigError(
+                f"meta_controller.name={self.meta_controller.name!r} learns nothing; choose meta_controller=learned"
+            )
         _check_seeds(self.train_seed, self.episode_seed)
 
 
@@ -112,9 +114,9 @@ class EvaluateConfig:
     task: TaskConfig
     reward: RewardConfig
     engine: EngineConfig
-    meta: MetaConfig
+    meta_controller: MetaControllerConfig
     policy: str | None
-    """Run folder, checkpoint, policy file, `expert`, `field` or `random`; not used with a meta-controller."""
+    """Run folder, checkpoint, policy file, `expert`, `potential_field` or `random`; not used with a meta-controller."""
     policies: dict[str, str]
     """Subtask name to policy, for a meta-controller."""
     checkpoints: str
@@ -129,7 +131,7 @@ class EvaluateConfig:
     """Write paths.csv."""
     disturbance: str
     """What goes wrong on purpose, once an episode: `none`, `drop` or `block` (`sim.disturbance`)."""
-    endings: str | None
+    terminal_states: str | None
     """Instead, write how the joints were when episodes drawn as in training succeeded to this .npz: angles,
     velocities and servo targets, the starts of the next subtask."""
     output: str
@@ -139,18 +141,20 @@ class EvaluateConfig:
         one_of("disturbance", self.disturbance, DISTURBANCES)
         if self.disturbance != "none":
             self._check_disturbance()
-        chained = self.meta.name != "none"
+        chained = self.meta_controller.name != "none"
         if chained and self.policy is not None:
             raise ConfigError(
-                f"policy={self.policy!r} does not go with meta={self.meta.name}; give policies.*"
+                f"policy={self.policy!r} does not go with meta_controller={self.meta_controller.name}; give policies.*"
             )
         if self.policies and not chained:
-            raise ConfigError("policies.* go with a meta-controller: meta=scripted")
-        if self.checkpoints == "all" and (chained or self.record or self.endings is not None):
-            raise ConfigError("checkpoints=all goes with meta=none, record=false and without endings=")
+            raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
+        if self.checkpoints == "all" and (chained or self.record or self.terminal_states is not None):
+            raise ConfigError(
+                "checkpoints=all goes with meta_controller=none, record=false and without terminal_states="
+            )
         if self.levels:
             self._check_levels()
-        between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.endings is None else 10**6)
+        between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.terminal_states is None else 10**6)
         between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
 
     def _check_disturbance(self) -> None:
@@ -160,11 +164,9 @@ class EvaluateConfig:
                 f"is not one of {', '.join(HOLDING)}"
             )
         if self.disturbance == "block" and self.human.motion in ("none", "playback"):
-            raise ConfigError(
-                f"disturbance=block needs a person who can stand; not human={self.human.motion}"
-            )
-        if self.endings is not None:
-            raise ConfigError(f"disturbance={self.disturbance} does not go with endings=")
+            raise ConfigError(f"disturbance=block needs a person who can stand; not human={self.human.motion}")
+        if self.terminal_states is not None:
+            raise ConfigError(f"disturbance={self.disturbance} does not go with terminal_states=")
 
     def _check_levels(self) -> None:
         levels, source = list(self.levels), self.comfort.source
@@ -173,11 +175,9 @@ class EvaluateConfig:
         if len(set(levels)) < len(levels):
             raise ConfigError(f"levels={levels} names a level twice")
         if source not in ("none", "fixed", "random"):
-            raise ConfigError(
-                f"levels={levels} does not go with comfort.source={source}; choose none, fixed or random"
-            )
-        if self.endings is not None:
-            raise ConfigError(f"levels={levels} does not go with endings=; choose a comfort.source")
+            raise ConfigError(f"levels={levels} does not go with comfort.source={source}; choose none, fixed or random")
+        if self.terminal_states is not None:
+            raise ConfigError(f"levels={levels} does not go with terminal_states=; choose a comfort.source")
         if self.checkpoints == "all":
             raise ConfigError(f"levels={levels} does not go with checkpoints=all; choose a comfort.source")
 

@@ -41,7 +41,7 @@ class HumanConfig:
     arc_deg: float
     arc_steps: int
     speed_m_s: float
-    """`approach`, `work`, `rounds`: walking speed."""
+    """`approach`, `work`, `patrol`: walking speed."""
     file: str | None
     """`playback`: CSV of t, x, y, yaw in s, m, m, rad, cell frame."""
     clipping: str
@@ -49,9 +49,9 @@ class HumanConfig:
     """True hides the human from the policy: it sees one standing far away."""
     stations_m: list[list[float]]
     """`work`: places (x, y) of which the one nearest to the spawn point is where the person works, metres;
-    `rounds`: all of which they work at."""
+    `patrol`: all of which they work at."""
     stay_s: float
-    """`rounds`: mean time at a place, s."""
+    """`patrol`: mean time at a place, s."""
 
     def __post_init__(self) -> None:
         one_of("human.clipping", self.clipping, CLIPPINGS)
@@ -79,9 +79,9 @@ class HumanConfig:
         for i, station in enumerate(self.stations_m):
             point(f"human.stations_m[{i}]", station, 2)
         between("human.stay_s", self.stay_s, 0.1, 3600.0)
-        if self.motion in ("work", "rounds") and not self.stations_m:
+        if self.motion in ("work", "patrol") and not self.stations_m:
             raise ConfigError(f"human.stations_m=[]: motion={self.motion} needs at least one place")
-        if self.motion == "rounds" and self.speed_m_s == 0.0:
-            raise ConfigError("human.speed_m_s=0: motion=rounds walks; choose a speed above 0")
+        if self.motion == "patrol" and self.speed_m_s == 0.0:
+            raise ConfigError("human.speed_m_s=0: motion=patrol walks; choose a speed above 0")
         if self.motion == "playback" and self.file is None:
             raise ConfigError("human.file=null: motion=playback needs a CSV of t,x,y,yaw")

@@ -8,12 +8,12 @@ from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
 CURRICULA = ("off", "linear", "adaptive")
 DEVICES = ("cpu", "cuda")
-PRODUCTS = ("highest", "high", "medium")
+MATMUL_PRECISIONS = ("highest", "high", "medium")
 
 
 @dataclass(frozen=True)
 class CurriculumConfig:
-    """Precision schedule. `task.precision.take_m` follows it, leave and home keep their ratio to it."""
+    """Precision schedule. `task.precision.grasp_tolerance_m` follows it, leave and home keep their ratio to it."""
 
     kind: str
     start_m: float
@@ -40,19 +40,19 @@ class CurriculumConfig:
 class AgentConfig:
     """Soft actor-critic (Haarnoja et al. 2018), the paper's network and rates by default."""
 
-    decisions: int
+    policy_steps: int
     """Policy calls to train for, over all rows."""
-    warmup_decisions: int
+    learning_starts: int
     """Uniformly random decisions before the first update."""
-    updates_per_decision: float
-    critic_first_updates: int
+    updates_per_policy_step: float
+    critic_warmup_updates: int
     """Updates in which the critics learn alone. Where training goes on from a policy under other rewards, the
     old critics would spoil it first."""
     batch_size: int
     buffer_size: int
     learning_rate: float
     tau: float
-    actor_tau: float
+    ema_rate: float
     """Share of the newest actor, at each update, in the mean that policy files keep (Polyak and Juditsky
     1992); 1 keeps the newest."""
     gamma: float
@@ -64,19 +64,17 @@ class AgentConfig:
     normalise: bool
     device: str
     """Where the learner's networks and buffer live; the cells are simulated on the CPU."""
-    products: str
+    matmul_precision: str
     """Inner precision of the learner's float32 matrix products (`torch.set_float32_matmul_precision`)."""
-    guide: str | None
-    """Who acts in `guided_rows`: `field`, `expert` or a policy. What it does is remembered as what is done
-    otherwise: a way that exploration does not find."""
-    guided_rows: int
-    """Of `engine.rows`; they count in no success share and in no row of metrics.csv."""
-    imitation: float
+    demonstrator: str | None
+    """Policy that acts in `demonstrator_envs` environments: `potential_field`, `expert` or a run folder. Transitions
+    go to the replay buffer like all others."""
+    demonstrator_envs: int
+    """Of `engine.num_envs`; they count in no success share and in no row of metrics.csv."""
+    bc_weight: float
     """Weight of the actor's squared distance from the guide's action, where the critics prefer that."""
-    successor: str | None
+    next_skill: str | None
     """The policy that takes over where this one succeeds: what that is worth to it counts as well."""
-    cells_apart: bool
-    """Step the cells in a process of their own while the learner learns. The bits are the same without."""
     log_every: int
     """Decisions between two rows of metrics.csv."""
     checkpoint_every: int
@@ -84,31 +82,32 @@ class AgentConfig:
     keep_checkpoints: int
 
     def __post_init__(self) -> None:
-        between("agent.decisions", self.decisions, 1, 1e9)
-        between("agent.warmup_decisions", self.warmup_decisions, 0, 1e8)
-        between("agent.updates_per_decision", self.updates_per_decision, 0.0, 16.0)
-        between("agent.critic_first_updates", self.critic_first_updates, 0, 1e9)
+        between("agent.policy_steps", self.policy_steps, 1, 1e9)
+        between("agent.learning_starts", self.learning_starts, 0, 1e8)
+        between("agent.updates_per_policy_step", self.updates_per_policy_step, 0.0, 16.0)
+        between("agent.critic_warmup_updates", self.critic_warmup_updates, 0, 1e9)
         between("agent.batch_size", self.batch_size, 1, 65536)
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
         between("agent.tau", self.tau, 0.0, 1.0)
-        between("agent.actor_tau", self.actor_tau, 1e-6, 1.0)
+        between("agent.ema_rate", self.ema_rate, 1e-6, 1.0)
         between("agent.gamma", self.gamma, 0.0, 1.0)
         widths("agent.hidden", self.hidden)
         between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
         between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
         one_of("agent.device", self.device, DEVICES)
-        one_of("agent.products", self.products, PRODUCTS)
-        between("agent.guided_rows", self.guided_rows, 0, 65535)
-        if self.guide == "":
-            raise ConfigError("agent.guide='' names nobody; say agent.guide=null for none")
-        if (self.guide is None) != (self.guided_rows == 0):
+        one_of("agent.matmul_precision", self.matmul_precision, MATMUL_PRECISIONS)
+        between("agent.demonstrator_envs", self.demonstrator_envs, 0, 65535)
+        if self.demonstrator == "":
+            raise ConfigError("agent.demonstrator='' names nobody; say agent.demonstrator=null for none")
+        if (self.demonstrator is None) != (self.demonstrator_envs == 0):
             raise ConfigError(
-                f"agent.guided_rows={self.guided_rows} does not go with agent.guide={self.guide}"
+                f"agent.demonstrator_envs={self.demonstrator_envs} does not go with "
+                f"agent.demonstrator={self.demonstrator}"
             )
-        if self.successor == "":
-            raise ConfigError("agent.successor='' names nobody; say agent.successor=null for none")
-        between("agent.imitation", self.imitation, 0.0, 1e6)
+        if self.next_skill == "":
+            raise ConfigError("agent.next_skill='' names nobody; say agent.next_skill=null for none")
+        between("agent.bc_weight", self.bc_weight, 0.0, 1e6)
         between("agent.log_every", self.log_every, 1, 1e9)
         between("agent.checkpoint_every", self.checkpoint_every, 1, 1e9)
         between("agent.keep_checkpoints", self.keep_checkpoints, 1, 1000)

@@ -16,14 +16,14 @@ OBSERVATIONS = ("default", "paper")
 class PrecisionConfig:
     """How near counts as done."""
 
-    take_m: float
-    leave_m: float
-    home_deg: float
+    grasp_tolerance_m: float
+    place_tolerance_m: float
+    home_tolerance_deg: float
 
     def __post_init__(self) -> None:
-        between("task.precision.take_m", self.take_m, 0.005, 0.5)
-        between("task.precision.leave_m", self.leave_m, 0.005, 0.5)
-        between("task.precision.home_deg", self.home_deg, 0.1, 60.0)
+        between("task.precision.grasp_tolerance_m", self.grasp_tolerance_m, 0.005, 0.5)
+        between("task.precision.place_tolerance_m", self.place_tolerance_m, 0.005, 0.5)
+        between("task.precision.home_tolerance_deg", self.home_tolerance_deg, 0.1, 60.0)
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,11 @@ class TaskConfig:
     ball_jitter_m: float
     """A ball lies within this of its slot along x and y."""
     precision: PrecisionConfig
-    limit_steps: int
+    max_episode_steps: int
     """Control steps of 20 ms after which an episode is truncated."""
-    option_limit_steps: int
-    """What `meta.time_limit_steps` is, unless that is set: control steps. It is the task's, for an evaluation
-    takes the task over from the training of what it evaluates, and the controller it is given anew."""
-    steps_per_decision: int
+    max_option_steps: int
+    """Default of `meta_controller.time_limit_steps`, control steps."""
+    action_repeat: int
     max_step_deg: float
     """Largest joint increment a control step."""
     max_step_m: float
@@ -60,7 +59,7 @@ class TaskConfig:
     """`point_to_point`: fixed second point."""
     start: str
     """Where place and return start: `ik`, or the path of recorded endings (.npz), replayed in motion."""
-    start_anew: float
+    resample_start_probability: float
     """Training: fraction of recorded starts with a person and a level drawn anew, not those recorded."""
 
     def __post_init__(self) -> None:
@@ -77,10 +76,10 @@ class TaskConfig:
         one_of("task.action", self.action, ACTIONS)
         one_of("task.observation", self.observation, OBSERVATIONS)
         one_of("task.point", self.point, POINTS)
-        between("task.start_anew", self.start_anew, 0.0, 1.0)
-        between("task.limit_steps", self.limit_steps, 1, 100_000)
-        between("task.option_limit_steps", self.option_limit_steps, 1, 100_000)
-        between("task.steps_per_decision", self.steps_per_decision, 1, 100)
+        between("task.resample_start_probability", self.resample_start_probability, 0.0, 1.0)
+        between("task.max_episode_steps", self.max_episode_steps, 1, 100_000)
+        between("task.max_option_steps", self.max_option_steps, 1, 100_000)
+        between("task.action_repeat", self.action_repeat, 1, 100)
         between("task.max_step_deg", self.max_step_deg, 0.01, 3.6)
         between("task.max_step_m", self.max_step_m, 0.001, 0.05)
         between("task.max_step_rot_deg", self.max_step_rot_deg, 0.01, 10.0)
@@ -103,7 +102,7 @@ class RewardConfig:
     human_collision: float
     other_collision: float
     step: float
-    late: float
+    overtime: float
     return_shaping: float
     k1: float
     """Eq. 1: k1, k2 and k3 multiply the bonuses of pick, place and return."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
 from hrl_comfort.sim.episodes import Episodes
-from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.sim.step_result import StepResult
 
 Array = NDArray[np.float64]
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -59,7 +59,7 @@ class CellTask(control.Task):
 
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
         self.episodes = Episodes(scene, config, rows=1, seed=seed)
-        self.outcome: Outcome | None = None
+        self.outcome: StepResult | None = None
 
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Begin the row's next episode."""
@@ -68,11 +68,11 @@ class CellTask(control.Task):
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
         """Plan the decision."""
-        physics.queue(self.episodes.plan(np.asarray(action, dtype=np.float64)[None])[0])
+        physics.queue(self.episodes.apply_action(np.asarray(action, dtype=np.float64)[None])[0])
 
     def after_step(self, physics: CellPhysics) -> None:
         """Judge it."""
-        self.outcome = self.episodes.absorb(physics.sensed[None])
+        self.outcome = self.episodes.advance(physics.sensed[None])
         substeps = self.episodes.config.engine.substeps
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
 
@@ -103,7 +103,7 @@ class CellTask(control.Task):
 def make_environment(config: EnvConfig, seed: int) -> control.Environment:
     """Return the subtask of `config` as a dm_control environment; its episodes are those of row 0 of `seed`.
 
-    A decision is one `step`; reaching `task.limit_steps` ends an episode with discount 1 (truncation).
+    A decision is one `step`; reaching `task.max_episode_steps` ends an episode with discount 1 (truncation).
     """
     scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
@@ -111,7 +111,7 @@ def make_environment(config: EnvConfig, seed: int) -> control.Environment:
     # dm_control asks for the observation's spec before the first reset: there has to be a state by then.
     task.initialize_episode(physics)
     task.episodes.rewind()
-    decision_s = CONTROL_STEP_S * config.task.steps_per_decision
+    decision_s = CONTROL_STEP_S * config.task.action_repeat
     return control.Environment(physics, task, control_timestep=decision_s)
 
 

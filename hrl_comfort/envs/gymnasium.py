@@ -16,7 +16,7 @@ from torch import Tensor
 from hrl_comfort.comfort.metrics import present
 from hrl_comfort.config import FIRST_SEED, ConfigError, EnvConfig
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float32]
@@ -51,7 +51,7 @@ class _Cells:
         return observed
 
 
-def _columns(outcome: Outcome) -> dict[str, Tensor]:
+def _columns(outcome: StepResult) -> dict[str, Tensor]:
     """Return what `info` tells of a decision, each (N,)."""
     state, valid = outcome.state, outcome.valid
     distance = torch.where(valid, outcome.human_distance, 0.0).sum(dim=1) / outcome.decision_steps
@@ -121,9 +121,7 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: Info | None = None
-    ) -> tuple[Array, Info]:
+    def reset(self, *, seed: int | list[int | None] | None = None, options: Info | None = None) -> tuple[Array, Info]:
         """Begin an episode in every row; row r of seed s is the same however many rows there are.
 
         Raises:

@@ -12,9 +12,9 @@ from torchrl.envs import EnvBase
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.people import EvaluationSet
+from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.sim.step_result import StepResult
 
 
 class CellEnv(EnvBase):
@@ -28,14 +28,12 @@ class CellEnv(EnvBase):
 
     batch_locked = True
 
-    def __init__(
-        self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None
-    ) -> None:
+    def __init__(self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = Engine(config, rows, seed, evaluation)
         self.task_name = config.task.name
         self.reward_names = self.engine.episodes.reward_names
-        self.last: Outcome | None = None
+        self.last: StepResult | None = None
         """What the latest step led to, with every control step."""
         self._make_specs(config)
 
@@ -57,9 +55,7 @@ class CellEnv(EnvBase):
         )
         self.action_spec = Bounded(-1.0, 1.0, shape=(*n, 6), dtype=torch.float32)
         self.reward_spec = Unbounded(shape=(*n, 1), dtype=torch.float32)
-        self.full_done_spec = Composite(
-            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=n
-        )
+        self.full_done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=n)
         self.engine.episodes.rewind()
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:

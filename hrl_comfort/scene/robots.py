@@ -289,7 +289,5 @@ def _add_gripper(flange: mjcf.Element) -> None:
     dark = (0.2, 0.2, 0.22, 1)
     gripper.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, 0.09), size=[radius], rgba=dark)
     for name, side in (("left_finger", FINGER_SPREAD_M), ("right_finger", -FINGER_SPREAD_M)):
-        gripper.add(
-            "geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark
-        )
+        gripper.add("geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark)
     gripper.add("site", name="tcp", pos=(0, 0, TOOL_LENGTH_M), size=[0.005], group=4)

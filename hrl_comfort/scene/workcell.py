@@ -18,9 +18,7 @@ PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
 """Visual mocap bodies after the limbs; those not in use stand at x = FAR_AWAY_M."""
 MOCAP = LIMBS + PROPS
 OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
-CONTROL_SPEC = (
-    mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
-)
+CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 """What a control vector holds: ctrl (6), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
 
 _ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1)
@@ -122,9 +120,7 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
 def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
     """Add floor, pedestal, tables, drop markers, light and cameras."""
     look = {"contype": 0, "conaffinity": 1, "condim": 1}
-    world.add(
-        "light", name="lamp", directional=True, pos=(0.3, -0.6, 3), dir=(-0.1, 0.2, -1), diffuse=(0.5,) * 3
-    )
+    world.add("light", name="lamp", directional=True, pos=(0.3, -0.6, 3), dir=(-0.1, 0.2, -1), diffuse=(0.5,) * 3)
     world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
     world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
     world.add(
@@ -164,9 +160,7 @@ def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> 
             **look,
         )
     for name, colour in (("orange", _ORANGE), ("pink", _PINK)):
-        world.add(
-            "site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3)
-        )
+        world.add("site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3))
 
 
 def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) -> None:

@@ -17,9 +17,7 @@ class CartesianHand:
 
     def __init__(self, scene: Scene, task: TaskConfig) -> None:
         self._configuration = mink.Configuration(scene.model)
-        self._tool = mink.FrameTask(
-            "robot/tcp", "site", position_cost=1.0, orientation_cost=0.2, lm_damping=1e-4
-        )
+        self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.2, lm_damping=1e-4)
         self._limits = [mink.ConfigurationLimit(scene.model)]
         self._task = task
 

@@ -11,10 +11,10 @@ from mujoco import rollout
 from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.people import EvaluationSet
+from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
 from hrl_comfort.sim.episodes import Episodes
-from hrl_comfort.sim.outcome import Outcome
+from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Engine:
     ) -> None:
         self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance)
-        self.rows = rows
+        self.num_envs = rows
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
         self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)
         self.physics = np.zeros((rows, self.scene.nstate))
@@ -42,23 +42,23 @@ class Engine:
 
     def reset(self, rows: NDArray[np.int64] | None = None) -> State:
         """Begin the next episode of `rows` (all by default) and return the state of every row."""
-        rows = np.arange(self.rows) if rows is None else rows
+        rows = np.arange(self.num_envs) if rows is None else rows
         if len(rows):
             start = self.episodes.begin(rows, self._probe)
             self.physics[rows] = self._physics_of(start)
         assert self.episodes.state is not None
         return self.episodes.state
 
-    def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> Outcome:
+    def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Run one decision, action (N, 6) in [-1, 1], and return what it led to.
 
         Of `rows` (r,) alone, where they are given. What the outcome says of the others is void, and they have
         to be reset before they are stepped again.
         """
         at = slice(None) if rows is None else rows
-        control = self.episodes.plan(action)
+        control = self.episodes.apply_action(action)
         states, sensed = self._run(self.physics[at], control[at])
-        outcome = self.episodes.absorb(sensed, rows)
+        outcome = self.episodes.advance(sensed, rows)
         taken = outcome.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
         self.physics[at] = states[np.arange(len(taken)), taken - 1]
         return outcome

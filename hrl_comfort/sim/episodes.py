@@ -1,7 +1,7 @@
 """Episodes of N cells: how they begin, what moves the robot and the human, how they are judged.
 
 Physics is left to the caller (`engine` in batches, `envs.dm` one cell at a time): it runs the controls
-that `plan` returns and hands the sensor readings to `absorb`. All fronts so share one definition of an
+that `apply_action` returns and hands the sensor readings to `advance`. All fronts so share one definition of an
 episode, and every random draw of it comes from (seed, row, episode).
 """
 
@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from hrl_comfort import people
-from hrl_comfort.comfort.adapt import TERM, limit_steps, with_comfort
+from hrl_comfort import humans
+from hrl_comfort.comfort.adapt import TERM, max_episode_steps, with_comfort
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.comfort.sources import Moment, make_source
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig, RewardConfig
-from hrl_comfort.people import EvaluationSet
+from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.arm_distance import ArmDistance
 from hrl_comfort.sim.balls import aimed, drawn, in_stage, noted
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
-from hrl_comfort.sim.draws import ATTEMPTS, DISTURBANCE_STREAM, Draw, Draws
-from hrl_comfort.sim.outcome import Outcome, judge
+from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
+from hrl_comfort.sim.step_result import StepResult, compute_step
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
@@ -71,17 +71,17 @@ class Episodes:
         weights = weights_of(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
-        self.precision_m = config.task.precision.take_m
+        self.precision_m = config.task.precision.grasp_tolerance_m
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
 
-        self.draws = Draws(scene, config, self.subtask, seed, evaluation)
+        self.draws = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
         self._drops = self.draws.goals[1:]
         self._tcp_home: Array | None = None
         self._disturbance = Disturbance(disturbance, rows)
 
         n = rows
         self.episode = np.full(n, -1, dtype=np.int64)
-        self.noise = np.zeros((n, self.draws.horizon, people.NOISE))
+        self.noise = np.zeros((n, self.draws.horizon, humans.NOISE))
         self.source = make_source(config.comfort, n)
         arm = measure_arm or (config.comfort.distance == "arm" and config.comfort.source != "none")
         self._arm = ArmDistance(scene) if arm else None
@@ -95,7 +95,7 @@ class Episodes:
         self.start = np.zeros((n, 18))
         """Angles, velocities and servo targets of the joints at the start (`sim.starts`)."""
         self.steps = np.zeros(n, dtype=np.int64)
-        self.walk = people.begin(config.human, np.zeros((n, 2)))
+        self.walk = humans.begin(config.human, np.zeros((n, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
         self._walks = self.walk
@@ -105,7 +105,7 @@ class Episodes:
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 12): angles rad, velocities rad/s.
 
-        Draws are repeated until the cell begins free of contact and unsolved.
+        EpisodeSampler are repeated until the cell begins free of contact and unsolved.
 
         Raises:
           ConfigError: no such beginning was found.
@@ -119,7 +119,7 @@ class Episodes:
                 self._take(row, next(attempts[row]))
                 self._disturb(int(row))
             self.source.begin(pending)
-            fresh = people.begin(self.config.human, self.walk.spawn[pending])
+            fresh = humans.begin(self.config.human, self.walk.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             limbs = self._limbs(fresh)
             # The control holds the robot and the human where they begin.
@@ -132,9 +132,7 @@ class Episodes:
             pending = pending[bad]
             if not len(pending):
                 return self.start[rows, :12]
-        raise ConfigError(
-            f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts"
-        )
+        raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def rewind(self) -> None:
         """Let each row's next episode be its first again."""
@@ -158,13 +156,13 @@ class Episodes:
 
     # ---- one decision ----------------------------------------------------------------------------------
 
-    def plan(self, action: Array) -> Array:
+    def apply_action(self, action: Array) -> Array:
         """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
 
         Joint targets are ramped at up to `max_step_deg` a control step. The human walks on meanwhile.
         """
         task, substeps = self.config.task, self.config.engine.substeps
-        steps = task.steps_per_decision
+        steps = task.action_repeat
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
@@ -189,7 +187,7 @@ class Episodes:
         assert self.state is not None
         return self._pack(targets, limbs, drawn(self.state, self.subtask))
 
-    def absorb(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> Outcome:
+    def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
 
         A decision ends where its stage or its episode does: whatever acts next, perhaps another policy,
@@ -200,14 +198,14 @@ class Episodes:
         substeps = self.config.engine.substeps
         sensed = sensed[:, substeps - 1 :: substeps].reshape(-1, sensed.shape[-1])
         moving = self._moving(sensed, self._planned) if rows is None else self._moved(sensed, rows)
-        limit = limit_steps(self.state.level, self.config.task.limit_steps, self.config.comfort)
-        outcome = judge(self.subtask, self._weights, limit, self.state, moving)
+        limit = max_episode_steps(self.state.level, self.config.task.max_episode_steps, self.config.comfort)
+        outcome = compute_step(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
         state = noted(outcome.state.with_(level=level), before, self.subtask)
         self.state = self._disturbed(state)
         outcome = replace(outcome, state=self.state)
         steps = self.state.steps.numpy().copy()
-        first = np.arange(self.rows) * self.config.task.steps_per_decision
+        first = np.arange(self.rows) * self.config.task.action_repeat
         self.walk = self._walks.rows(first + np.maximum(steps - self.steps - 1, 0))
         self.steps = steps
         self.joint_target = self.state.joint_target.numpy().copy()
@@ -224,7 +222,7 @@ class Episodes:
 
     # ---- pieces ----------------------------------------------------------------------------------------
 
-    def _walked(self, times: NDArray[np.int64]) -> people.Walk:
+    def _walked(self, times: NDArray[np.int64]) -> humans.Walk:
         """Return everybody's walk, N * K rows, over the control steps that begin at `times` (N, K)."""
         assert self.state is not None
         keep_out, tcp = self.draws.keep_out(self.points), self.state.tcp_pos.numpy()[:, :2]
@@ -232,20 +230,20 @@ class Episodes:
         noise = self.noise[np.arange(self.rows)[:, None], np.minimum(times, self.noise.shape[1] - 1)]
         walk, walks = self.walk, []
         for k in range(times.shape[1]):
-            before, walk = walk, people.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
+            before, walk = walk, humans.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
             standing = np.flatnonzero(stands[:, k])
             walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
             walks.append(walk)
-        return people.Walk.along(walks)
+        return humans.Walk.along(walks)
 
-    def _limbs(self, walk: people.Walk) -> Array:
+    def _limbs(self, walk: humans.Walk) -> Array:
         """Return the limb poses (n, 5, 7) of n people."""
-        phase, swing = people.gait(walk)
+        phase, swing = humans.gait(walk)
         x, y = walk.position.T
         return limb_poses(x, y, walk.yaw, phase, swing, self.scene.floor_z)
 
     def _seen(self, position: Array) -> Array:
-        return people.seen_position(self.config.human, position, self.draws.spawns)
+        return humans.seen_position(self.config.human, position, self.draws.spawns)
 
     def _pack(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
@@ -279,7 +277,7 @@ class Episodes:
         lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
         return state.with_(stage=state.stage - lost.long())
 
-    def _next_level(self, outcome: Outcome) -> Tensor:
+    def _next_level(self, outcome: StepResult) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
         assert self.state is not None
         if self.config.comfort.source == "none":
@@ -322,7 +320,7 @@ class Episodes:
 
     def _moved(self, sensed: Array, rows: NDArray[np.int64]) -> dict[str, Tensor]:
         """Return what `_moving` does, (N * K, ...), from readings (r * K, nsensor) of `rows` (r,)."""
-        count = self.config.task.steps_per_decision
+        count = self.config.task.action_repeat
         at = (rows[:, None] * count + np.arange(count)).reshape(-1)
         moving = self._moving(sensed, {name: value[at] for name, value in self._planned.items()})
         for name, value in moving.items():
@@ -330,7 +328,7 @@ class Episodes:
             moving[name] = still.index_copy(0, torch.from_numpy(at), value)
         return moving
 
-    def _begun(self, rows: NDArray[np.int64], walk: people.Walk, limbs: Array, sensed: Array) -> State:
+    def _begun(self, rows: NDArray[np.int64], walk: humans.Walk, limbs: Array, sensed: Array) -> State:
         """Return the first instant of the episodes of `rows` (r,), whose people are at `walk`."""
         n, task = len(rows), self.config.task
         planned = {
@@ -341,7 +339,7 @@ class Episodes:
             "steps": np.zeros(n, dtype=np.int64),
             "limbs": limbs,
         }
-        scale = self.precision[rows] / task.precision.take_m
+        scale = self.precision[rows] / task.precision.grasp_tolerance_m
 
         def constant(value: Array) -> Tensor:
             return torch.from_numpy(value).repeat(n, 1)
@@ -363,8 +361,8 @@ class Episodes:
             level=torch.from_numpy(self.source.level[rows].copy()),
             stage=torch.zeros(n, dtype=torch.int64),
             take=torch.from_numpy(self.precision[rows].copy()),
-            leave=torch.from_numpy(scale * task.precision.leave_m),
-            home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_deg)),
+            leave=torch.from_numpy(scale * task.precision.place_tolerance_m),
+            home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_tolerance_deg)),
         )
 
     def _put(self, rows: NDArray[np.int64], fresh: State) -> None:
@@ -406,7 +404,7 @@ class Episodes:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.precision_m = saved["precision_m"]
-        self.walk = people.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
+        self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])
         if "disturbance" in saved:  # it came later

@@ -39,7 +39,7 @@ def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
     """Return the starts (M, 18 or 21) of a subtask: one array, or one a colour where the goal depends on it.
 
     `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
-    `task.start` is an .npz with arrays `orange` and `pink`, as `evaluate endings=` records them.
+    `task.start` is an .npz with arrays `orange` and `pink`, as `evaluate terminal_states=` records them.
 
     Raises:
       ConfigError: the file is missing or of another form, or of more levels than there are.
@@ -49,10 +49,10 @@ def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
     if config.task.start != "ik":
         return recorded(config.task.start, config.comfort.levels)
     precision, cell = config.task.precision, config.cell
-    if start == "taken":
-        goals = [(cell.ball_m, precision.take_m)]
+    if start == "at_ball":
+        goals = [(cell.ball_m, precision.grasp_tolerance_m)]
     else:
-        goals = [(drop, precision.leave_m) for drop in (cell.orange_drop_m, cell.pink_drop_m)]
+        goals = [(drop, precision.place_tolerance_m) for drop in (cell.orange_drop_m, cell.pink_drop_m)]
     home = tuple(scene.home)
     return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal, near in goals]
 
@@ -87,9 +87,7 @@ def recorded(path: str, levels: int) -> list[Array]:
 
 
 @lru_cache(maxsize=32)
-def inverse_kinematics(
-    xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]
-) -> Array:
+def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
     """Return (COUNT, 6) rad: postures free of contact whose tool is within `precision_m` of `goal`.
 
     Each begins at home turned towards the goal plus Gaussian noise and is drawn to a point of the precision

@@ -33,9 +33,7 @@ def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
     if name not in SUBTASKS:
         raise ConfigError(f"task.name={name!r} is not allowed; choose one of {', '.join(SUBTASKS)}")
     if observation not in LAYOUTS:
-        raise ConfigError(
-            f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}"
-        )
+        raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
     chosen = sort(balls) if name == "sort" else SUBTASKS[name]
     if observation == "default":
         return chosen

@@ -102,9 +102,7 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
         homeward = torch.tensor([name == "return" for name in [*names, names[-1]]])[state.stage]
         flat = torch.tensor([1.0, 1.0, 0.0], dtype=state.tcp_pos.dtype)
         ball = torch.where(held[:, None], 0.0, state.ball_pos - state.tcp_pos)
-        carrying = torch.cat(
-            [ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1
-        )
+        carrying = torch.cat([ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1)
         returning = torch.cat(
             [
                 torch.rad2deg(state.joint_home - state.joint_pos),

@@ -33,5 +33,5 @@ PLACE = Subtask(
     stages=STAGES,
     observations=observations.standard(STAGES),
     rewards=rewards.standard(STAGES),
-    start="taken",
+    start="at_ball",
 )

@@ -33,5 +33,5 @@ RETURN = Subtask(
     stages=STAGES,
     observations=observations.standard(STAGES),
     rewards=rewards.standard(STAGES),
-    start="left",
+    start="at_drop",
 )

@@ -73,7 +73,7 @@ def step(before: State, after: State) -> Tensor:
     return torch.ones_like(after.tcp_pos[:, 0])
 
 
-def late(before: State, after: State) -> Tensor:
+def overtime(before: State, after: State) -> Tensor:
     """1 at every control step after the first LATE_STEPS, 3 s: nobody on the way to a goal is so long.
 
     Policies do not see the time; so what it costs falls on where episodes dwell, not on the way round.
@@ -102,5 +102,5 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, Change]:
     terms["human_collision"] = human_collision
     terms["other_collision"] = other_collision
     terms["step"] = step
-    terms["late"] = late
+    terms["overtime"] = overtime
     return terms

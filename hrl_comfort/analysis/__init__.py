@@ -1,0 +1,1 @@
+"""Analysis: intervals, tables, comfort responses. EpisodeSampler nothing."""

@@ -1,0 +1,248 @@
+"""A sweep as one table: a row a combination of what was swept, its training seeds pooled.
+
+A mean is over the finished runs of a combination, one value each, with Student's 95 % interval over them.
+Runs that are not finished are counted, and in no mean.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hrl_comfort.analysis.intervals import Floats, column, seed_interval
+from hrl_comfort.analysis.learning_curve import LearningCurve, curve_of
+from hrl_comfort.analysis.tables import cell
+from hrl_comfort.analysis.training_end import training_end
+from hrl_comfort.config import ConfigError
+from hrl_comfort.files.run_folder import Run, read_run
+from hrl_comfort.files.sweep_record import Job, find_jobs, planned
+
+SEED = "train_seed"
+"""What is pooled."""
+COUNTS = ("finished", "unfinished", "failed")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A job of the sweep and what is in its folder; one that has not begun has neither."""
+
+    overrides: Mapping[str, str]
+    """Key -> value, of this job."""
+    where: str
+    state: str
+    """One of COUNTS."""
+    why: str
+    """What is the matter with one that is not finished."""
+    run: Run | None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column of means: where it comes from, its heading with the unit, a factor, digits, what it can be."""
+
+    of: Callable[[Run], float | None]
+    label: str
+    scale: float = 1.0
+    digits: int = 1
+    least: float = 0.0
+    most: float = math.inf
+
+
+def _trained(name: str) -> Callable[[Run], float | None]:
+    return lambda run: None if run.metrics is None else training_end(run.metrics).get(name)
+
+
+def _evaluated(name: str, successes: bool) -> Callable[[Run], float | None]:
+    def mean(run: Run) -> float | None:
+        rows = run.episodes or []
+        if not rows or name not in rows[0]:
+            return None
+        values = column(rows, name)
+        kept = values[np.isfinite(values) & ((column(rows, "success") > 0) | (not successes))]
+        return float(kept.mean()) if len(kept) else None
+
+    return mean
+
+
+QUANTITIES = {
+    "success": Quantity(_trained("success"), "training success (%)", 100, most=1),
+    "return": Quantity(_trained("return"), "return", digits=2, least=-math.inf),
+    "steps": Quantity(_trained("steps"), "steps"),
+    "placed": Quantity(_trained("placed"), "balls placed", digits=2),
+    "precision_m": Quantity(_trained("precision_m"), "precision (cm)", 100),
+    "minutes": Quantity(lambda run: run.minutes, "training (min)"),
+    "eval_success": Quantity(_evaluated("success", False), "evaluated success (%)", 100, most=1),
+    "eval_steps": Quantity(_evaluated("steps", True), "evaluated steps"),
+    "eval_human_distance_mean_m": Quantity(
+        _evaluated("human_distance_mean_m", True), "evaluated distance (m)", digits=3
+    ),
+    "eval_human_collision": Quantity(
+        _evaluated("human_collision", False), "evaluated human collisions (%)", 100, most=1
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A combination of what was swept."""
+
+    combination: dict[str, str]
+    """Swept key -> value; a dash where a job did not say."""
+    entries: list[Entry]
+    means: dict[str, dict[str, Any]]
+    """Name of a quantity -> mean and ci95 (None of a single run)."""
+
+    @property
+    def name(self) -> str:
+        """Return the combination in words."""
+        return ", ".join(f"{key}={value}" for key, value in self.combination.items()) or "all runs"
+
+    def count(self, state: str) -> int:
+        """Return how many of its jobs are `finished`, `unfinished` or `failed`."""
+        return sum(entry.state == state for entry in self.entries)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All combinations, and what every job was told alike."""
+
+    rows: list[Row]
+    alike: dict[str, str]
+
+    @property
+    def entries(self) -> list[Entry]:
+        """Return every job, by combination."""
+        return [entry for row in self.rows for entry in row.entries]
+
+    @property
+    def curve(self) -> LearningCurve | None:
+        """Return the learning curve of its trainings; None where none has logged anything."""
+        logged = (entry.run.metrics for entry in self.entries if entry.run is not None)
+        return next((curve_of(metrics) for metrics in logged if metrics is not None), None)
+
+
+def read_sweep(folder: Path) -> Sweep:
+    """Return the sweep in a folder; one without rows where the folder holds none.
+
+    Raises:
+      ConfigError: a file in it is damaged, or its jobs are of several verbs.
+    """
+    jobs = find_jobs(folder)
+    verbs = sorted({job.verb for job in jobs.values()})
+    if len(verbs) > 1:
+        raise ConfigError(f"{folder} holds jobs of {' and of '.join(verbs)}; give each sweep a folder of its own")
+    entries = [_entry(folder, where, job) for where, job in jobs.items()]
+    begun = {job.overrides for job in jobs.values()}
+    asked = planned(folder) if jobs else []
+    if begun & set(asked):  # else the note is of another sweep, which wrote to the same folder
+        entries += [Entry(_told(each), "", "unfinished", "not begun", None) for each in asked if each not in begun]
+    keys = list(dict.fromkeys(key for entry in entries for key in entry.overrides))
+    told = {key: {entry.overrides.get(key, "–") for entry in entries} for key in keys}
+    swept = [key for key in keys if len(told[key]) > 1 and key != SEED]
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(tuple(entry.overrides.get(key, "–") for key in swept), []).append(entry)
+    rows = [Row(dict(zip(swept, values, strict=True)), group, _means(group)) for values, group in groups.items()]
+    alike = {key: next(iter(values)) for key, values in told.items() if len(values) == 1 and key != SEED}
+    return Sweep(rows, alike)
+
+
+def _told(overrides: Sequence[str]) -> dict[str, str]:
+    return dict(line.lstrip("+").split("=", 1) for line in overrides)
+
+
+def _entry(folder: Path, where: Path, job: Job) -> Entry:
+    run = read_run(where)
+    name = str(where.relative_to(folder))
+    state, why = _state(job, run)
+    return Entry(_told(job.overrides), name, state, why, run)
+
+
+def _state(job: Job, run: Run) -> tuple[str, str]:
+    """Return which of COUNTS a job is, and what is the matter with it."""
+    if job.verb in ("train", "train meta_controller"):
+        finished = run.provenance is not None and bool(run.provenance.get("finished"))
+        far = "" if run.metrics is None else _far(run.metrics)
+    else:
+        finished, far = job.state == "done" and run.groups is not None, ""
+    if finished:
+        return "finished", ""
+    if job.state == "failed":
+        return "failed", job.why
+    return "unfinished", (job.why or "running, or killed") + far
+
+
+def _far(metrics: Mapping[str, Floats]) -> str:
+    name = curve_of(metrics).progress
+    return f", {metrics[name][-1]:.0f} {name.replace('_', ' ')} logged"
+
+
+def _means(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
+    runs = [entry.run for entry in entries if entry.state == "finished" and entry.run is not None]
+    found = {}
+    for name, quantity in QUANTITIES.items():
+        values = np.array([value for run in runs if (value := quantity.of(run)) is not None])
+        if len(values):
+            interval = seed_interval(values)
+            ci95 = interval and np.clip(interval, quantity.least, quantity.most).tolist()
+            found[name] = {"mean": float(values.mean()), "ci95": ci95}
+    return found
+
+
+def cells(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
+    """Return heads and lines of the table as text; a quantity that no run has is left out."""
+    there = {name: each for name, each in QUANTITIES.items() if any(name in row.means for row in sweep.rows)}
+    swept = list(sweep.rows[0].combination)
+    heads = [*(swept or ["combination"]), *COUNTS, *(each.label for each in there.values())]
+    lines = [
+        [
+            *(row.combination.values() or ["all runs"]),
+            *(str(row.count(state)) for state in COUNTS),
+            *(cell(row.means.get(name), "mean", each.scale, each.digits) for name, each in there.items()),
+        ]
+        for row in sweep.rows
+    ]
+    return heads, lines
+
+
+def not_finished(sweep: Sweep) -> list[list[str]]:
+    """Return folder, overrides, state and reason of every job that is not finished."""
+    return [
+        [
+            entry.where or "–",
+            " ".join(f"{key}={value}" for key, value in entry.overrides.items() if key not in sweep.alike),
+            entry.state,
+            entry.why,
+        ]
+        for entry in sweep.entries
+        if entry.state != "finished"
+    ]
+
+
+def as_csv(sweep: Sweep) -> str:
+    """Return the table as CSV: swept keys, counts; NAME_mean, NAME_low, NAME_high, shares from 0 to 1."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    names = [f"{name}_{part}" for name in QUANTITIES for part in ("mean", "low", "high")]
+    writer.writerow([*sweep.rows[0].combination, *COUNTS, *names])
+    for row in sweep.rows:
+        numbers: list[float | None] = []
+        for name in QUANTITIES:
+            mean = row.means.get(name, {"mean": None, "ci95": None})
+            numbers += [mean["mean"], *(mean["ci95"] or [None, None])]
+        counts = [row.count(state) for state in COUNTS]
+        writer.writerow(
+            [
+                *row.combination.values(),
+                *counts,
+                *("" if value is None else f"{value:.6g}" for value in numbers),
+            ]
+        )
+    return out.getvalue()

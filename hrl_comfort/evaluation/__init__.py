@@ -1,0 +1,1 @@
+"""Evaluation: rollouts of policies and chains on a fixed set of episodes."""

@@ -1,0 +1,75 @@
+"""Evaluation: a policy, every checkpoint of a run, or a chain of policies, on the committed set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from rich.console import Console
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.analysis.intervals import wilson_interval
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout, write_table
+
+
+def evaluate(config: EvaluateConfig) -> Path:
+    """Evaluate what `config` asks for; return the folder that holds episodes.csv and summary.json.
+
+    Raises:
+      ConfigError: no such policy, or one of another subtask.
+    """
+    torch.set_num_threads(1)
+    for name in config.group_by:
+        if name not in COLUMNS:
+            raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
+    if config.checkpoints == "all":
+        return evaluate_checkpoints(config)
+    output = Path(config.output)
+    check_folder(output)
+    result = rollout(config)
+    result.write(output, config)
+    what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
+    Console().print(f"{output}: {what}", soft_wrap=True)
+    return output
+
+
+def check_folder(output: Path) -> None:
+    """Raise ConfigError unless a folder can be written to or made; it is made when something is written."""
+    there = next(path for path in (output, *output.parents) if path.exists())
+    try:
+        TemporaryDirectory(dir=there).cleanup()
+    except OSError as error:
+        what = f"{there}: {error.strerror}"
+        raise ConfigError(f"output={str(output)!r} cannot be written: {what}") from error
+
+
+def evaluate_checkpoints(config: EvaluateConfig) -> Path:
+    """Evaluate every light checkpoint of the run `policy`; write checkpoints.csv and their episodes."""
+    folder = Path(config.policy or "")
+    found = checkpoint.steps(folder / "checkpoints")
+    if not found:
+        raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
+    output = Path(config.output) / "checkpoints"
+    check_folder(output)
+    every, curve = Result([], [], []), []
+    for path in found:
+        result = rollout(config, str(path))
+        every.episodes += result.episodes
+        wins = sum(episode.success for episode in result.episodes)
+        low, high = wilson_interval(wins, len(result.episodes))
+        counters = checkpoint.load(path)["counters"]
+        curve.append(
+            [
+                counters["policy_steps"],
+                wins / len(result.episodes),
+                low,
+                high,
+                config.task.precision.grasp_tolerance_m,
+            ]
+        )
+    header = ["policy_steps", "success", "success_low", "success_high", "precision_m"]
+    write_table(output.parent / "checkpoints.csv", header, curve)
+    every.write(output, config)
+    return output

@@ -1,0 +1,146 @@
+"""Handover diagnostics: what becomes of a subtask that takes over where another one left the arm.
+
+Skills that work alone can fail when chained: the policy before leaves the arm where the next one never
+began. Three tables say where: how often the next subtask succeeds from each kind of start, how far chains
+get, and which observations at the seams the next policy has hardly seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from hrl_comfort.analysis.intervals import wilson_interval
+from hrl_comfort.comfort.adapt import with_level
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
+from hrl_comfort.config.compose import environment, load_config, run_folder
+from hrl_comfort.evaluation.rollout import rollout, write_table
+from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.humans import load_evaluation_set
+from hrl_comfort.plots.options import chain_lengths
+from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.load import SCRIPTED
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import subtask
+
+TERMINATIONS = 2000
+"""Episodes, drawn as in training, whose endings are recorded."""
+FAR = 3.0
+"""An observation this many standard deviations from its mean in training counts as far."""
+LONE = MetaControllerConfig(name="none", options=[], time_limit_steps=1, retries=0, level_override=[])
+
+
+def handover(config: EvaluateConfig) -> Path:
+    """Write handover.csv, its handover_episodes.csv, chain.csv and seams.csv; return their folder.
+
+    Raises:
+      ConfigError: `config` names no chain of trained policies.
+    """
+    torch.set_num_threads(1)
+    names = list(config.meta_controller.options)
+    if config.meta_controller.name != "scripted" or len(names) < 2:
+        raise ConfigError(
+            f"meta_controller={config.meta_controller.name} chains nothing: "
+            "give meta_controller=scripted task=cycle policies.*"
+        )
+    missing = [name for name in names if name not in config.policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; meta_controller={config.meta_controller.name} needs it")
+    scripted = [name for name in names if config.policies[name] in SCRIPTED]
+    if scripted:
+        name = scripted[0]
+        raise ConfigError(f"policies.{name}={config.policies[name]} was not trained: it has no own starts")
+    if config.levels:
+        raise ConfigError(f"levels={list(config.levels)} does not go with handover; choose comfort.level=")
+    if config.disturbance != "none":
+        raise ConfigError(f"disturbance={config.disturbance} does not go with handover")
+    output = Path(config.output)
+    matrix: list[list[Any]] = []
+    single: list[list[Any]] = []
+    seams: list[list[Any]] = []
+    upstream = dict.fromkeys(("previous", "expert"), "ik")
+    for before, after in pairwise(names):
+        upstream = {
+            kind: _terminal_states(config, output, before, kind, upstream[kind]) for kind in ("previous", "expert")
+        }
+        for kind, start in {"own": own_start(config, after), **upstream}.items():
+            part = alone(config, after, start, config.policies[after])
+            ran = rollout(part).episodes
+            wins = [episode.success for episode in ran]
+            single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran]
+            low, high = wilson_interval(sum(wins), len(wins))
+            matrix.append([after, kind, len(wins), np.mean(wins), low, high])
+            seams += [[after, kind, *row] for row in far_observations(part)]
+    write_table(output / "handover.csv", HANDOVER, matrix)
+    write_table(output / "handover_episodes.csv", SINGLE, single)
+    write_table(output / "seams.csv", SEAMS, seams)
+    whole = rollout(config)
+    far = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
+    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in far))
+    for after, kind, episodes, success, low, high in matrix:
+        what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
+        Console().print(what, soft_wrap=True)
+    return output
+
+
+HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]
+SINGLE = ["subtask", "start", "episode", "spawn_id", "success"]
+CHAIN = ["options", "success", "success_low", "success_high"]
+SEAMS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
+
+
+def alone(config: EvaluateConfig, name: str, start: str, policy: str) -> EvaluateConfig:
+    """Return the evaluation of one subtask by itself, begun from the starts `start` (`task.start`)."""
+    task = replace(config.task, name=name, start=start, max_episode_steps=config.meta_controller.time_limit_steps)
+    return replace(config, task=task, meta_controller=LONE, policies={}, policy=policy)
+
+
+def own_start(config: EvaluateConfig, name: str) -> str:
+    """Return the `task.start` that the policy of a subtask was trained from."""
+    folder = run_folder(config.policies[name])
+    trained = None if folder is None else load_config(folder)
+    return trained.task.start if isinstance(trained, TrainConfig) else "ik"
+
+
+def _terminal_states(config: EvaluateConfig, output: Path, name: str, kind: str, start: str) -> str:
+    """Record how a subtask's policy, or the expert, leaves the arm; return the .npz."""
+    path = str(output / f"{name}_{kind}.npz")
+    part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
+    record_terminal_states(replace(part, terminal_states=path, episodes=TERMINATIONS))
+    return path
+
+
+def far_observations(config: EvaluateConfig) -> list[list[Any]]:
+    """Return name, component, largest deviation (standard deviations) and share far of each observation.
+
+    Deviations are from the mean in training, over the first instants of the evaluation's episodes.
+    """
+    assert config.policy is not None
+    policy = load_policy(config.policy)
+    task = subtask(config.task.name, policy.spec["environment"]["observation"])
+    if policy.spec["environment"].get("levels") is not None:
+        task = with_level(task, config.comfort.levels)
+    entries = load_evaluation_set().reseeded(config.episode_seed).part(0, config.episodes)
+    engine = Engine(environment(config), len(entries.episode), 0, entries)
+    state = engine.reset()
+    engine.close()
+    rows, first = [], 0
+    for name, term in task.observations.items():
+        values = term(state)
+        span = slice(first, first + values.shape[1])
+        deviation = _deviation(values, policy.normaliser.mean[span], policy.normaliser.variance[span])
+        for k, column in enumerate(deviation.T):
+            rows.append([name, k, round(float(column.max()), 3), float((column > FAR).double().mean())])
+        first = span.stop
+    return rows
+
+
+def _deviation(values: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
+    return (values - mean).abs() / variance.sqrt().clamp_min(1e-3)

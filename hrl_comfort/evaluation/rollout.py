@@ -1,0 +1,301 @@
+"""Runs episodes of the evaluation set and says what happened in each."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hrl_comfort.analysis.intervals import write_summary
+from hrl_comfort.comfort.adapt import max_episode_steps
+from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
+from hrl_comfort.config import EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.evaluation.controllers import make_controller
+from hrl_comfort.files.atomic import write_text
+from hrl_comfort.hierarchy.controllers import OptionRun
+from hrl_comfort.hierarchy.play import play
+from hrl_comfort.humans import EvaluationSet, load_evaluation_set
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.tasks import State
+
+Floats = NDArray[np.float64]
+
+CHUNK = 250
+"""Episodes simulated side by side."""
+COLOURS = ("orange", "pink")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
+
+    task: str
+    policy: str
+    train_seed: int | None
+    episode_seed: int
+    episode: int
+    colour: str
+    spawn_id: int
+    motion_id: int
+    seen: bool
+    comfort_level: int | None
+    human: str
+    precision_m: float
+    success: bool
+    steps: int
+    policy_steps: int
+    # `return` is a Python keyword; the column is named without the underscore.
+    return_: float
+    human_collision: bool
+    robot_moving_at_collision: bool | None
+    other_collision: str
+    truncated: bool
+    balls_placed: int
+    comfort_level_mean: float | None
+    measures: dict[str, float | None]
+    """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
+    max_episode_steps: int
+    """Time limit, control steps, that was in force when the episode ended; not a column."""
+
+    def row(self) -> dict[str, Any]:
+        """Return the cells by column."""
+        return {**{name.rstrip("_"): getattr(self, name) for name in OWN}, **self.measures}
+
+
+OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "max_episode_steps"))
+"""Fields of an Episode that are a column each."""
+COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
+"""Of episodes.csv."""
+
+
+@dataclass
+class Result:
+    """What an evaluation saw."""
+
+    episodes: list[Episode]
+    options: list[dict[str, Any]]
+    paths: list[list[Any]]
+
+    @property
+    def success(self) -> float:
+        """Share of episodes that succeeded."""
+        return float(np.mean([episode.success for episode in self.episodes]))
+
+    def write(self, output: Path, config: EvaluateConfig) -> None:
+        """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
+        for stale in ("summary.json", "options.csv", "paths.csv", "video.mp4"):
+            (output / stale).unlink(missing_ok=True)
+        write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
+        if self.options:
+            write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
+        if self.paths:
+            write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+        save_config(config, output / "config.yaml")
+        write_summary(output, config.group_by, [episode.max_episode_steps for episode in self.episodes])
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV, whole or not at all; None becomes an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
+    """Run the first `config.episodes` entries of the evaluation set; `policy` stands in for the config's."""
+    entries = load_evaluation_set().reseeded(config.episode_seed)
+    result = Result([], [], [])
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[success]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        total = config.episodes * max(1, len(config.levels))
+        bar = progress.add_task(f"evaluate {config.task.name}", total=total, success="")
+        for at_level in at_each_level(config):
+            for start in range(0, config.episodes, CHUNK):
+                part = entries.part(start, min(start + CHUNK, config.episodes))
+                EvaluationBatch(at_level, policy, part, result).run(lambda done: progress.advance(bar, done))
+                progress.update(bar, success=f"success {result.success:.1%}")
+    return result
+
+
+def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
+    """Return the configuration once for each of `config.levels`, fixed at it; as it is if there are none."""
+    if not config.levels:
+        return [config]
+    return [replace(config, comfort=replace(config.comfort, source="fixed", level=level)) for level in config.levels]
+
+
+class EvaluationBatch:
+    """Episodes that run side by side, one a row."""
+
+    def __init__(self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result) -> None:
+        self.config, self.entries, self.result = config, entries, result
+        self.label = policy or config.policy or f"meta_controller={config.meta_controller.name}"
+        rows = len(entries.episode)
+        env = environment(config)
+        self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
+        self.controller = make_controller(config, policy, self.engine, int(entries.episode_seed[0]))
+        acting = policy or config.policy or config.policies.get("meta_controller")
+        self.train_seed = train_seed(acting or next(iter(config.policies.values()), None))
+
+    def run(self, advance: Callable[[int], None]) -> None:
+        """Run every row to the end of its episode."""
+        rows = len(self.entries.episode)
+        state = self.engine.reset()
+        self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
+        self.seen = [(state, torch.ones(rows, 1, dtype=torch.bool))]
+        found: dict[int, Episode] = {}
+        if self.config.record:
+            self._record(state, torch.ones(rows, dtype=torch.bool))
+        for moment in play(self.engine, self.controller):
+            self._add(moment.outcome, moment.active)
+            for row in torch.nonzero(moment.ended).squeeze(-1).tolist():
+                found[row] = self._episode(row, moment.outcome)
+            advance(int(moment.ended.sum()))
+        self.engine.close()
+        measured = self._measure()
+        self.result.episodes += [replace(found[row], measures=measured[row]) for row in range(rows)]
+        self.result.options += [
+            self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))
+        ]
+
+    def _add(self, outcome: StepResult, active: torch.Tensor) -> None:
+        valid = (outcome.valid & active[:, None]).numpy()
+        self.totals["policy_steps"] += active.numpy()
+        self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
+        self.totals["steps"] += valid.sum(axis=1)
+        self.totals["level"] += outcome.level.numpy() * valid.sum(axis=1)
+        self.seen.append((outcome.instants, outcome.valid & active[:, None]))
+        if self.config.record:
+            for k, instant in enumerate(outcome.steps):
+                self._record(instant, outcome.valid[:, k] & active)
+
+    def _measure(self) -> list[dict[str, float | None]]:
+        """Return what `comfort.trajectory` measures of each row."""
+        rows = len(self.entries.episode)
+        valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
+
+        def column(name: str) -> Floats:
+            parts = [getattr(state, name) for state, _ in self.seen]
+            whole = [part.view(rows, -1, *part.shape[1:]) for part in parts]
+            return np.asarray(torch.cat(whole, dim=1).numpy())
+
+        columns = {name: column(name) for name in ("tcp_pos", "human_pos", "joint_target", "arm_distance")}
+        here = self.config.human.motion != "none"
+        found = []
+        for row in range(rows):
+            tool, human, target, arm = (values[row][valid[row]] for values in columns.values())
+            values = metrics(Trajectory(tool, human, target, arm, here))
+            found.append({name: None if value is None else rounded(value) for name, value in values.items()})
+        return found
+
+    def _record(self, state: State, rows: torch.Tensor) -> None:
+        """Append a line of paths.csv for each of the rows (N,) bool."""
+        for row in torch.nonzero(rows).squeeze(-1).tolist():
+            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
+            distance = float(np.linalg.norm(tcp[:2] - human))
+            level = float(state.level[row])
+            numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
+            self.result.paths.append(
+                [
+                    int(self.entries.episode[row]),
+                    int(state.steps[row]),
+                    int(state.stage[row]),
+                    None if np.isnan(level) else round(level),
+                    *map(rounded, numbers),
+                ]
+            )
+
+    def _episode(self, row: int, outcome: StepResult) -> Episode:
+        config, state, entries = self.config, outcome.state, self.entries
+        success = bool(outcome.success[row])
+        hit = bool(state.human_collision[row])
+        colour = COLOURS[int(state.colours[row, 0])]
+        table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
+        episodes = self.engine.episodes
+        return Episode(
+            task=config.task.name,
+            policy=self.label,
+            train_seed=self.train_seed,
+            episode_seed=int(entries.episode_seed[row]),
+            episode=int(entries.episode[row]),
+            colour=colour,
+            spawn_id=int(episodes.spawn_id[row]),
+            motion_id=int(episodes.motion_id[row]),
+            seen=bool(entries.seen[row]),
+            comfort_level=self._level(row, config),
+            human=config.human.motion,
+            precision_m=config.task.precision.grasp_tolerance_m,
+            success=success,
+            steps=int(state.steps[row]),
+            policy_steps=int(self.totals["policy_steps"][row]),
+            return_=rounded(self.totals["return"][row]),
+            human_collision=hit,
+            robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
+            other_collision="table" if table else "self" if itself else "none",
+            truncated=not success and not (hit or table or itself),
+            balls_placed=int(state.placed[row].sum()),
+            comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
+            measures={},
+            max_episode_steps=self._limit(row, outcome),
+        )
+
+    def _mean_level(self, row: int) -> float:
+        return float(self.totals["level"][row] / self.totals["steps"][row])
+
+    def _level(self, row: int, config: EvaluateConfig) -> int | None:
+        """Return the level of the row's whole episode; None where there is none, or not one alone."""
+        if config.comfort.source not in ("fixed", "random"):
+            return None
+        return round(self._mean_level(row))
+
+    def _limit(self, row: int, outcome: StepResult) -> int:
+        """Return the time limit in force at the end of the row's episode, control steps.
+
+        A level that rises may bring a limit that is over by then: the steps there were are the limit.
+        """
+        limit = max_episode_steps(outcome.level[row], self.config.task.max_episode_steps, self.config.comfort)
+        return max(int(limit), int(outcome.state.steps[row]))
+
+    def _option(self, run: OptionRun) -> dict[str, Any]:
+        line = asdict(run)
+        row = line.pop("row")
+        level = self._level(row, self.config)
+        return {"episode": int(self.entries.episode[row]), "comfort_level": level, **line}
+
+
+PATH_COLUMNS = [
+    "episode", "step", "stage", "level", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
+    "human_x", "human_y", "human_yaw", "human_distance_m",
+]  # fmt: skip
+
+
+def rounded(value: float) -> float:
+    """Return a number as tables hold it: to a micrometre, or the like."""
+    return round(float(value), 6)
+
+
+def train_seed(source: str | None) -> int | None:
+    """Return the training seed of the run that a policy belongs to; None for one that was not trained."""
+    folder = run_folder(source) if source else None
+    if folder is None:
+        return None
+    trained = load_config(folder)
+    return trained.train_seed if isinstance(trained, TrainConfig | MetaControllerTrainConfig) else None

@@ -1,1 +1,0 @@
-"""Train, evaluate, report: what the commands do."""

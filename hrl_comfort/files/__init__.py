@@ -1,0 +1,1 @@
+"""Files of a run folder: schemas, atomic writing, careful reading."""

@@ -1,0 +1,201 @@
+"""The semi-MDP above the options: a TorchRL environment whose action runs one frozen policy until it ends.
+
+Options end after different times in different rows, so a step runs until the first of them ends, and only
+the rows that `deciding` marks choose anew; the others go on with what they have (Sutton, Precup, Singh,
+Between MDPs and semi-MDPs, 1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.options import IdleOption, Option
+from hrl_comfort.humans import EvaluationSet
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.tasks import State
+from hrl_comfort.tasks.subtask import Quantity
+
+MakeOptions = Callable[[Engine], list[Option | IdleOption]]
+
+
+class OptionEnv(EnvBase):
+    """N cells in which K options are run, batch size (N,).
+
+    Action (N,) int64 in [0, K): the option that begins in the rows that decide; elsewhere it is ignored.
+    A step reports, beside `observation` (N, D) float32 and `action_mask` (N, K) bool (options that can
+    start now): `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards
+    discounted by gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, the
+    control steps it took, and `ending` (N, 1) int64, an index of `running.TERMINATIONS`. `success` (N, 1) bool
+    is the whole episode's.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        make_options: MakeOptions,
+        max_episode_steps: int,
+        rows: int,
+        seed: int,
+        gamma: float,
+        evaluation: EvaluationSet | None = None,
+        observe: Quantity | None = None,
+        disturbance: str = "none",
+    ) -> None:
+        """Skills run for `max_episode_steps` control steps at most; gamma discounts a control step.
+
+        `observe` is what the controller sees, the task's own observation by default.
+        """
+        super().__init__(device="cpu", batch_size=torch.Size([rows]))
+        self.engine = Engine(config, rows, seed, evaluation, disturbance=disturbance)
+        self.executor = OptionExecutor(make_options(self.engine), max_episode_steps, self.engine.episodes)
+        self.gamma = gamma
+        self._see = observe or self.engine.episodes.subtask.observe
+        self._begin_rows = torch.ones(rows, dtype=torch.bool)
+        state = self.engine.reset()
+        self._return = torch.zeros(rows, dtype=torch.float64)
+        self.earned = torch.zeros(rows, dtype=torch.float64)
+        """(N,) rewards of the last step, not discounted, of options that have ended and of others."""
+        self.last_state: State = state
+        """What the last step led to, before any row began anew."""
+        self._origin = self._observe(state)
+        self._origin_mask = self.executor.available(state)
+        self._make_specs()
+        self.engine.episodes.rewind()
+
+    def _make_specs(self) -> None:
+        n, count = self.batch_size[0], len(self.executor.options)
+        flag, number = Binary(1, shape=(n, 1), dtype=torch.bool), Unbounded(shape=(n, 1), dtype=torch.int64)
+        self.observation_spec = Composite(
+            observation=Unbounded(shape=self._origin.shape, dtype=torch.float32),
+            action_mask=Binary(count, shape=(n, count), dtype=torch.bool),
+            deciding=flag.clone(),
+            success=flag.clone(),
+            steps_to_next_obs=number.clone(),
+            termination=number.clone(),
+            shape=(n,),
+        )
+        self.action_spec = Categorical(count, shape=(n,), dtype=torch.int64)
+        self.reward_spec = Unbounded(shape=(n, 1), dtype=torch.float32)
+        self.full_done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,))
+
+    def _observe(self, state: State) -> Tensor:
+        return self._see(state).float()
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        rows = torch.ones(self.batch_size, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict:
+            rows = tensordict["_reset"].reshape(-1)
+        state = self.engine.reset(np.flatnonzero(rows.numpy()))
+        self._begin_rows = self._begin_rows | rows
+        nothing = torch.zeros(*self.batch_size, 1, dtype=torch.int64)
+        return TensorDict(
+            {
+                "observation": self._observe(state),
+                "action_mask": self.executor.available(state),
+                "deciding": self._begin_rows[:, None].clone(),
+                "steps_to_next_obs": nothing.clone(),
+                "termination": nothing.clone(),
+                **{name: nothing.bool() for name in ("success", "done", "terminated", "truncated")},
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        state = self.engine.episodes.state
+        assert state is not None
+        rows = self._begin_rows
+        self._return = torch.where(rows, 0.0, self._return)
+        self._origin = torch.where(rows[:, None], self._observe(state), self._origin)
+        able = self.executor.available(state)
+        self._origin_mask = torch.where(rows[:, None], able, self._origin_mask)
+        state = self.executor.begin(rows, tensordict["action"].reshape(-1))
+        self.earned = torch.zeros_like(self.earned)
+        while True:
+            outcome = self.engine.step(self.executor.act(state).numpy())
+            self._earn(outcome)
+            state = outcome.state
+            over = self.executor.ended(outcome)
+            ended = over.rows
+            if bool(ended.any()):
+                break
+        self._begin_rows, self.last_state = ended, state
+        flags = {
+            "deciding": ended,
+            "success": outcome.success,
+            "done": outcome.done,
+            "terminated": outcome.terminated,
+            "truncated": outcome.truncated,
+        }
+        return TensorDict(
+            {
+                "observation": self._observe(state),
+                "action_mask": self.executor.available(state),
+                "reward": torch.where(ended, self._return, 0.0)[:, None].float(),
+                "steps_to_next_obs": torch.where(ended, state.steps - self.executor.started, 0)[:, None],
+                "termination": over.termination[:, None],
+                **{name: flag[:, None] for name, flag in flags.items()},
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _earn(self, outcome: StepResult) -> None:
+        """Add a decision's rewards, each discounted from the start of its row's option."""
+        count = outcome.valid.shape[1]
+        passed = (outcome.state.steps - outcome.decision_steps - self.executor.started)[:, None] + torch.arange(count)
+        weight = torch.where(outcome.valid, self.gamma ** passed.double(), 0.0)
+        self._return = self._return + (weight * outcome.step_rewards).sum(dim=1)
+        self.earned = self.earned + outcome.step_rewards.sum(dim=1)
+
+    def transitions(self, after: TensorDictBase) -> TensorDict:
+        """Return the options that ended in a step as transitions (F,) of the semi-MDP.
+
+        `after` is the step's `next`. `steps_to_next_obs` lies at the root, where TorchRL's TD0 takes gamma to
+        its power; so the value of the next observation is discounted by the option's length.
+        """
+        rows = torch.nonzero(after["deciding"].reshape(-1)).squeeze(-1)
+        names = ("observation", "action_mask", "reward", "done", "terminated", "truncated")
+        return TensorDict(
+            {
+                "observation": self._origin[rows],
+                "action_mask": self._origin_mask[rows],
+                "action": self.executor.option[rows],
+                "steps_to_next_obs": after["steps_to_next_obs"][rows],
+                "next": TensorDict({name: after[name][rows] for name in names}, batch_size=[len(rows)]),
+            },
+            batch_size=[len(rows)],
+        )
+
+    _TENSORS = ("_begin_rows", "_return", "_origin", "_origin_mask")
+
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
+        """Return everything a bit-for-bit continuation needs, between two steps."""
+        return {
+            "engine": self.engine.state_dict(),
+            "running": self.executor.state_dict(),
+            **{name: getattr(self, name) for name in self._TENSORS},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
+        """Continue from `state_dict`."""
+        self.engine.load_state_dict(state_dict["engine"])
+        self.executor.load_state_dict(state_dict["running"])
+        for name in self._TENSORS:
+            setattr(self, name, state_dict[name])
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.engine.episodes.draws.seed = seed
+            self.engine.episodes.rewind()

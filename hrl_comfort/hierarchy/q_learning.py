@@ -1,0 +1,171 @@
+"""A controller that learns which option to run: double DQN over the semi-MDP of options (TorchRL's DQNLoss).
+
+An option of k control steps is discounted by gamma**k, which TorchRL takes from `steps_to_next_obs`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.modules import MLP, QValueActor
+from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.replay import load_replay, replay_state
+from hrl_comfort.config import ConfigError
+from hrl_comfort.config.meta_controller import MetaControllerAgentConfig
+from hrl_comfort.hierarchy.meta_controllers import Choose, Decision
+from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
+from hrl_comfort.policies.actor import WIDEST
+
+SPEC: dict[str, type] = {"names": list, "levels": int, "balls": int, "observation_dim": int, "hidden": list}
+"""What a controller's file says of it."""
+
+
+def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
+    """Return the network of option values; options that the mask rules out are never the best."""
+    return QValueActor(
+        MLP(observation_dim, options, num_cells=hidden, activation_class=torch.nn.ReLU),
+        in_keys=["observation"],
+        spec=Categorical(options),
+        action_mask_key="action_mask",
+    )
+
+
+class QLearner:
+    """Double DQN with a soft target and uniform exploration among the options that can start."""
+
+    def __init__(self, config: MetaControllerAgentConfig, observation_dim: int, options: int, seed: int) -> None:
+        torch.manual_seed(seed)
+        self.config, self.observation_dim, self.count = config, observation_dim, options
+        self.network = make_network(observation_dim, options, list(config.hidden))
+        self.loss = DQNLoss(
+            self.network,
+            loss_function="smooth_l1",
+            delay_value=True,
+            double_dqn=True,
+            action_space="categorical",
+        )
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
+        self.target = SoftUpdate(self.loss, tau=config.tau)
+        self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(1 - config.ema_rate))
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.buffer_size), batch_size=config.batch_size
+        )
+
+    @torch.no_grad()
+    def choose(self, observation: Tensor, mask: Tensor, exploration: float) -> Tensor:
+        """Return options (N,): the best by value, or with probability `exploration` any that can start."""
+        best = greedy(self.network, observation, mask)
+        anything = torch.multinomial(mask.float(), 1).squeeze(1)
+        return torch.where(torch.rand(len(best)) < exploration, anything, best)
+
+    def remember(self, transitions: TensorDictBase) -> None:
+        """Keep transitions (F,) of `OptionEnv.transitions`."""
+        if len(transitions):
+            self.buffer.extend(transitions)
+
+    def update(self) -> float:
+        """Do one update and return its loss."""
+        found = self.loss(self.buffer.sample())["loss"]
+        self.optimiser.zero_grad()
+        found.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
+        self.optimiser.step()
+        self.target.step()
+        self.average.update_parameters(self.network)
+        return float(found.detach())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to continue, as plain data; of the buffer the filled part."""
+        return {
+            "loss": self.loss.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "generator": torch.get_rng_state(),
+            **replay_state(self.buffer),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`, in a learner that has stored nothing yet."""
+        self.loss.load_state_dict(state["loss"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        load_replay(self.buffer, state)
+        torch.set_rng_state(state["generator"])
+
+    def save(self, path: Path, spec: dict[str, Any]) -> None:
+        """Write the mean of networks and what is needed to use it."""
+        shape = {
+            "observation_dim": self.observation_dim,
+            "options": self.count,
+            "hidden": list(self.config.hidden),
+        }
+        checkpoint.save(path, {"network": self.average.module.state_dict(), "spec": {**spec, **shape}})
+
+
+def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
+    """Return the options (N,) of greatest value among those that `mask` (N, K) allows."""
+    td = TensorDict({"observation": observation, "action_mask": mask}, batch_size=[len(observation)])
+    chosen: Tensor = network(td)["action"]
+    return chosen
+
+
+def choice_file(source: Path) -> Path:
+    """Return the file of the trained controller at `source`, its run folder or the file itself."""
+    return source / "meta_controller.pt" if source.is_dir() else source
+
+
+def load_choice(source: str, levels: int, options: list[str]) -> Choose:
+    """Return how a trained controller chooses among `options`; `source` is its run folder or meta_controller.pt.
+
+    Raises:
+      ConfigError: there is none, it is damaged, or it was trained for other options.
+    """
+    state = checkpoint.load(choice_file(Path(source)))
+    spec, weights = state.get("spec"), state.get("network")
+    if not isinstance(spec, dict) or not isinstance(weights, dict):
+        raise ConfigError(
+            f"policies.meta_controller={source!r} is not a trained controller; its folder holds meta_controller.pt"
+        )
+    for name, kind in SPEC.items():
+        if type(spec.get(name)) is not kind:
+            raise ConfigError(
+                f"policies.meta_controller={source!r} is damaged: its {name} is not of type {kind.__name__}"
+            )
+    names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
+    if names != options or spec["levels"] != levels:
+        raise ConfigError(
+            f"policies.meta_controller={source!r} chooses among {names} at {spec['levels']} levels; "
+            f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
+        )
+    seen = OTHERS + BALL * spec["balls"]
+    if spec["observation_dim"] != seen:
+        raise ConfigError(
+            f"policies.meta_controller={source!r} was taught by {spec['observation_dim']} observations; "
+            f"here there are {seen}: train it again"
+        )
+    if not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
+        raise ConfigError(f"policies.meta_controller={source!r} is damaged: its hidden is {hidden}")
+    try:
+        with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
+            network = make_network(seen, len(options), hidden)
+        network.load_state_dict(weights, assign=True)
+    except (AttributeError, RuntimeError) as error:  # the former at a name that is no text
+        raise ConfigError(f"policies.meta_controller={source!r} is damaged: {str(error).splitlines()[0]}") from error
+    if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
+        raise ConfigError(f"policies.meta_controller={source!r} is damaged: its weights are not all finite numbers")
+    network.float()
+
+    @torch.no_grad()
+    def choose(decision: Decision) -> Tensor:
+        return greedy(network, meta_observation(decision.state, levels), decision.mask)
+
+    return choose

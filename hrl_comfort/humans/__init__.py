@@ -1,0 +1,179 @@
+"""People: where they begin, how they move, and what the policy is told of them. One file a motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
+from hrl_comfort.humans.approach import approach
+from hrl_comfort.humans.arc import arc
+from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set
+from hrl_comfort.humans.none import none
+from hrl_comfort.humans.patrol import patrol
+from hrl_comfort.humans.playback import playback, read_motion
+from hrl_comfort.humans.random_walk import random_walk
+from hrl_comfort.humans.still import still
+from hrl_comfort.humans.walk import (
+    NOISE,
+    SPEED_SMOOTHING,
+    Array,
+    KeepOut,
+    Motion,
+    Walk,
+    facing_base,
+    gait,
+    length,
+    outside,
+)
+from hrl_comfort.humans.work import work
+
+MOTIONS: dict[str, Motion] = {
+    "none": none,
+    "still": still,
+    "random_walk": random_walk,
+    "arc": arc,
+    "approach": approach,
+    "playback": playback,
+    "work": work,
+    "patrol": patrol,
+}
+ATTEMPTS = 1000
+UNBOUND = ("none", "playback")
+"""Motions that neither the movement bound nor the keep-out discs hold."""
+
+
+def motion(name: str) -> Motion:
+    """Return the registered motion; raise ConfigError if there is none."""
+    if name not in MOTIONS:
+        raise ConfigError(f"human.motion={name!r} is not allowed; choose one of {', '.join(MOTIONS)}")
+    return MOTIONS[name]
+
+
+def begin(config: HumanConfig, spawn: Array) -> Walk:
+    """Return people at spawn (n, 2) m who face the robot; absent, or at their file's start, if so chosen."""
+    n = len(spawn)
+    position, yaw = spawn.copy(), facing_base(spawn)
+    if motion(config.motion) is none:
+        position, yaw = np.tile([FAR_AWAY_M, 0.0], (n, 1)), np.zeros(n)
+    elif config.motion == "playback":
+        assert config.file is not None
+        time, poses = read_motion(config.file)
+        x, y, facing = (np.interp(0.0, time, column) for column in poses.T)
+        position, yaw = np.tile([x, y], (n, 1)), np.full(n, facing)
+    return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
+
+
+def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
+    """Return the walk one control step of 20 ms on; noise (n, NOISE), tcp (n, 2) m.
+
+    A step beyond `bound_m` of the spawn is drawn back to it; a step into a keep-out disc slides along
+    its rim, or is not taken where that leads into another.
+    """
+    position, yaw = motion(config.motion)(config, walk, noise, tcp)
+    if config.motion not in UNBOUND:
+        offset = position - walk.spawn
+        shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
+        position = walk.spawn + offset * shrink[:, None]
+        (blocked,) = keep_out.entered(position).nonzero()
+        if len(blocked):
+            discs = KeepOut(keep_out.centres.take(blocked, axis=0), keep_out.radius_m)
+            slid = discs.rim(position.take(blocked, axis=0))
+            too_far = length(slid - walk.spawn.take(blocked, axis=0)) > config.bound_m + 1e-9
+            stays = discs.entered(slid) | too_far
+            position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
+    walked = length(position - walk.position)
+    speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
+    return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)
+
+
+def moved_spawns(config: HumanConfig, goals: Array) -> Array:
+    """Return the spawn points (s, 2) m, moved out where nearer than `keep_out_m` to a goal (g, 2) or base."""
+    spawns = np.array(config.spawns_m, dtype=np.float64)
+    return outside(spawns, around(goals, config.keep_out_m, len(spawns)))
+
+
+def around(goals: Array, radius_m: float, rows: int) -> KeepOut:
+    """Return the discs round goals (g, 2) and the robot's base, the same for every row."""
+    centres = np.vstack([goals, np.zeros((1, 2))])
+    return KeepOut(np.broadcast_to(centres, (rows, *centres.shape)), radius_m)
+
+
+def training_spawns(config: HumanConfig) -> NDArray[np.int64]:
+    """Return the indices of the spawn points that training uses."""
+    held_out = set(config.held_out)
+    return np.array([i for i in range(len(config.spawns_m)) if i not in held_out], dtype=np.int64)
+
+
+def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
+    """Return spawn (n, 2) displaced uniformly over a disc of `spawn_jitter_m`; uniform (n, 2) in [0, 1)."""
+    radius = config.spawn_jitter_m * np.sqrt(uniform[:, :1])
+    angle = 2 * np.pi * uniform[:, 1]
+    return spawn + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def training_spawn(
+    config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator
+) -> tuple[int, Array]:
+    """Return the index of a spawn point (-1: anywhere) and a place (2,) m, drawn as `config.spawn` says.
+
+    It is out of the discs and, so that these stay unseen, clear of every held-out one of `spawns` (s, 2).
+
+    Raises:
+      ConfigError: none was found.
+    """
+    held_out, indices = spawns[list(config.held_out)], training_spawns(config)
+    nearest, farthest = config.spawn_radius_m
+    at_point = config.spawn == "points" or (config.spawn == "mixed" and rng.random() < 0.5)
+    for _ in range(ATTEMPTS):
+        index = -1
+        if at_point:
+            index = int(indices[rng.integers(len(indices))])
+            place = outside(jittered_spawn(config, spawns[index][None], rng.random((1, 2))), keep_out)[0]
+        else:
+            radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
+            place = radius * np.array([np.cos(bearing), np.sin(bearing)])
+        clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
+        if clear and not keep_out.entered(place[None])[0]:
+            return index, place
+    raise ConfigError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
+
+
+def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
+    """Return where the policy is told that people at position (n, 2) are.
+
+    `masked`, or nobody there: far away. `clipping=full`: at the nearest spawn point. `partial`: there only
+    while that point is nearer to the robot than the person is. The paper's "a given point nearer than the
+    human" leaves open nearer to what; read so, nobody is told to be farther from the robot than they are.
+    """
+    if config.masked or config.motion == "none":
+        return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))
+    if config.clipping == "off":
+        return position
+    nearest = spawns[np.linalg.norm(position[:, None] - spawns[None], axis=-1).argmin(axis=1)]
+    if config.clipping == "full":
+        return nearest
+    nearer = np.linalg.norm(nearest, axis=-1) < np.linalg.norm(position, axis=-1)
+    return np.where(nearer[:, None], nearest, position)
+
+
+__all__ = [
+    "MOTIONS",
+    "MOTION_STREAM",
+    "NOISE",
+    "EvaluationSet",
+    "KeepOut",
+    "Walk",
+    "advance",
+    "around",
+    "begin",
+    "gait",
+    "jittered_spawn",
+    "load_evaluation_set",
+    "motion",
+    "moved_spawns",
+    "outside",
+    "seen_position",
+    "training_spawn",
+    "training_spawns",
+]

@@ -1,0 +1,52 @@
+"""Remake people/evaluation_set.csv from conf/: `python -m hrl_comfort.humans.make_evaluation_set > FILE`.
+
+Seen and unseen spawns alternate, so that any prefix of the set is half and half. A seen entry stands within
+`spawn_jitter_m` of a point that is not held out; an unseen one within `UNSEEN_JITTER_M` of a held-out one.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from hrl_comfort.config import EVALUATION_EPISODES, FIRST_SEED, CellConfig, HumanConfig
+from hrl_comfort.humans import around, jittered_spawn, moved_spawns, outside, training_spawns
+from hrl_comfort.humans.evaluation import COLUMNS
+
+UNSEEN_JITTER_M = 0.05
+
+
+def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
+    """Return the file's text."""
+    goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])[:, :2]
+    spawns = moved_spawns(human, goals)
+    rng = np.random.default_rng(FIRST_SEED)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for episode in range(EVALUATION_EPISODES):
+        seen = episode % 2 == 0
+        indices = training_spawns(human) if seen else np.array(sorted(human.held_out))
+        spawn = int(indices[episode // 2 % len(indices)])
+        disc = human if seen else replace(human, spawn_jitter_m=UNSEEN_JITTER_M)
+        place = jittered_spawn(disc, spawns[spawn][None], rng.random((1, 2)))
+        x, y = outside(place, around(goals, human.keep_out_m, 1))[0]
+        writer.writerow([episode, FIRST_SEED + episode, spawn, f"{x:.6f}", f"{y:.6f}", FIRST_SEED + episode, seen])
+    return text.getvalue()
+
+
+def default_choices(conf: Path) -> tuple[HumanConfig, CellConfig]:
+    """Return the spawns and the cell that the YAML files in `conf` hold; Hydra is not for this layer."""
+    human = yaml.safe_load((conf / "human" / "_shared.yaml").read_text(encoding="utf-8"))
+    cell = yaml.safe_load((conf / "cell" / "default.yaml").read_text(encoding="utf-8"))
+    return HumanConfig(motion="random_walk", **human), CellConfig(**cell)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(evaluation_set(*default_choices(Path("conf"))))

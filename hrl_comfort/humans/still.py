@@ -1,0 +1,11 @@
+"""Somebody who stands and faces the robot."""
+
+from __future__ import annotations
+
+from hrl_comfort.config import HumanConfig
+from hrl_comfort.humans.walk import Array, Walk, facing_base
+
+
+def still(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
+    """Stay at the spawn point."""
+    return walk.position, facing_base(walk.position)

@@ -1,0 +1,135 @@
+"""A walk in progress, and what every motion model is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import HumanConfig
+
+Array = NDArray[np.float64]
+
+NOISE = 3
+"""Uniform [0, 1) numbers a motion may use each control step."""
+STRIDE_M = 1.4
+"""Ground covered by one gait cycle (two steps) of an adult."""
+FULL_SWING_RAD, FULL_SWING_SPEED_M_S = np.radians(25.0), 1.0
+SPEED_SMOOTHING = 0.05
+"""Weight of the newest step in the low-passed speed that drives the gait."""
+MARGIN_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait."""
+
+    position: Array
+    yaw: Array
+    spawn: Array
+    walked_m: Array
+    """(n,) ground covered."""
+    speed_m_s: Array
+    """(n,) low-passed."""
+    step: NDArray[np.int64]
+    """(n,) control steps walked."""
+
+    def rows(self, index: NDArray[np.int64]) -> Walk:
+        """Return the walks of the rows `index`."""
+        return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
+
+    def put(self, index: NDArray[np.int64], other: Walk) -> Walk:
+        """Return a walk whose rows at `index` are `other`'s."""
+        replaced = {}
+        for field in fields(self):
+            value = getattr(self, field.name).copy()
+            value[index] = getattr(other, field.name)
+            replaced[field.name] = value
+        return Walk(**replaced)
+
+    @classmethod
+    def along(cls, walks: Sequence[Walk]) -> Walk:
+        """Return K walks of n people, one after the other, as one of n * K rows, a person's K together."""
+        stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
+        return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
+
+
+Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
+"""(config, walk, noise (n, NOISE), tcp (n, 2)) -> position (n, 2) m and yaw (n,) rad proposed, a step on."""
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """Discs nobody walks into: centres (n, g, 2) m and their radius."""
+
+    centres: Array
+    radius_m: float
+
+    def entered(self, position: Array) -> NDArray[np.bool_]:
+        """Return (n,) whether position (n, 2) lies in any disc."""
+        if not self.centres.shape[1]:
+            return np.zeros(len(position), dtype=bool)
+        return np.asarray((length(position[:, None] - self.centres) < self.radius_m).any(axis=1))
+
+    def rim(self, position: Array) -> Array:
+        """Return position (n, 2) moved straight out to just beyond the rim of the nearest disc."""
+        offset = position[:, None] - self.centres
+        nearest = np.arange(len(position)), length(offset).argmin(axis=1)
+        out = offset[nearest]
+        span = np.maximum(length(out), 1e-9)[:, None]
+        return np.asarray(self.centres[nearest] + out / span * (self.radius_m + 1e-9))
+
+
+def length(vectors: Array) -> Array:
+    """Return the lengths (...,) of vectors (..., 2); quicker than `np.linalg.norm` on short arrays."""
+    squares = vectors * vectors
+    return np.asarray(np.sqrt(squares[..., 0] + squares[..., 1]))
+
+
+def facing_base(position: Array) -> Array:
+    """Return the yaw (n,) rad that faces the robot's base from position (n, 2)."""
+    return np.arctan2(-position[:, 1], -position[:, 0])
+
+
+def outside(position: Array, keep_out: KeepOut) -> Array:
+    """Return position (n, 2), what lies in a disc replaced by the nearest point outside all of them.
+
+    From inside one disc that is straight away from its centre; where discs overlap it may be a corner.
+    """
+    inside = keep_out.entered(position)
+    moved = position.copy()
+    if inside.any():
+        moved[inside] = _nearest_free(position[inside], keep_out.centres[inside], keep_out.radius_m + MARGIN_M)
+    return moved
+
+
+def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
+    """Return the point (m, 2) nearest to each of `points` that lies in no disc round `centres` (m, g, 2).
+
+    It is on a rim, straight out from a centre or where two rims cross: the nearest of those that are free.
+    """
+    offset = points[:, None] - centres
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    away = np.where(length > MARGIN_M, offset / np.maximum(length, MARGIN_M), [1.0, 0.0])
+    radial = centres + away * radius
+
+    first, second = np.triu_indices(centres.shape[1], 1)
+    half = (centres[:, second] - centres[:, first]) / 2
+    gap = np.linalg.norm(half, axis=-1, keepdims=True)
+    across = np.stack([-half[..., 1], half[..., 0]], axis=-1) / np.maximum(gap, MARGIN_M)
+    across = across * np.sqrt(np.maximum(radius**2 - gap**2, 0.0))
+    middle = (centres[:, first] + centres[:, second]) / 2
+
+    tried = np.concatenate([radial, middle + across, middle - across], axis=1)
+    clearance = np.linalg.norm(tried[:, :, None] - centres[:, None], axis=-1).min(axis=2)
+    distance = np.linalg.norm(tried - points[:, None], axis=-1)
+    distance = np.where(clearance >= radius - MARGIN_M / 2, distance, np.inf)
+    return tried[np.arange(len(points)), distance.argmin(axis=1)]
+
+
+def gait(walk: Walk) -> tuple[Array, Array]:
+    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs."""
+    swing = FULL_SWING_RAD * np.minimum(walk.speed_m_s / FULL_SWING_SPEED_M_S, 1.0)
+    return 2 * np.pi * walk.walked_m / STRIDE_M, swing

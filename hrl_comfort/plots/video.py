@@ -1,0 +1,178 @@
+"""A recorded episode as a small mp4: the rows of paths.csv, drawn by MuJoCo without a screen."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.analysis.intervals import Floats
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
+from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
+from hrl_comfort.scene.robots import JOINTS
+from hrl_comfort.tasks import SUBTASKS
+
+WIDTH, HEIGHT = 480, 360
+FRAMES_PER_S = 25
+PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
+_STRIDE_M = 1.4
+"""Two steps of an adult's walk."""
+_SWING_RAD = 0.45
+_BACKENDS = ("egl", "osmesa")
+
+
+class PicturesUnavailableError(RuntimeError):
+    """There is no way to draw: no EGL library; the message names the packages that bring one."""
+
+
+def _open_screen() -> Any:
+    """Return a current off-screen OpenGL context, EGL unless MUJOCO_GL says osmesa.
+
+    It is made here, not by mujoco.Renderer, whose back end is fixed when mujoco is first imported.
+    """
+    asked = os.environ.get("MUJOCO_GL", "").lower()
+    backend = asked if asked in _BACKENDS else "egl"
+    try:
+        screen = importlib.import_module(f"mujoco.{backend}").GLContext(WIDTH, HEIGHT)
+        screen.make_current()
+    except (ImportError, AttributeError, RuntimeError, OSError) as error:
+        raise PicturesUnavailableError(
+            f"no video: off-screen OpenGL ({backend}) is not available here ({type(error).__name__}); "
+            f"on Debian or Ubuntu: apt-get install {PACKAGES}"
+        ) from error
+    return screen
+
+
+def resample(path: Mapping[str, Floats], frames_per_s: int = FRAMES_PER_S) -> dict[str, Floats]:
+    """Return the columns (steps,) of a recorded episode at the times of the video's frames (frames,).
+
+    Linear between control steps, yaw without its jumps; a stage is held until the next begins.
+    """
+    time = path["step"] * CONTROL_STEP_S
+    frames = np.arange(time[0], time[-1] + 1e-9, 1 / frames_per_s)
+    out = {}
+    for name, values in path.items():
+        if name == "stage":
+            out[name] = values[np.searchsorted(time, frames + 1e-9, side="right") - 1]
+        else:
+            out[name] = np.interp(frames, time, np.unwrap(values) if name == "human_yaw" else values)
+    return out
+
+
+def gait(x: Floats, y: Floats, frames_per_s: int = FRAMES_PER_S) -> tuple[Floats, Floats]:
+    """Return phase and swing (frames,), rad, of legs that carry a person along x, y (frames,), m.
+
+    The path is averaged over half a second first: a jitter on the spot is not a walk.
+    """
+    half = max(1, frames_per_s // 4)
+    kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
+    smooth = [np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid") for values in (x, y)]
+    walked = np.hypot(*(np.diff(values, prepend=values[0]) for values in smooth))
+    phase = 2 * math.pi * np.cumsum(walked) / _STRIDE_M
+    return phase, _SWING_RAD * np.clip(walked * frames_per_s / 0.8, 0, 1)
+
+
+def _ball_place(task: str, stage: int) -> str:
+    """Return where the ball is: table, tool, drop, or nowhere in a subtask without one."""
+    names = [item.name for item in SUBTASKS[task].stages]
+    if not {"pick", "place", "return"} & set(names):
+        return "nowhere"
+    if stage < len(names):
+        return {"pick": "table", "place": "tool"}.get(names[stage], "drop")
+    return "tool" if names[-1] == "pick" else "drop"
+
+
+def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the human's columns (steps,) with nobody there put where absent things stand."""
+    far = {"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
+    return {name: np.where(np.isnan(path[name]), value, path[name]) for name, value in far.items()}
+
+
+def _azimuth_deg(path: Mapping[str, Floats]) -> float:
+    """Return where the camera looks: past the robot towards the person, a little from the side."""
+    x, y = (float(np.median(path[name])) for name in ("human_x", "human_y"))
+    if not math.hypot(x, y) < FAR_AWAY_M / 2:  # nobody there
+        return 75.0
+    return math.degrees(math.atan2(y, x)) + 25.0
+
+
+def _poses(scene: Scene, path: Mapping[str, Floats]) -> NDArray[np.float64]:
+    """Return the limbs' poses (frames, 5, 7)."""
+    phase, swing = gait(path["human_x"], path["human_y"])
+    return limb_poses(path["human_x"], path["human_y"], path["human_yaw"], phase, swing, scene.floor_z)
+
+
+def frames(
+    path: Mapping[str, Floats], robot: RobotConfig, cell: CellConfig, task: str, colour: str
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures (HEIGHT, WIDTH, 3) of one episode, FRAMES_PER_S a second of its time.
+
+    Args:
+      path: the episode's columns of paths.csv, each (steps,).
+      robot: the arm.
+      cell: the cell.
+      task: the subtask; it says what the stages are, and so where the ball is.
+      colour: orange or pink.
+
+    Raises:
+      PicturesUnavailableError: there is no off-screen OpenGL.
+    """
+    scene = build_scene(robot, cell, substeps=2)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.35
+    model.vis.map.znear = 0.05 / model.stat.extent  # the extent holds what is put far away
+    model.light_cutoff[:] = 85  # the lamp lights the whole floor
+    screen = _open_screen()
+    context = None
+    try:
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+        view, camera, option = mujoco.MjvScene(model, maxgeom=500), mujoco.MjvCamera(), mujoco.MjvOption()
+        camera.lookat[:] = (0.0, 0.0, 0.2)
+        camera.distance, camera.azimuth, camera.elevation = 2.9, _azimuth_deg(path), -27
+        rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+        shown = resample({**path, **_absent_is_away(path)})
+        limbs = _poses(scene, shown)
+        goals = {"table": cell.ball_m, "drop": cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+        joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
+        ball = scene.mocap.index(f"{colour}_ball")
+        picture = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+        for i in range(len(shown["step"])):
+            data.qpos[joints] = [shown[f"q{j}"][i] for j in range(6)]
+            data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
+            tool = [shown[f"tcp_{axis}"][i] for axis in "xyz"]
+            where = _ball_place(task, int(shown["stage"][i]))
+            if where != "nowhere":
+                data.mocap_pos[ball] = goals.get(where, tool)
+            mujoco.mj_forward(model, data)
+            mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, view)
+            mujoco.mjr_render(rectangle, view, context)
+            mujoco.mjr_readPixels(picture, None, rectangle, context)
+            yield picture[::-1].copy()
+    finally:
+        if context is not None:
+            context.free()
+        screen.free()
+
+
+def write_video(file: Path, pictures: Iterator[NDArray[np.uint8]]) -> Path:
+    """Write pictures to an mp4 that browsers play, FRAMES_PER_S a second, and return its path."""
+    import imageio.v2 as imageio
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    first = next(pictures)  # before the file is opened: no empty video where drawing fails
+    writer: Any = imageio.get_writer(
+        file, fps=FRAMES_PER_S, codec="libx264", quality=5, macro_block_size=2, ffmpeg_log_level="error"
+    )
+    with writer:
+        writer.append_data(first)
+        for picture in pictures:
+            writer.append_data(picture)
+    return file

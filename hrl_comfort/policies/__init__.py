@@ -1,0 +1,1 @@
+"""Policies: maps from observations to actions, and how `policy=` is resolved."""

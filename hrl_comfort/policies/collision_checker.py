@@ -1,0 +1,126 @@
+"""The arm as spheres and the cell as contacts: the geometry that the scripted expert weighs."""
+
+from __future__ import annotations
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.scene.human import LIMBS
+from hrl_comfort.scene.robots import LINKS, ROBOTS
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.arm_distance import link_frames
+
+Array = NDArray[np.float64]
+
+CHECK_RAD = np.radians(4.0)
+"""Turn of the fastest joint between two checks for contact with the cell."""
+SPACING_M = 0.06
+"""Between the spheres that stand for a capsule of the arm."""
+RISE_M = 0.08
+"""How far the tool is raised out of a tight place."""
+CLEARANCE_M = 0.01
+"""The arm keeps this from the cell, the person and itself."""
+
+
+class ArmSpheres:
+    """The arm as spheres, by batched DH kinematics."""
+
+    def __init__(self, scene: Scene, robot: str) -> None:
+        self._robot = ROBOTS[robot]
+        model, data = scene.model, mujoco.MjData(scene.model)
+        mujoco.mj_kinematics(model, data)
+        links = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"robot/{link}") for link in LINKS]
+        places, radii, self._link = [], [], []
+        for geom in range(model.ngeom):
+            body = int(model.geom_bodyid[geom])
+            while body not in links and body != 0:
+                body = int(model.body_parentid[body])
+            if body == 0:
+                continue  # the pedestal side of the arm, and everything that is not the arm
+            size, half = model.geom_size[geom][:2]
+            along = np.linspace(-half, half, max(2, int(np.ceil(2 * half / SPACING_M)) + 1))
+            world = data.geom_xpos[geom] + along[:, None] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            places.append((world - data.xpos[body]) @ data.xmat[body].reshape(3, 3))
+            radii.append(np.full(len(along), size))
+            self._link.append(links.index(body))
+        self._places, self.radius = places, np.concatenate(radii)
+        tcp = data.site("robot/tcp").xpos
+        self._tcp = (tcp - data.xpos[links[-1]]) @ data.xmat[links[-1]].reshape(3, 3)
+
+    def spheres(self, joints: Array) -> Array:
+        """Return the spheres' centres (..., P, 3) m."""
+        frames = link_frames(self._robot, joints)
+        parts = []
+        for link, places in zip(self._link, self._places, strict=True):
+            turn, origin = frames[link]
+            parts.append(origin[..., None, :] + places @ np.swapaxes(turn, -1, -2))
+        return np.concatenate(parts, axis=-2)
+
+    def tool(self, joints: Array) -> Array:
+        """Return the tool centre point (..., 3) m."""
+        turn, origin = link_frames(self._robot, joints)[-1]
+        return origin + turn @ self._tcp
+
+
+class CollisionChecker:
+    """Inverse kinematics and contact checks in the cell without a person."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
+        self._model.geom_margin[:] = CLEARANCE_M
+        self._configuration = mink.Configuration(self._model)
+        self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
+        self._limits = [mink.ConfigurationLimit(self._model)]
+        self._data = self._configuration.data
+        self._data.mocap_pos[: len(LIMBS), 0] = FAR_AWAY_M
+
+    def _depth(self, joints: Array) -> float:
+        """Return the distance (m) of the closest contact, CLEARANCE_M if there is none nearer."""
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+        return float(min(self._data.contact.dist.min(initial=CLEARANCE_M), CLEARANCE_M))
+
+    def free(self, start: Array, end: Array) -> bool:
+        """Return whether the straight way keeps its clearance, or no less than it has at the start."""
+        least = min(self._depth(start), CLEARANCE_M) - 1e-3
+        way = np.abs(end - start).max()
+        turned = np.concatenate([np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, way, CHECK_RAD), [way]])
+        shares = turned[turned <= way] / max(way, 1e-9)
+        return all(self._depth(start + share * (end - start)) >= least for share in shares)
+
+    def risings(self, joints: Array) -> Array:
+        """Return postures (5, 6) near `joints` in which the tool is higher, and aside in four of them."""
+        self._configuration.update(joints)
+        tool = self._data.site("robot/tcp").xpos.copy()
+        found = []
+        for aside in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            self._configuration.update(joints)
+            self._tool.set_target(mink.SE3.from_translation(tool + RISE_M * np.array([*aside, 1.0])))
+            for _ in range(8):
+                self._pull()
+            found.append(self._configuration.q.copy())
+        return np.array(found)
+
+    def escape(self, joints: Array) -> Array:
+        """Return the posture, of many nearby, that is farthest from contact."""
+        around = joints + np.radians(12.0) * np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
+        return around[np.argmax([self._depth(posture) for posture in around])]
+
+    def reach(self, seed: Array, goal: Array, tolerance: float) -> Array | None:
+        """Return a posture near `seed`, tool within `tolerance` of `goal`, touching nothing, if found."""
+        self._configuration.update(seed)
+        self._tool.set_target(mink.SE3.from_translation(goal))
+        for _ in range(20):
+            if np.linalg.norm(self._data.site("robot/tcp").xpos - goal) < tolerance:
+                posture = self._configuration.q.copy()
+                return posture if self._depth(posture) >= CLEARANCE_M - 1e-3 else None
+            self._pull()
+        return None
+
+    def _pull(self) -> None:
+        velocity = mink.solve_ik(self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits)
+        self._configuration.integrate_inplace(velocity, 0.5)

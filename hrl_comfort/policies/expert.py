@@ -1,0 +1,210 @@
+"""A scripted expert: goal postures by mink, straight joint-space paths, and a forecast of the person's walk.
+
+At every decision and for every row it weighs plans: straight to one of the goal's postures, to one by way of
+an upright posture, or to wait upright. A plan costs its control steps plus a price on the chance that the
+person, who wanders like a Brownian particle, gets to where the arm will be. The first leg of the cheapest
+plan that meets neither the cell nor the arm itself is followed for one decision; nothing is remembered but
+postures.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.comfort.adapt import longest_max_episode_steps
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
+from hrl_comfort.scene.human import (
+    ARM_RADIUS_M,
+    SHOULDER_HALF_WIDTH_M,
+    SHOULDER_M,
+    TRUNK_RADIUS_M,
+)
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks.subtask import by_stage
+
+Array = NDArray[np.float64]
+Goal = tuple[float, ...] | None
+"""Where the tool shall go, m; None: home, joint by joint."""
+
+NEAREST, SPREAD = 12, 36
+"""Postures kept for a goal: those nearest to home, and others weighed only when those will not do."""
+CONSIDERED = 12
+"""Postures, the safest to be in, to which detours are weighed."""
+LIBRARY = 20_000
+"""Random postures that seed inverse kinematics."""
+DISTINCT_RAD = np.radians(25.0)
+"""Two postures of a goal differ by this in some joint."""
+UPRIGHT_PANS_RAD = np.radians(np.arange(-225.0, 226.0, 45.0))
+PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
+"""(16, 6) which joints a partial raising brings home."""
+SAMPLES = 12
+"""Instants at which a leg of a plan is checked for the person."""
+ARM_SWING_RAD = np.radians(15.0)
+"""How far the arms of a person of random_walk swing."""
+FORESIGHT_STEPS = 30.0
+"""The person's walk is forecast this far; what comes later can still be answered."""
+RISK_STEPS, LAST_RISK_STEPS = 1500.0, 150.0
+"""Control steps that a certain collision is worth, at the beginning and when time is up."""
+WAIT_STEPS = 120.0
+"""Control steps that waiting is reckoned to cost."""
+NEGLIGIBLE = 2e-3
+"""A straight plan with less risk is not compared with detours."""
+
+
+class Expert:
+    """Acts for any rows of any subtask; a function of the state."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
+        if config.task.action != "joint":
+            raise ConfigError(f"task.action={config.task.action!r} is not allowed with policy=expert; choose joint")
+        self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
+        self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
+        self._step = np.radians(config.task.max_step_deg)
+        self._decision = self._step * config.task.action_repeat
+        self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
+        human, precision = config.human, config.task.precision
+        self._sigma = human.jitter_m / np.sqrt(3.0)
+        self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0
+        self._tolerance = 0.6 * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
+        self._home, self._range = scene.home, scene.joint_range
+        self._shoulder_z = scene.floor_z + SHOULDER_M
+        self._upright = np.tile(scene.home, (len(UPRIGHT_PANS_RAD), 1))
+        self._upright[:, 0] = UPRIGHT_PANS_RAD
+        self._cell = CollisionChecker(scene)
+        self._body = ArmSpheres(scene, config.robot.name)
+        self._library = self._seeds()
+        self._known: dict[tuple[tuple[float, ...], bool], Array] = {}
+        self._passages: dict[Goal, NDArray[np.bool_]] = {}
+
+    @torch.no_grad()
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
+        joints = state.joint_target.numpy()
+        index = state.stage.clamp(0, len(self._homeward) - 1)
+        homeward = self._homeward[index].numpy()
+        points = self._goal(state.with_(stage=index)).numpy()
+        goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
+        people = np.concatenate([state.human_pos.numpy(), state.human_yaw.numpy()[:, None]], axis=-1)
+        price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
+
+        nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
+        steps, risk = self._weigh(joints[:, None], nearest, people[:, None])
+        best = (steps + price[:, None] * risk).argmin(axis=1)
+        target = nearest[np.arange(len(best)), best]
+        for row, choice in enumerate(best):
+            if risk[row, choice] > NEGLIGIBLE or not self._cell.free(joints[row], target[row]):
+                target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
+        move = target - joints
+        largest = np.abs(move).max(axis=-1, keepdims=True)
+        return torch.from_numpy(move / np.maximum(largest, self._decision))
+
+    def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
+        """Return where to go first (6,): a posture of the goal, a place on the way to one, or to wait."""
+        postures = self._postures(goal, more=True)
+        steps, risk = self._weigh(joints, postures, person)
+        direct = steps + price * risk
+        boxed_in = not self._cell.free(joints, postures[direct.argmin()])
+        end_risk = self._weigh(postures, postures, person)[1]
+        safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
+        # By way of: upright at some pan; any of shoulder to second wrist as at home, the rest as they are.
+        partly = np.where(PARTS, self._home, joints)
+        risings = self._cell.risings(joints) if boxed_in else joints[None]
+        ways = np.concatenate([self._upright, partly, risings])
+        first_steps, first_risk = self._weigh(joints, ways, person)
+        steps_on, risk_on = self._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
+        clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
+        clear[: len(self._upright)] &= self._clear(goal)[:, safest]
+        onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
+        exposed = self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+        waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
+        cost = np.concatenate([direct, first_steps + price * first_risk + np.minimum(onward, waiting)])
+        targets = np.concatenate([postures, ways])
+        for choice in np.argsort(cost):
+            if self._cell.free(joints, targets[choice]):
+                return targets[choice]
+        return self._cell.escape(joints)
+
+    def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return control steps and collision chance (...,) of straight legs begun `begun` steps from now."""
+        steps = np.abs(end - start).max(axis=-1) / self._step
+        share = np.arange(1, SAMPLES + 1) / SAMPLES
+        legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
+        when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
+        gap = self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
+        z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
+        # Within 10 % of the chance that Brownian motion gets as far as z standard deviations by then.
+        return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
+
+    def _gap(self, spheres: Array, person: Array) -> Array:
+        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 3) of x, y, yaw.
+
+        The person is a pillar of the trunk's width, between arms that may swing to and fro.
+        """
+        x, y = spheres[..., 0] - person[..., 0], spheres[..., 1] - person[..., 1]
+        cos, sin = np.cos(person[..., 2]), np.sin(person[..., 2])
+        ahead, aside = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
+        below = self._shoulder_z - spheres[..., 2]
+        swing = np.tan(ARM_SWING_RAD) * np.maximum(below, 0.0)
+        arm = np.hypot(np.maximum(ahead - swing, 0.0), aside - SHOULDER_HALF_WIDTH_M) - ARM_RADIUS_M
+        arm = np.where(below > -0.1, arm, np.inf)
+        trunk = np.hypot(ahead, aside) - TRUNK_RADIUS_M
+        return np.asarray((np.minimum(arm, trunk) - self._body.radius).min(axis=-1))
+
+    # ---- postures --------------------------------------------------------------------------------------
+
+    def _seeds(self) -> Array:
+        """Return random postures (LIBRARY, 6) rad round an upright home, pan at home."""
+        rng = np.random.default_rng(0)
+        bend = np.radians([0.0, 120.0, 120.0, 120.0, 80.0, 0.0])
+        return np.clip(self._home + rng.uniform(-bend, bend, (LIBRARY, 6)), *self._range.T)
+
+    def _postures(self, goal: Goal, more: bool = False) -> Array:
+        """Return postures (K, 6), free of contact, that bring the tool to `goal` (home itself if None).
+
+        The NEAREST to home come first; `more` adds others.
+        """
+        if goal is None:
+            return np.tile(self._home, (NEAREST, 1))
+        if (goal, more) not in self._known:
+            self._known[goal, more] = self._solve(goal, more)
+        return self._known[goal, more]
+
+    def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
+        tool = self._body.tool(self._library)
+        radius, height = np.hypot(tool[:, 0], tool[:, 1]), tool[:, 2]
+        near = np.hypot(radius - np.hypot(goal[0], goal[1]), height - goal[2]) < 0.05
+        seeds, tool = self._library[near].copy(), tool[near]
+        seeds[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tool[:, 1], tool[:, 0])
+        seeds[:, 0] = (seeds[:, 0] + np.pi) % (2 * np.pi) - np.pi
+        count = NEAREST + SPREAD if more else NEAREST
+        found: list[Array] = list(self._postures(goal)) if more else []
+        if not more:
+            seeds = seeds[np.argsort(np.abs(seeds - self._home).max(axis=-1))]
+        for seed in seeds:
+            if all(np.abs(seed - other).max() > DISTINCT_RAD for other in found):
+                posture = self._cell.reach(seed, np.array(goal), self._tolerance)
+                if posture is not None:
+                    found.append(posture)
+            if len(found) == count:
+                break
+        if not found:
+            raise ConfigError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
+        postures = np.array(found)[np.arange(count) % len(found)]
+        if more:  # the same the other way round, where the pan allows
+            turned = postures - np.sign(postures) * np.array([2 * np.pi, 0, 0, 0, 0, 0])
+            postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
+        return postures
+
+    def _clear(self, goal: Goal) -> NDArray[np.bool_]:
+        """Return (V, K): whether the way from upright to each of `_postures(goal, more=True)` is free."""
+        if goal not in self._passages:
+            postures = self._postures(goal, more=True)
+            self._passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])
+        return self._passages[goal]

@@ -1,0 +1,192 @@
+"""A non-learning rival: an artificial potential field that heeds the comfort level, followed by mink.
+
+The tool is drawn to the goal of the stage in force and pushed from the person's axis inside a radius that
+the level sets (Khatib, Int. J. Robotics Research 5(1), 1986, 10.1177/027836498600500106). Three departures
+from the textbook keep it from stopping halfway: the push fades towards the goal, which a person may stand
+beside (Ge and Cui, IEEE Trans. Robotics and Automation 16(5), 2000, 10.1109/70.880813); what draws the tool
+at the person is turned round them; and the way to the goal leads round the robot's base, on the side where
+the push is less, drawn in and raised. A quadratic program turns tool velocity to joint velocity and keeps
+the links off person, cell and each other. Where speed counts (`comfort.beta`), the joints go no faster than
+is at ease. Nothing is remembered.
+"""
+
+from __future__ import annotations
+
+import mink
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.comfort.terms import SMALLEST_M, increment_threshold, threshold_levels
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.robots import JOINTS
+from hrl_comfort.scene.workcell import OBSTACLES, Scene
+from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks.subtask import by_stage
+
+Array = NDArray[np.float64]
+
+SPEED_M = 0.04
+"""The goal draws the tool by this a control step; the joints seldom manage as much."""
+SLOWING = 0.3
+"""Share of the way left that is done in one control step at most, so that the tool settles at the goal."""
+PUSH = 2.0
+"""Push over pull where the tool is at the person's axis and far from the goal."""
+FADE_M = 0.25
+"""The push fades over this distance from the goal. Longer, a person beside the goal holds the tool off."""
+SIDE_WEIGHT = 4.0
+"""What a turn round the base costs within the push, at the person's axis, over one outside it."""
+CRUISE_M, CRUISE_HEIGHT_M = 0.26, 0.50
+"""Distance from the base's axis and height at which the tool travels round it."""
+BLOCKED_M = 0.34
+"""A way round the base is blocked where the tool would come so near the person's axis."""
+DESCENT, ABOVE_M = 0.4, 0.05
+"""Slope, rise over run, at which the tool comes down to its goal, or the fingers touch the table's edge;
+and how near the goal's vertical the slope ends."""
+TURNING_RAD = np.radians(20.0), np.radians(70.0)
+"""From the first to the second angle left to turn, the tool goes over from the goal to travelling."""
+PERSON_M, PERSON_SEEN_M = 0.08, 0.40
+"""Least distance of the links to the person, whose arms swing, and from where on it is watched."""
+CELL_M, CELL_SEEN_M = 0.03, 0.12
+"""Likewise to tables, pedestal and the arm itself."""
+APPROACH = 0.3
+"""Share of the room above the least distance that links may close in one control step."""
+
+
+class PotentialField:
+    """Acts for any rows of any subtask; a function of the state."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
+        if config.task.action != "joint":
+            raise ConfigError(
+                f"task.action={config.task.action!r} is not allowed with policy=potential_field; choose joint"
+            )
+        self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
+        self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
+        self._comfort, self._floor_z = config.comfort, scene.floor_z
+        self._step = np.radians(config.task.max_step_deg)
+        self._solves = config.task.action_repeat
+        self._home, self._range = scene.home, scene.joint_range
+        model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
+        self._configuration = mink.Configuration(model)
+        self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0)
+        self._posture = mink.PostureTask(model, cost=np.array([0.0, 1, 1, 1, 1, 1]) * 3e-3)
+        self._posture.set_target(scene.home)
+        self._homing = mink.PostureTask(model, cost=1.0)
+        speed = self._step / CONTROL_STEP_S
+        names = [model.geom(index).name for index in range(model.ngeom)]
+        arm = [name for name in names if name.startswith("robot/") and name != "robot/base"]
+        owners = {name: model.body(model.geom(name).bodyid[0]).name for name in names}
+        person = [name for name in names if owners[name] in LIMBS]
+        cell = ["robot/base", *(name for name in names if owners[name] in OBSTACLES)]
+        self._limits = [
+            mink.ConfigurationLimit(model),
+            mink.VelocityLimit(model, {f"robot/{joint}": speed for joint in JOINTS}),
+            mink.CollisionAvoidanceLimit(model, [(arm, person)], APPROACH, PERSON_M, PERSON_SEEN_M),
+            mink.CollisionAvoidanceLimit(model, [(arm, cell), (arm, arm)], APPROACH, CELL_M, CELL_SEEN_M),
+        ]
+
+    @torch.no_grad()
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
+        index = state.stage.clamp(0, len(self._homeward) - 1)
+        homeward = self._homeward[index].numpy()
+        goals = self._goal(state.with_(stage=index)).numpy()
+        level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
+        radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
+        pace = self._pace(level).numpy()
+        people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
+        limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
+        before = state.joint_target.numpy()
+        joints = before.copy()
+        for row in range(len(joints)):
+            self._stand(limbs[row])
+            for _ in range(self._solves):
+                ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
+                joints[row] += pace[row] * (ahead - joints[row])
+        return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
+
+    def _pace(self, level: Tensor) -> Tensor:
+        """Return (N,) the share of full speed that is at ease at level (N,)."""
+        if self._comfort.source == "none" or not self._comfort.beta:
+            return torch.ones_like(level)
+        return increment_threshold(level, 1.0, self._comfort)
+
+    def _stand(self, limbs: Array) -> None:
+        """Put the person's limbs (5, 7) into the model; they are taken to hang still."""
+        data = self._configuration.data
+        data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
+
+    def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: bool) -> Array:
+        """Return the joints (6,) rad a control step on."""
+        self._configuration.update(joints)
+        tool = self._configuration.data.site("robot/tcp").xpos.copy()
+        tasks: list[mink.Task]
+        if home:
+            move = self._home - joints
+            self._homing.set_target(joints + move * min(1.0, self._step / max(np.abs(move).max(), 1e-9)))
+            tasks = [self._homing]
+        else:
+            move = self.displacement(tool, goal, person, radius, joints[0])
+            self._tool.set_target(mink.SE3.from_translation(tool + move))
+            tasks = [self._tool, self._posture]
+        # Should the limits leave no way to move, the arm stands.
+        try:
+            velocity = mink.solve_ik(
+                self._configuration, tasks, CONTROL_STEP_S, "daqp", damping=1e-4, limits=self._limits
+            )
+        except mink.NoSolutionFound:
+            return joints
+        return joints + velocity * CONTROL_STEP_S
+
+    def displacement(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> Array:
+        """Return the displacement (3,) m that the field asks of the tool in a control step.
+
+        Cell frame: tool and goal (3,) m, person (2,) m; `radius` m is how far the push reaches, `pan` rad the
+        first joint's angle.
+        """
+        left = float(np.linalg.norm(goal - tool))
+        pull = self._pull(tool, goal, person, radius, pan)
+        away = np.append(tool[:2] - person, 0.0)
+        distance = float(np.linalg.norm(away))
+        away /= max(distance, 1e-6)
+        strength = max(0.0, 1.0 - distance / radius) * min(1.0, left / FADE_M)
+        towards = min(0.0, float(pull @ away))
+        if towards < 0.0:
+            speed = np.linalg.norm(pull)
+            turned = pull - strength * towards * away
+            pull = turned * speed / max(float(np.linalg.norm(turned)), 1e-6)
+        return pull + PUSH * SPEED_M * strength * away
+
+    def _pull(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> Array:
+        """Return the displacement (3,) m a control step by which the goal draws the tool round the base."""
+        angle, turn = np.arctan2(tool[1], tool[0]), self._turn(tool, goal, person, radius, pan)
+        low, high = TURNING_RAD
+        travelling = np.clip((abs(turn) - low) / (high - low), 0.0, 1.0)
+        out, end = np.hypot(tool[0], tool[1]), np.hypot(goal[0], goal[1])
+        height = goal[2] + DESCENT * max(0.0, float(np.hypot(*(goal - tool)[:2])) - ABOVE_M)
+        wished = np.array([end, height]) * (1 - travelling) + travelling * np.array(
+            [CRUISE_M, max(CRUISE_HEIGHT_M, goal[2])]
+        )
+        drawn = SLOWING * (wished - [out, tool[2]])
+        around = SLOWING * turn * max(out, 0.1)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        pull = np.append(drawn[0] * along + around * np.array([-along[1], along[0]]), drawn[1])
+        return pull * min(1.0, SPEED_M / max(float(np.linalg.norm(pull)), 1e-9))
+
+    def _turn(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> float:
+        """Return the angle (rad, left positive) about the base's axis that leads to the goal."""
+        angle = np.arctan2(tool[1], tool[0])
+        short = (np.arctan2(goal[1], goal[0]) - angle + np.pi) % (2 * np.pi) - np.pi
+        ways = np.array([short, short - np.sign(short) * 2 * np.pi])
+        passed = angle + ways[:, None] * np.linspace(0.0, 1.0, 13)
+        reach = max(CRUISE_M, np.hypot(tool[0], tool[1]))
+        gap = np.hypot(reach * np.cos(passed) - person[0], reach * np.sin(passed) - person[1])
+        cost = np.abs(ways) * (1.0 + SIDE_WEIGHT * np.maximum(0.0, 1.0 - gap / radius).mean(axis=-1))
+        end = pan + ways
+        cost += 2 * np.pi * (gap.min(axis=-1) < BLOCKED_M)
+        cost[(end < self._range[0, 0]) | (end > self._range[0, 1])] = np.inf
+        return float(ways[cost.argmin()])

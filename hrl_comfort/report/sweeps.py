@@ -1,0 +1,76 @@
+"""The page about a sweep: one table, one figure, and every job that is not finished, with its reason.
+
+Beside the page lie the table as CSV and as Markdown, and the figure as PNG, by the page's name.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+import matplotlib
+
+from hrl_comfort.analysis.sweeps import Sweep, as_csv, cells, not_finished, read_sweep
+from hrl_comfort.config import ConfigError
+from hrl_comfort.files.atomic import write_atomically, write_text
+from hrl_comfort.plots.compare import markdown
+from hrl_comfort.plots.figures import STYLE, data_uri
+from hrl_comfort.plots.sweeps import LOOKS, learning
+
+DPI = 200
+HEADS = ["folder", "overrides", "state", "why"]
+
+
+def sweep_report(folder: Path, output: Path) -> bool:
+    """Write the page about the sweep in `folder`; return whether there is one.
+
+    Raises:
+      ConfigError: a file of the sweep is damaged, or `output` would overwrite the table.
+    """
+    sweep = read_sweep(folder)
+    if not sweep.rows:
+        return False
+    if output.suffix in (".csv", ".md", ".png"):
+        raise ConfigError(f"output={str(output)!r} is the page; its {output.suffix} file is written beside it")
+    figure = learning(sweep)
+    write_text(output.with_suffix(".csv"), as_csv(sweep))
+    write_text(output.with_suffix(".md"), _markdown(sweep))
+    if figure is not None:
+        with matplotlib.rc_context(STYLE):
+            write_atomically(output.with_suffix(".png"), lambda file: figure.savefig(file, format="png", dpi=DPI))
+    files = resources.files("hrl_comfort.report")
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    heads, lines = cells(sweep)
+    page = environment.from_string(files.joinpath("sweep.html.j2").read_text(encoding="utf-8")).render(
+        title=folder.resolve().name,
+        style=files.joinpath("report.css").read_text(encoding="utf-8"),
+        alike=sweep.alike,
+        words=len(heads) if not sweep.rows[0].combination else len(sweep.rows[0].combination),
+        heads=heads,
+        lines=lines,
+        problem_heads=HEADS,
+        problems=not_finished(sweep),
+        jobs=len(sweep.entries),
+        others=_others(folder, sweep),
+        figure=None if figure is None else data_uri(figure),
+        curve=sweep.curve,
+        left_out=max(0, len(sweep.rows) - len(LOOKS)),
+    )
+    write_text(output, page)
+    return True
+
+
+def _markdown(sweep: Sweep) -> str:
+    """Return both tables in Markdown."""
+    text = markdown(*cells(sweep))
+    problems = not_finished(sweep)
+    return text + ("\n" + markdown(HEADS, problems) if problems else "")
+
+
+def _others(folder: Path, sweep: Sweep) -> list[str]:
+    """Return the run folders beside the sweep's own."""
+    own = {entry.where.split("/")[0] for entry in sweep.entries}
+    return sorted(file.parent.name for file in folder.glob("*/config.yaml") if file.parent.name not in own)

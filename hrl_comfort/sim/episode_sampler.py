@@ -1,0 +1,217 @@
+"""What chance decides about an episode: colour, walk, spawn, start and points, from (seed, row, episode)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort import humans
+from hrl_comfort.comfort.adapt import longest_max_episode_steps
+from hrl_comfort.comfort.sources import DRAWS
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.humans import EvaluationSet
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.starts import ARM, start_states
+from hrl_comfort.tasks import Subtask
+
+Array = NDArray[np.float64]
+
+POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
+"""Random points of `reach` lie in this annulus round the base."""
+TABLE_CLEARANCE_M = 0.25
+ATTEMPTS = 200
+LONGEST_STEPS = 1_000_000
+"""Of an episode: the random numbers of its walk are drawn, and kept, from the start."""
+LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM = 1, 2, 3, 4
+"""Of random numbers for levels, for walks beyond `task.max_episode_steps`, for balls and for disturbances: streams
+of their own, so that with them or without, the rest of an episode is the same."""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One beginning of an episode; of a later attempt, only spawn, start, its level and points are new."""
+
+    balls: Array
+    """(B, 3) m, where they lie on the pick table."""
+    colours: NDArray[np.int64]
+    """(B,) 0 orange, 1 pink."""
+    noise: Array
+    """(horizon, NOISE) in [0, 1): what the walk uses at each control step."""
+    level: Array
+    """(comfort.sources.DRAWS,) in [0, 1): what the source of comfort levels uses."""
+    motion_id: int
+    """Of the evaluation set; -1 in training."""
+    spawn_id: int
+    """Index of the spawn point; -1 where the human begins anywhere."""
+    spawn: Array
+    """(2,) m."""
+    start: Array
+    """(18,) angles, velocities and servo targets of the joints (`sim.starts`)."""
+    points: Array
+    """(2, 3) m, of `reach` and `point_to_point`."""
+
+
+class EpisodeSampler:
+    """The source of beginnings. With an `evaluation` set, row r gets entry r (modulo its length)."""
+
+    def __init__(
+        self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
+    ) -> None:
+        _check_slots(config)
+        self.seed = seed
+        self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
+        self._on_points = len(task.stages) if task.stages[0].name == "reach" else 0
+        cell = config.cell
+        self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
+        self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])
+        self._centres = humans.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
+        self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
+        longest = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
+        if longest > LONGEST_STEPS:
+            raise ConfigError(
+                f"task.max_episode_steps={config.task.max_episode_steps} is {longest} control steps at level 1 of "
+                f"comfort.levels={config.comfort.levels}; at most {LONGEST_STEPS} are allowed"
+            )
+        self.horizon = longest + config.task.action_repeat
+        self._starts = start_states(scene, config, task.start)
+        if evaluation is None:
+            self._starts = [self._unseen_left_out(bank) for bank in self._starts]
+
+    def attempts(self, row: int, episode: int) -> Iterator[Draw]:
+        """Yield one draw after the other for an episode, until one is taken.
+
+        In training a recorded start brings its person and its level, where it has them, unless it is one of
+        the fraction `task.resample_start_probability`. In the second half, starts are those of inverse
+        kinematics: none of the recorded ones was free.
+        """
+        rng = self.generator(row, episode)
+        colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
+        if self._evaluation is None:
+            motion_id, noise = -1, rng.random((self._plain_horizon, humans.NOISE))
+            if self.horizon > self._plain_horizon:
+                later = self.generator(row, episode, LATER_STREAM)
+                more = later.random((self.horizon - self._plain_horizon, humans.NOISE))
+                noise = np.concatenate([noise, more])
+        else:
+            motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
+            stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
+            noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
+        levels = self.generator(row, episode, LEVEL_STREAM)
+        level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
+        balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
+        for attempt in range(ATTEMPTS):
+            banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
+            bank = banks[colour % len(banks)]
+            start = bank[rng.integers(len(bank))]
+            spawn_id, spawn, points = self._spawn_and_points(row, rng)
+            told = level
+            if kept and len(start) > ARM and self._evaluation is None:
+                person = humans.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
+                spawn_id, spawn, told = -1, person, self._with_level(level, start[-1])
+            yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
+
+    def _unseen_left_out(self, bank: Array) -> Array:
+        """Return the starts (M, 18 or 21) whose person, if any, is clear of every held-out spawn point.
+
+        Raises:
+          ConfigError: there is none.
+        """
+        if bank.shape[1] == ARM:
+            return bank
+        human = self._config.human
+        apart = bank[:, None, ARM : ARM + 2] - self.spawns[list(human.held_out)]
+        clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
+        if not clear.any():
+            raise ConfigError(
+                f"task.start={self._config.task.start!r}: in each of its starts the person is within "
+                f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
+            )
+        return bank[clear]
+
+    def _with_level(self, draws: Array, level: float) -> Array:
+        """Return the uniform numbers of an episode whose first level is this one, as drawn if NaN."""
+        if np.isnan(level):
+            return draws
+        return np.array([(level - 0.5) / self._config.comfort.levels, *draws[1:]])
+
+    def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
+        """Return where the balls lie (B, 3), m, and their colours (B,): the first one's is given."""
+        task = self._config.task
+        count, slots = task.balls, np.array(task.ball_slots_m)
+        balls = self.goals[:1].repeat(count, axis=0)
+        balls[:, :2] += slots[rng.permutation(len(slots))[:count]]
+        balls[:, :2] += task.ball_jitter_m * rng.uniform(-1, 1, (count, 2))
+        colours = rng.integers(2, size=count) if task.colour == "random" else np.full(count, colour)
+        colours[0] = colour
+        return balls, colours
+
+    def keep_out(self, points: Array) -> humans.KeepOut:
+        """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""
+        n = len(points)
+        if self._on_points:
+            centres = np.concatenate([points[:, : self._on_points, :2], np.zeros((n, 1, 2))], axis=1)
+        else:
+            centres = np.broadcast_to(self._centres, (n, *self._centres.shape[1:]))
+        return humans.KeepOut(centres, self._config.human.keep_out_m)
+
+    def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
+        """Return the random numbers of an episode; another stream, other numbers."""
+        key = [(self.seed << 32) + row, (stream << 48) + episode]
+        if self._evaluation is not None:
+            entry = row % len(self._evaluation.episode)
+            key[0] = int(self._evaluation.episode_seed[entry]) << 32
+        return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
+
+    def _spawn_and_points(self, row: int, rng: np.random.Generator) -> tuple[int, Array, Array]:
+        human, task = self._config.human, self._config.task
+        points = np.array([task.point_m, task.second_point_m])
+        drawn = task.point == "random"
+        if drawn and self._on_points:  # they keep clear of the human themselves
+            discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
+        else:
+            discs = self.keep_out(points[None])
+        if self._evaluation is not None:
+            entry = row % len(self._evaluation.episode)
+            spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
+        else:
+            spawn_id, spawn = humans.training_spawn(human, self.spawns, discs, rng)
+        spawn = humans.outside(spawn[None], discs)[0]
+        return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
+
+    def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
+        """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
+        for _ in range(ATTEMPTS):
+            radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
+            bearing = rng.uniform(-np.pi, np.pi, 2)
+            points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
+            from_tables = np.linalg.norm(points[:, None] - self.goals[None], axis=-1).min()
+            apart = np.linalg.norm(points[0] - points[1])
+            from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
+            if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
+                return points
+        raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
+
+    def _spare_starts(self) -> list[Array]:
+        made = replace(self._config, task=replace(self._config.task, start="ik"))
+        return start_states(self._scene, made, self._task.start)
+
+
+def _check_slots(config: EnvConfig) -> None:
+    """Raise ConfigError where balls could overlap."""
+    slots, jitter, width = (
+        np.array(config.task.ball_slots_m),
+        config.task.ball_jitter_m,
+        2 * config.cell.ball_radius_m,
+    )
+    if config.task.balls == 1:
+        return
+    gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
+    apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
+    if apart < width - 1e-9:
+        raise ConfigError(
+            f"task.ball_jitter_m={jitter} lets balls come within {apart:.3f} m of each other; "
+            f"task.ball_slots_m must leave their width, {width:.3f} m"
+        )

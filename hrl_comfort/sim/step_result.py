@@ -1,0 +1,128 @@
+"""Judging a decision: what its control steps earned, where it ended and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.tasks import State, Subtask
+
+MOVING_RAD_S = 0.05
+"""A robot none of whose joints is faster stands still: the human walked into it."""
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one decision led to; of its K control steps, those after a stage or episode ends are void."""
+
+    state: State
+    """The last valid instant of each row."""
+    reward_terms: Tensor
+    """(N, T) weighted, summed over the decision's control steps."""
+    step_rewards: Tensor
+    """(N, K) all terms of a control step together; 0 after the decision ended."""
+    success: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    """(N,) bool."""
+    valid: Tensor
+    """(N, K) bool, the control steps this decision took."""
+    instants: State
+    """The states after each control step, N * K rows, a row's K steps together."""
+
+    @property
+    def reward(self) -> Tensor:
+        """(N,) the sum of the terms."""
+        return self.reward_terms.sum(dim=-1)
+
+    @property
+    def done(self) -> Tensor:
+        """(N,) bool."""
+        return self.terminated | self.truncated
+
+    @property
+    def decision_steps(self) -> Tensor:
+        """(N,) int64, control steps this decision took."""
+        return self.valid.sum(dim=1)
+
+    @property
+    def level(self) -> Tensor:
+        """(N,) the comfort level that was in force, NaN without one; `state.level` is the next decision's."""
+        return self.instants.level.view(self.valid.shape)[:, 0]
+
+    @property
+    def human_distance(self) -> Tensor:
+        """(N, K) m, horizontal, tool to the human's axis."""
+        return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.valid.shape)
+
+    @property
+    def steps(self) -> list[State]:
+        """The K instants of N rows each, for recording."""
+        n, count = self.valid.shape
+        return [self.instants.rows(torch.arange(n) * count + k) for k in range(count)]
+
+    @property
+    def robot_moving(self) -> Tensor:
+        """(N,) bool: some joint is in motion."""
+        return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
+
+
+def compute_step(
+    subtask: Subtask, weights: Tensor, max_episode_steps: Tensor, before: State, moving: dict[str, Tensor]
+) -> StepResult:
+    """Judge K control steps from the state `before` (N rows) and the fields (N * K, ...) that changed.
+
+    `weights` (T,) are those of the subtask's reward terms, `max_episode_steps` (N,) the time limits. A decision
+    ends where its stage or its episode does, so within its valid steps the stage in force is the one it began
+    with.
+    """
+    n = len(before.steps)
+    count = len(moving["tcp_pos"]) // n
+    row, preceding, first = _order(n, count)
+    constant = {name: value.index_select(0, row) for name, value in vars(before).items() if name not in moving}
+    earlier = {
+        name: torch.cat([value, getattr(before, name)]).index_select(0, preceding) for name, value in moving.items()
+    }
+    previous, after = State(**constant, **earlier), State(**constant, **moving)
+    after = after.with_(stage=subtask.next_stage(after))
+
+    moved_on = (after.stage > previous.stage) | subtask.failure(after)
+    over = moved_on.view(n, count) | (after.steps.view(n, count) >= max_episode_steps[:, None])
+    over[:, -1] = True
+    last = over.int().argmax(dim=1)
+    valid = torch.arange(count) <= last[:, None]
+    gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
+    earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
+
+    at = first + last
+    ended = before.with_(**{name: getattr(after, name).index_select(0, at) for name in (*moving, "stage")})
+    failed, finished = subtask.failure(ended), subtask.success(ended)
+    terminated = failed | finished
+    return StepResult(
+        state=ended,
+        reward_terms=earned.sum(dim=1),
+        step_rewards=earned.sum(dim=-1),
+        # A collision in the step that completes the task is a failure.
+        success=finished & ~failed,
+        terminated=terminated,
+        truncated=(ended.steps >= max_episode_steps) & ~terminated,
+        valid=valid,
+        instants=after,
+    )
+
+
+@lru_cache(maxsize=16)
+def _order(n: int, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return indices for n rows of K = `count` instants, a row's together; they are not to be written to.
+
+    The row of each instant (n * K,); the instant before each (n * K,), where the n that came before all are
+    appended; each row's first instant (n,).
+    """
+    instants = torch.arange(n * count).view(n, count)
+    came_before = torch.arange(n * count, n * count + n)[:, None]
+    preceding = torch.cat([came_before, instants[:, :-1]], dim=1)
+    return torch.arange(n).repeat_interleave(count), preceding.flatten(), instants[:, 0].clone()

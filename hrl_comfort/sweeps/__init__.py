@@ -1,0 +1,1 @@
+"""Multirun: the launcher and its jobs."""

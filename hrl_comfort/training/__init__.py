@@ -1,0 +1,1 @@
+"""Training: trainer, collector, curriculum, resume."""

@@ -1,0 +1,280 @@
+import json
+
+import numpy as np
+import pytest
+
+from hrl_comfort.analysis import comfort
+from hrl_comfort.analysis.clusters import Clusters
+from hrl_comfort.analysis.tables import markdown, series
+from hrl_comfort.config import ConfigError
+
+LIMIT = 100
+
+
+def row(level: int, episode: int, **changes: object) -> dict[str, str]:
+    cells: dict[str, object] = {
+        "task": "pick_place",
+        "precision_m": 0.3,
+        "train_seed": 0,
+        "human": "random_walk",
+        "episode_seed": 1_000_000 + episode,
+        "episode": episode,
+        "spawn_id": episode % 3,
+        "seen": episode % 2 == 0,
+        "comfort_level": level,
+        "success": True,
+        "steps": 50,
+        "human_distance_mean_m": 1.0,
+        "human_collision": False,
+        "robot_moving_at_collision": "",
+        "other_collision": "none",
+        "human_distance_by_path_m": 1.0,
+        "tool_path_m": 2.0,
+        "waiting_share": 0.1,
+        "joint_increment_mean_deg": 1.5,
+    }
+    return {name: str(value) for name, value in {**cells, **changes}.items()}
+
+
+def flat(limit: int) -> comfort.Limit:
+    return lambda level: limit
+
+
+def data(rows: list[dict[str, str]]) -> comfort.Paired:
+    return comfort.paired([(rows, flat(LIMIT))])
+
+
+def two_levels() -> comfort.Paired:
+    """Three episodes: both levels succeed, level 10 fails, level 1 fails."""
+    return data(
+        [
+            row(1, 0, steps=60, human_distance_mean_m=1.0),
+            row(1, 1, steps=70, human_distance_mean_m=1.2),
+            row(1, 2, steps=10, human_distance_mean_m=0.2, success=False, human_collision=True,
+                robot_moving_at_collision=True),
+            row(10, 0, steps=45, human_distance_mean_m=0.8),
+            row(10, 1, steps=20, human_distance_mean_m=0.3, success=False, human_collision=True,
+                robot_moving_at_collision=False),
+            row(10, 2, steps=55, human_distance_mean_m=0.6),
+        ]
+    )  # fmt: skip
+
+
+def test_a_pair_is_an_episode_that_succeeds_at_both_levels():
+    found = comfort.compare(two_levels(), 1, 10)["pairs"]
+    assert found["human_distance_mean_m"]["percent"] == pytest.approx(-20)
+    assert found["steps"]["percent"] == pytest.approx(-25)
+    assert found["steps"]["episodes"] == 1
+
+
+def test_over_all_a_failure_takes_the_time_limit_and_its_distance_is_as_measured():
+    found = comfort.compare(two_levels(), 1, 10)["all"]
+    assert found["steps"]["from"] == pytest.approx((60 + 70 + LIMIT) / 3)
+    assert found["steps"]["to"] == pytest.approx((45 + LIMIT + 55) / 3)
+    assert found["human_distance_mean_m"]["from"] == pytest.approx((1.0 + 1.2 + 0.2) / 3)
+    assert found["human_distance_mean_m"]["percent"] == pytest.approx(100 * (1.7 / 2.4 - 1))
+
+
+@pytest.mark.parametrize("name", ["task", "precision_m", "spawn_id", "colour"])
+def test_only_like_is_compared(name):
+    with pytest.raises(ConfigError, match=f"{name} is '1' and '2'"):
+        data([row(1, 0, **{name: 1}), row(10, 0, **{name: 2})])
+
+
+def test_series_are_compared_over_entries_that_all_of_them_master():
+    first = data([row(1, e, success=e != 0) for e in range(4)])
+    second = data([row(1, e, train_seed=seed, success=e != seed) for e in range(4) for seed in (1, 2)])
+    found = comfort.common({"first": first, "second": second})
+    assert {label: sorted(each.entry.tolist()) for label, each in found.items()} == {
+        "first": ["random_walk/1000003/3"],
+        "second": ["random_walk/1000003/3"] * 2,
+    }
+    with pytest.raises(ConfigError, match="no episode succeeds at every level of all of a, b"):
+        comfort.common({"a": data([row(1, 0)]), "b": data([row(1, 0, success=False)])})
+
+
+def test_each_evaluation_brings_its_own_time_limit():
+    tables = [([row(1, 0, success=False)], flat(100)), ([row(10, 0, success=False)], flat(250))]
+    found = comfort.compare(comfort.paired(tables), 1, 10)["all"]["steps"]
+    assert (found["from"], found["to"]) == (100, 250)
+
+
+def test_a_time_limit_that_grows_as_the_level_falls_is_that_of_the_level():
+    rows = [row(level, 0, success=False) for level in (1, 10)]
+    found = comfort.compare(comfort.paired([(rows, lambda level: 1000 // level)]), 1, 10)["all"]["steps"]
+    assert (found["from"], found["to"]) == (1000, 100)
+
+
+def test_rates_are_over_all_episodes_and_tell_a_moving_robot_from_a_still_one():
+    at = comfort.summarise(two_levels())["spawns"]["all"]["levels"]
+    rates = [{name: value["mean"] for name, value in level["rates"].items()} for level in at]
+    third = pytest.approx(1 / 3)
+    assert rates[0] == {
+        "success": pytest.approx(2 / 3), "moving_collision": third, "human_collision": third,
+        "other_collision": 0,
+    }  # fmt: skip
+    assert (rates[1]["moving_collision"], rates[1]["human_collision"]) == (0, third)
+
+
+def test_a_rate_without_a_case_is_not_certain():
+    at = comfort.summarise(two_levels())["spawns"]["all"]["levels"][0]
+    assert at["rates"]["other_collision"]["ci95"][1] > 0.3
+
+
+def test_seen_and_unseen_spawns_are_told_apart():
+    found = comfort.summarise(two_levels())["spawns"]
+    assert {name: part["entries"] for name, part in found.items()} == {"all": 3, "seen": 2, "unseen": 1}
+    assert found["unseen"]["levels"][0]["all"]["steps"]["mean"] == 70
+
+
+def test_levels_of_several_folders_pair_by_training_seed_and_episode():
+    folders = [([row(level, e, train_seed=s) for e in range(3)], flat(LIMIT)) for level in (1, 10) for s in (0, 1)]
+    found = comfort.paired(folders)
+    assert found.levels == (1, 10)
+    assert len(found.seed) == 6
+    assert comfort.compare(found, 1, 10)["pairs"]["steps"]["episodes"] == 6
+
+
+def test_an_episode_that_one_level_lacks_is_no_pair():
+    found = data([row(1, 0, steps=40), row(1, 1, steps=80), row(10, 0, steps=20)])
+    for over in comfort.OVER:
+        assert comfort.compare(found, 1, 10)[over]["steps"]["percent"] == pytest.approx(-50)
+    assert comfort.mean_at_levels(found, "steps", "all")[0]["mean"] == 60
+
+
+def test_missing_stays_missing():
+    rows = [row(level, e, human_distance_mean_m="") for level in (1, 10) for e in range(3)]
+    found = comfort.summarise(data(rows))
+    part = found["spawns"]["all"]
+    assert "human_distance_mean_m" not in part["levels"][0]["pairs"]
+    assert "human_distance_mean_m" not in part["first_to_last"]["all"]
+    assert part["neighbours"][0]["pairs"]["distance"] is None
+    assert part["monotone"]["pairs"] is False
+    json.dumps(found, allow_nan=False)
+    assert "–" in markdown(found)
+
+
+def test_one_missing_distance_leaves_the_others():
+    rows = [row(level, e) for level in (1, 10) for e in range(3)]
+    rows[0]["human_distance_mean_m"] = ""
+    assert comfort.compare(data(rows), 1, 10)["pairs"]["human_distance_mean_m"]["episodes"] == 2
+
+
+KINDS = (Clusters.nested, Clusters.two_way)
+
+
+def seeds_apart(spread: float, seeds: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return seed, spawn and value of ten episodes at each of 19 spawns a seed."""
+    seed, spawn = np.repeat(np.arange(seeds), 190), np.tile(np.arange(19), 10 * seeds)
+    return seed, spawn, np.random.default_rng(0).normal(0, 1, len(seed)) + spread * seed
+
+
+def width(clusters: Clusters, values: np.ndarray) -> float:
+    interval = clusters.interval(clusters.means(values[:, None])[1][:, 0])
+    assert interval is not None
+    return interval[1] - interval[0]
+
+
+def naive(values: np.ndarray) -> float:
+    return 2 * 1.96 * values.std() / np.sqrt(len(values))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_clustered_interval_is_wider_than_the_naive_one_when_seeds_differ(kind):
+    seed, spawn, values = seeds_apart(spread=1.0)
+    assert width(kind(seed, spawn), values) > 5 * naive(values)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_clustered_interval_is_near_the_naive_one_when_nothing_is_shared(kind):
+    seed, spawn, values = seeds_apart(spread=0.0)
+    assert 0.5 * naive(values) < width(kind(seed, spawn), values) < 3 * naive(values)
+
+
+def test_more_seeds_narrow_what_spawns_do_in_the_nested_interval_alone():
+    effect = np.random.default_rng(1).normal(0, 1, 10)
+    seed, spawn = np.repeat(np.arange(50), 10), np.tile(np.arange(10), 50)
+    over_spawns = 2 * 1.96 * effect.std() / np.sqrt(10)
+    nested, two_way = (width(kind(seed, spawn), effect[spawn]) for kind in KINDS)
+    assert nested == pytest.approx(over_spawns / np.sqrt(50), rel=0.15)
+    assert two_way == pytest.approx(over_spawns, rel=0.15)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_seed_is_the_bootstrap_over_spawns_and_unequal_seeds_keep_their_own_spawns(kind):
+    values = np.array([0.0, 1.0, 2.0, 3.0])
+    assert width(kind(np.zeros(4), np.arange(4)), values) == pytest.approx(naive(values), rel=0.2)
+    seed, spawn = np.array(["a", "a", "b"]), np.array(["0", "1", "2"])
+    means, draws = kind(seed, spawn).means(np.array([[1.0], [2.0], [6.0]]))
+    assert means[0] == 3
+    there = draws[np.isfinite(draws)]
+    assert (there.min(), there.max()) == (1, 6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_mean_leaves_missing_values_out_and_one_cluster_has_no_interval(kind):
+    clusters = kind(np.zeros(3), np.zeros(3))
+    means, draws = clusters.means(np.array([[1.0], [np.nan], [3.0]]))
+    assert means[0] == 2
+    assert clusters.interval(draws[:, 0]) is None
+
+
+@pytest.mark.parametrize(
+    ("percent", "ci95", "says"),
+    [
+        (-1.0, [-2.0, 1.0], "falls"),
+        (0.5, [-1.0, 2.0], "within"),
+        (0.5, [0.1, 2.0], "rises"),
+        (0.5, None, "rises"),
+    ],
+)
+def test_the_verdict_on_neighbouring_levels(percent, ci95, says):
+    assert comfort.verdict({"percent": percent, "ci95": ci95}) == says
+
+
+def test_monotone_means_that_no_neighbour_rises():
+    def at(distances):
+        rows = [
+            row(level, e, human_distance_mean_m=d + 0.001 * e) for level, d in enumerate(distances, 1) for e in range(6)
+        ]
+        return comfort.summarise(data(rows))["spawns"]["all"]
+
+    falling, bent = at([1.0, 0.9, 0.8]), at([1.0, 0.8, 0.9])
+    assert falling["monotone"] == {"pairs": True, "all": True}
+    assert bent["monotone"] == {"pairs": False, "all": False}
+    assert [step["pairs"]["distance"] for step in bent["neighbours"]] == ["falls", "rises"]
+
+
+def test_means_by_seed_are_those_of_each_training():
+    rows = [row(1, e, train_seed=s, steps=40 + 10 * s) for s in (0, 1) for e in range(2)]
+    found = comfort.mean_by_seed(data(rows), "steps", "all")
+    assert {seed: means.tolist() for seed, means in found.items()} == {"0": [40.0], "1": [50.0]}
+
+
+def test_the_table_has_a_line_a_level_and_the_change():
+    lines = markdown(comfort.summarise(two_levels())).splitlines()
+    assert len(lines) == 2 + 2 + 1
+    assert len({line.count("|") for line in lines}) == 1
+    assert "-20.0" in lines[-1]
+
+
+def test_the_table_of_series_has_a_line_a_series_and_its_least_success():
+    found = comfort.summarise(two_levels())
+    lines = series({"one": found, "other": found}).splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| one", "| other"]
+    assert len({line.count("|") for line in lines}) == 1
+    assert "66.7 (level 1)" in lines[2] and "-29.2" in lines[2]
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ([row(1, 0), row(1, 0)], "level 1 twice"),
+        ([row(1, 0, comfort_level="")], "comfort_level=''"),
+        ([row(1, 0, success="")], "success=''"),
+        ([], "no episode"),
+    ],
+)
+def test_episodes_that_do_not_compare_are_named(rows, says):
+    with pytest.raises(ConfigError, match=says):
+        data(rows)

@@ -1,0 +1,139 @@
+"""The comfort terms are the paper's equations, its code's, and ours; both worked examples hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from hrl_comfort.comfort import terms
+from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
+from hrl_comfort.config import ComfortConfig, TrainConfig
+from hrl_comfort.config import comfort as allowed
+from hrl_comfort.config.compose import compose
+from hrl_comfort.tasks import SUBTASKS
+
+
+def comfort(**changes: Any) -> ComfortConfig:
+    config = compose("train", ["comfort=conditioned"])
+    assert isinstance(config, TrainConfig)
+    return replace(config.comfort, **changes)
+
+
+def test_what_the_configuration_allows_is_what_there_is() -> None:
+    assert tuple(terms.FORMS) == allowed.FORMS
+    assert tuple(terms.THRESHOLDS) == allowed.THRESHOLDS
+    assert tuple(terms.SPEED_FORMS) == allowed.SPEED_FORMS
+
+
+def number(value: float) -> Tensor:
+    return torch.tensor([value], dtype=torch.float64)
+
+
+def test_worked_example_of_distance_holds_with_the_threshold_over_the_range() -> None:
+    config = comfort(form="paper", threshold="range", min_m=0.2, max_m=1.2)
+    uneasy = terms.distance_term(number(0.45), number(3), config).item()
+    at_ease = terms.distance_term(number(0.45), number(6), config).item()
+    assert uneasy < -0.1 < at_ease < 0
+
+
+@pytest.mark.parametrize("threshold", ["reference", "levels"])
+def test_worked_example_of_distance_fails_with_the_other_thresholds(threshold: str) -> None:
+    config = comfort(form="paper", threshold=threshold, min_m=0.2, max_m=1.2)
+    assert terms.distance_term(number(0.45), number(6), config).item() < -0.1
+
+
+def test_an_arm_within_a_body_is_as_near_as_one_that_touches_it() -> None:
+    config = comfort(form="logarithmic")
+    inside, touching = (terms.distance_term(number(d), number(3), config).item() for d in (-1.0, 0.0))
+    assert inside == touching
+
+
+def test_worked_example_of_joint_increments_holds() -> None:
+    config = comfort(speed_form="paper")
+    assert terms.speed_term(number(0.85), number(4), 2.0, config).item() == -0.1
+    assert terms.speed_term(number(0.85), number(6), 2.0, config).item() == 0
+
+
+def test_printed_form_pays_for_lingering_beyond_its_threshold_and_the_bounded_one_never_pays() -> None:
+    distance = torch.linspace(0.0, 3.0, 301, dtype=torch.float64)
+    for level in range(1, 11):
+        row = torch.full_like(distance, level)
+        assert (terms.distance_term(distance, row, comfort(form="target_distance")) <= 0).all()
+        assert (terms.distance_term(distance, row, comfort(form="reference", max_m=1.5)) <= 0).all()
+    printed = terms.distance_term(distance, row, comfort(form="paper", threshold="range"))
+    assert printed.max() > 0.5
+
+
+@pytest.mark.parametrize("form", list(terms.FORMS))
+@pytest.mark.parametrize("threshold", list(terms.THRESHOLDS))
+def test_every_form_is_finite_at_every_distance_and_level(form: str, threshold: str) -> None:
+    config = comfort(form=form, threshold=threshold)
+    distance = torch.tensor([0.0, 1e-12, 0.3, config.max_m, 5.0, 50.0], dtype=torch.float64)
+    for level in (1, 5, 10):
+        value = terms.distance_term(distance, torch.full_like(distance, level), config)
+        assert value.shape == distance.shape and value.isfinite().all()
+
+
+def test_printed_form_matches_a_hand_computed_value() -> None:
+    config = comfort(form="paper", threshold="range", min_m=0.2, max_m=1.2)
+    expected = -0.1 + math.tanh((0.45 - 0.7) / 0.45) * (1.2 - 0.45)
+    assert terms.distance_term(number(0.45), number(3), config).item() == pytest.approx(expected)
+
+
+def test_released_form_matches_a_hand_computed_value() -> None:
+    config = comfort(form="reference", threshold="reference", max_m=1.5)
+    theta = 1.5 * (1 - 4 / 10)
+    expected = 0.1 * (-1 + math.tanh(((0.6 - theta) / 0.6) / (1.5 - 0.6)))
+    assert terms.distance_term(number(0.6), number(4), config).item() == pytest.approx(expected)
+
+
+def test_the_eased_form_minds_no_robot_too_far_at_level_1_and_else_is_the_bounded_one() -> None:
+    config = comfort(form="target_distance_one_sided", min_m=0.4, max_m=1.2, power=2, time_penalty=0.1)
+    far = terms.distance_term(torch.tensor([1.3, 2.0], dtype=torch.float64), number(1), config)
+    assert far.tolist() == [0, 0]
+    half = terms.distance_term(number(1.2), number(5.5), config)
+    assert half.item() == pytest.approx(-((0.5 * 0.4 / 0.8) ** 2) - 0.05)
+    bounded = replace(config, form="target_distance")
+    for distance, level in ((0.7, 1), (0.7, 4), (0.9, 10), (2.0, 10)):
+        alike = [terms.distance_term(number(distance), number(level), each) for each in (config, bounded)]
+        assert alike[0].item() == pytest.approx(alike[1].item())
+
+
+def test_thresholds_are_those_of_the_sources() -> None:
+    config = comfort(min_m=0.2, max_m=1.2)
+    at = {name: threshold(number(6), config).item() for name, threshold in terms.THRESHOLDS.items()}
+    assert at == pytest.approx({"range": 0.4, "reference": 0.48, "levels": 1.2 - 5 / 9})
+
+
+def test_hinge_costs_nothing_below_its_threshold_and_grows_from_there() -> None:
+    config = comfort(speed_form="hinge")
+    increments = torch.tensor([0.0, 0.8, 1.2, 2.0], dtype=torch.float64)
+    value = terms.speed_term(increments, torch.full_like(increments, 4), 2.0, config)
+    assert value.tolist() == pytest.approx([0, 0, -0.04, -0.36])
+
+
+def test_weights_blend_the_two_terms() -> None:
+    config = comfort(alpha=0.5, beta=1.0)
+    distance, level = number(0.5), number(2)
+    parts = [terms.distance_term(distance, level, config), terms.speed_term(number(2.0), level, 2.0, config)]
+    both = terms.comfort(distance, number(2.0), level, 2.0, config)
+    assert both.item() == pytest.approx(0.5 * parts[0].item() + parts[1].item())
+
+
+def test_nothing_is_seen_or_paid_without_a_source() -> None:
+    config = compose("train", ["comfort=off"])
+    assert isinstance(config, TrainConfig)
+    assert with_comfort(SUBTASKS["pick"], config.comfort, 2.0) is SUBTASKS["pick"]
+    seen = with_comfort(SUBTASKS["pick"], comfort(), 2.0)
+    assert list(seen.observations)[-1] == "level" and list(seen.rewards)[-1] == "comfort"
+
+
+def test_time_limit_grows_where_speed_counts_so_that_slow_is_possible() -> None:
+    level = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
+    assert max_episode_steps(level, 500, comfort(beta=1.0)).tolist() == [5000, 1000, 500]
+    assert max_episode_steps(level, 500, comfort(beta=0.0)).tolist() == [500, 500, 500]

@@ -1,0 +1,91 @@
+"""Every choice composes, every mistake gets one line, what is written loads back."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from hrl_comfort import __main__ as commands
+from hrl_comfort.config import TrainConfig
+from hrl_comfort.config.compose import (
+    ROOTS,
+    choices,
+    compose,
+    config_dir,
+    groups,
+)
+
+OWN = {
+    "report": ["run=runs"],
+    "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
+}
+"""What a command without sections must be told."""
+NEEDED = {"playback": ["human.file=walk.csv"]}
+"""What a choice cannot do without."""
+CHOICES = [
+    (root, group, name) for root in ("train", "evaluate") for group, names in groups(root).items() for name in names
+]
+
+
+def trained(*overrides: str) -> TrainConfig:
+    config = compose("train", overrides)
+    assert isinstance(config, TrainConfig)
+    return config
+
+
+@pytest.mark.parametrize(("root", "group", "name"), CHOICES)
+def test_every_choice_composes(root, group, name):
+    config = compose(root, [f"{group}={name}", *NEEDED.get(name, [])])
+    assert isinstance(config, ROOTS[root])
+    own = {
+        "human": "motion",
+        "curriculum": "kind",
+        "robot": "name",
+        "task": "name",
+        "meta_controller": "name",
+    }
+    if group in own and name != "fine":
+        assert getattr(getattr(config, group), own[group]) == name
+
+
+@pytest.mark.parametrize("root", ROOTS)
+def test_every_root_composes_to_frozen_dataclasses(root):
+    config = compose(root, OWN.get(root, []))
+    assert type(config) is ROOTS[root]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.output = "elsewhere"
+
+
+def test_every_group_on_disk_belongs_to_a_command():
+    folders = {path.name for path in config_dir().iterdir() if path.is_dir()}
+    assert folders == {group for root in ("train", "train_meta_controller", "evaluate") for group in groups(root)}
+
+
+def test_a_group_restates_no_number_that_its_choices_share():
+    for shared in config_dir().glob("*/_shared.yaml"):
+        lines = {line for line in shared.read_text().splitlines() if line and line[0] not in "# "}
+        for name in choices(shared.parent.name):
+            own = (shared.parent / f"{name}.yaml").read_text().splitlines()
+            assert not lines & set(own), f"{shared.parent.name}/{name}.yaml repeats a line of _shared.yaml"
+
+
+def test_values_of_the_user_win_over_the_experiment():
+    config = trained("experiment=paper", "task=pick", "engine.num_envs=3")
+    assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
+
+
+def test_the_paper_experiment_is_the_papers():
+    config = trained("experiment=paper")
+    assert (config.agent.batch_size, config.agent.buffer_size, config.agent.gamma) == (1028, 1_000_000, 0.99)
+    assert (config.engine.num_envs, config.task.action_repeat, config.task.observation) == (5, 1, "paper")
+    assert (config.reward.pick, config.reward.place, config.reward.home) == (50, 100, 150)
+    assert config.curriculum.kind == "off"
+    assert config.reward.progress == 0
+
+
+def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):
+    assert commands.main(["evaluate", "-m", "policy=/no/a,/no/b", f"output={tmp_path}", "hydra.launcher.n_jobs=2"]) == 1
+    out = capsys.readouterr().out
+    assert [line.split(":")[1].strip() for line in out.splitlines()] == ["policy=/no/a", "policy=/no/b"]
+    assert "/no/a" in out.splitlines()[0].split(": ", 2)[2]

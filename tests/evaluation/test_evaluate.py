@@ -1,0 +1,198 @@
+"""Evaluation: what it writes, and that it is the same for every policy compared."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.evaluation.rollout import PATH_COLUMNS
+from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
+
+
+def run(tmp_path: Path, *overrides: str) -> Path:
+    config = compose("evaluate", ["task=pick", "policy=random", "episodes=6", f"output='{tmp_path}'", *overrides])
+    assert isinstance(config, EvaluateConfig)
+    return evaluate(config)
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+CONTRACT = [
+    "task",
+    "policy",
+    "train_seed",
+    "episode_seed",
+    "episode",
+    "colour",
+    "spawn_id",
+    "motion_id",
+    "seen",
+    "comfort_level",
+    "human",
+    "precision_m",
+    "success",
+    "steps",
+    "policy_steps",
+    "return",
+    "human_distance_mean_m",
+    "human_distance_min_m",
+    "human_collision",
+    "other_collision",
+]
+
+
+def test_episodes_csv_has_the_contracts_columns_and_a_row_an_episode(tmp_path: Path) -> None:
+    rows = table(run(tmp_path) / "episodes.csv")
+    assert set(CONTRACT) <= set(rows[0])
+    assert [int(row["episode"]) for row in rows] == list(range(6))
+    assert [row["seen"] for row in rows] == ["True", "False"] * 3
+    assert all(row["train_seed"] == "" for row in rows)
+
+
+def test_summary_has_one_group_a_seen_and_unseen(tmp_path: Path) -> None:
+    summary = json.loads((run(tmp_path, "group_by=[seen]") / "summary.json").read_text(encoding="utf-8"))
+    assert [(group["seen"], group["episodes"]) for group in summary["groups"]] == [(True, 3), (False, 3)]
+    low, high = summary["groups"][0]["metrics"]["success"]["ci95"]
+    assert 0 <= low <= summary["groups"][0]["metrics"]["success"]["mean"] <= high <= 1
+
+
+def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    first = (run(tmp_path / "a") / "episodes.csv").read_bytes()
+    assert first == (run(tmp_path / "b") / "episodes.csv").read_bytes()
+
+
+def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> None:
+    human = []
+    for index, limit in enumerate((20, 30)):
+        folder = run(
+            tmp_path / str(index),
+            "record=true",
+            f"episode_seed={1000000 + index}",
+            f"task.max_episode_steps={limit}",
+        )
+        rows = [row for row in table(folder / "paths.csv") if int(row["step"]) <= 10]
+        human.append({(r["episode"], r["step"]): (r["human_x"], r["human_y"]) for r in rows})
+    common = human[0].keys() & human[1].keys()
+    assert len(common) > 30
+    assert all(human[0][key] == human[1][key] for key in common)
+
+
+def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
+    folder = run(tmp_path, "record=true", "task.max_episode_steps=23")
+    rows, episodes = table(folder / "paths.csv"), table(folder / "episodes.csv")
+    assert list(rows[0]) == PATH_COLUMNS
+    for episode in episodes:
+        steps = sorted(int(row["step"]) for row in rows if row["episode"] == episode["episode"])
+        assert steps == list(range(int(episode["steps"]) + 1))
+        distances = [
+            float(row["human_distance_m"])
+            for row in rows
+            if row["episode"] == episode["episode"] and int(row["step"]) > 0
+        ]
+        assert np.mean(distances) == pytest.approx(float(episode["human_distance_mean_m"]), abs=2e-6)
+        assert min(distances) == pytest.approx(float(episode["human_distance_min_m"]), abs=2e-6)
+
+
+def test_recorded_paths_tell_levels_apart(tmp_path: Path) -> None:
+    words = ("comfort=conditioned", "levels=[2,9]", "record=true", "task.max_episode_steps=13", "episodes=2")
+    found = read_run(run(tmp_path, *words))
+    paths = recorded_paths(found)
+    assert list(paths) == [("0", "2"), ("1", "2"), ("0", "9"), ("1", "9")]
+    for key, path in paths.items():
+        row = row_of(found, key)
+        assert (row["episode"], row["comfort_level"]) == key
+        assert path["step"].tolist() == list(range(int(row["steps"]) + 1))
+        assert set(path["level"]) == {float(key[1])}
+    assert list(recorded_paths(found, count=1)) == [("0", "2")]
+    assert list(recorded_paths(found, episodes=("1",))) == [("1", "2"), ("1", "9")]
+
+
+def test_recorded_levels_are_those_in_force_and_empty_without_one(tmp_path: Path) -> None:
+    schedule = ("comfort.source=schedule", "comfort.schedule_s=[0,0.2]", "comfort.schedule_levels=[9,2]")
+    words = ("record=true", "task.max_episode_steps=20", "episodes=2")
+    found = read_run(run(tmp_path / "jump", "comfort=conditioned", *schedule, *words))
+    (key, path), *_ = recorded_paths(found).items()
+    assert key == ("0", "9")
+    assert path["level"][:11].tolist() == [9.0] * 11
+    assert set(path["level"][11:]) <= {2.0}
+    assert row_of(found, key)["episode"] == "0"
+    none = read_run(run(tmp_path / "none", *words))
+    assert list(recorded_paths(none)) == [("0", ""), ("1", "")]
+    assert {row["level"] for row in table(tmp_path / "none" / "paths.csv")} == {""}
+
+
+def test_no_human_leaves_distances_empty_not_zero(tmp_path: Path) -> None:
+    rows = table(run(tmp_path, "human=none") / "episodes.csv")
+    assert {row["human_distance_mean_m"] for row in rows} == {""}
+
+
+def test_chain_of_random_policies_writes_option_runs(tmp_path: Path) -> None:
+    config = compose(
+        "evaluate",
+        [
+            "task=cycle",
+            "meta_controller=scripted",
+            "meta_controller.time_limit_steps=40",
+            "episodes=4",
+            f"output='{tmp_path}'",
+        ]
+        + [f"policies.{name}=random" for name in ("pick", "place", "return")],
+    )
+    assert isinstance(config, EvaluateConfig)
+    folder = evaluate(config)
+    runs = table(folder / "options.csv")
+    assert {row["episode"] for row in runs} == {"0", "1", "2", "3"}
+    assert {row["termination"] for row in runs} <= {"success", "failure", "preempted"}
+    episodes = table(folder / "episodes.csv")
+    for episode in episodes:
+        last = max(int(r["end_step"]) for r in runs if r["episode"] == episode["episode"])
+        assert last == int(episode["steps"])
+
+
+def test_chain_names_the_policy_that_is_missing(tmp_path: Path) -> None:
+    config = compose(
+        "evaluate", ["task=cycle", "meta_controller=scripted", f"output='{tmp_path}'", "policies.pick=random"]
+    )
+    assert isinstance(config, EvaluateConfig)
+    with pytest.raises(ConfigError, match=r"policies\.place is not given"):
+        evaluate(config)
+
+
+def test_more_episodes_than_the_set_holds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"episodes=1001 is outside its range \[1, 1000\]"):
+        run(tmp_path, "episodes=1001")
+
+
+@pytest.mark.parametrize("wrong", ["policy=/no/such", "group_by=[no]", "comfort.source=file"])
+def test_an_evaluation_that_is_refused_leaves_no_folder(tmp_path: Path, wrong: str) -> None:
+    words = ["comfort.file=/no/such.csv"] if "file" in wrong else []
+    with pytest.raises(ConfigError):
+        run(tmp_path / "new" / "eval", wrong, *words)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [[], ["checkpoints=all"]])
+def test_a_folder_that_cannot_be_written_is_found_out_before_the_work(
+    tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hrl_comfort.evaluation.evaluate.rollout", None)
+    (tmp_path / "file").touch()
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    (tmp_path / "run" / "checkpoints" / "step_000000001.pt").touch()
+    with pytest.raises(ConfigError, match=rf"output='{tmp_path}/file/eval.*{tmp_path}/file: Not a directory"):
+        run(tmp_path / "file" / "eval", f"policy='{tmp_path}/run'", *words)
+
+
+def test_all_checkpoints_of_a_folder_without_any_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"holds no step_\*\.pt"):
+        run(tmp_path, "checkpoints=all")

@@ -1,0 +1,90 @@
+"""What controllers earn, and by how much one earns more than another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.files.run_folder import Run
+from hrl_comfort.plots.controllers import compare, table
+from hrl_comfort.plots.figure import figure
+
+REWARD = {"place": 1.0, "step": -0.001, "progress": 0.0, "k1": 1.0}
+
+
+def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward: float) -> Run:
+    episodes = [
+        {
+            "train_seed": seed, "episode": str(i), "spawn_id": str(i % 2), "success": "True",
+            "return": str(earned), "steps": "200", "balls_placed": str(placed),
+        }
+        for i, earned in enumerate(returns)
+    ]  # fmt: skip
+    config = {"reward": {**REWARD, **reward}, "policies": {"pick": "p", "meta_controller": seed}}
+    blank = dict.fromkeys(["provenance", "metrics", "minutes", "groups", "checkpoints", "paths", "options"])
+    return Run("run", Path("run"), {}, config, episodes=episodes, **blank)
+
+
+def test_a_return_parts_into_balls_time_and_discomfort() -> None:
+    found = compare({"one": [evaluation([1.5, 1.7])]})["controllers"]["one"]
+    means = {part: value["mean"] for part, value in found.items() if part != "episodes"}
+    assert means == pytest.approx({"success": 1, "return": 1.6, "placed": 2, "time": 0.2, "discomfort": 0.2})
+
+
+def test_differences_are_of_the_same_episodes() -> None:
+    better, worse = [1.5, 1.7, 1.1, 1.9], [1.4, 1.6, 1.0, 1.8]
+    groups = {"a": [evaluation(better), evaluation(better, seed="1")]}
+    found = compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="1")]})["differences"]["a - b"]
+    assert found["return"]["mean"] == pytest.approx(0.1)
+    assert found["return"]["ci95"] == pytest.approx([0.1, 0.1])  # though the episodes differ by far more
+    assert found["return_percent"]["mean"] == pytest.approx(100 * 0.1 / 1.45)
+    with pytest.raises(ConfigError, match="must have run the same episodes"):
+        compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="2")]})
+
+
+def test_a_return_of_other_parts_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes .* reward=sort"):
+        compare({"one": [evaluation([1.0], progress=3.0)]})
+
+
+def test_controllers_that_are_paid_otherwise_are_not_compared() -> None:
+    with pytest.raises(ConfigError, match="differ in reward; compare like with like"):
+        compare({"a": [evaluation([1.5])], "b": [evaluation([1.5], step=-0.002)]})
+
+
+def test_an_evaluation_of_several_levels_is_refused() -> None:
+    run = evaluation([1.0])
+    run.config["levels"] = [1, 4]
+    with pytest.raises(ConfigError, match="several comfort levels; kind=controllers takes"):
+        compare({"one": [run]})
+
+
+def test_no_share_is_given_of_a_return_that_may_be_nothing() -> None:
+    found = compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([-0.1, 0.3])]})
+    assert "return_percent" not in found["differences"]["a - b"]
+    assert table(found).splitlines()[-1].endswith("| – |")
+
+
+def test_the_table_has_a_line_a_controller_and_a_difference() -> None:
+    text = table(compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([1.4, 1.6])]}))
+    assert [line.split(" | ")[0] for line in text.splitlines()] == ["| ", "| ---", "| a", "| b", "| a - b"]
+
+
+def test_the_figure_of_controllers_is_drawn_from_evaluations(tmp_path: Path) -> None:
+    words = ["task=sort", "task.balls=2", "comfort=sort", "reward=sort", "human=none", "episodes=2"]
+    words += [
+        "task.max_episode_steps=60",
+        *(f"policies.{name}=random" for name in ("pick", "place", "return")),
+    ]
+    for name in ("scripted", "random"):
+        assert main(["evaluate", *words, f"meta_controller={name}", f"output={tmp_path / name}"]) == 0
+    evaluations = f"evaluations=[{tmp_path / 'scripted'},{tmp_path / 'random'}]"
+    output = tmp_path / "returns.png"
+    config = compose("figure", ["kind=controllers", evaluations, "labels=[scripted,random]", f"output={output}"])
+    assert isinstance(config, FigureConfig)
+    figure(config)
+    assert output.is_file() and output.with_suffix(".json").is_file()

@@ -1,0 +1,97 @@
+"""Figures of what controllers do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from matplotlib.patches import Rectangle
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.plots.figure import figure
+from hrl_comfort.plots.figures import option_timeline
+from hrl_comfort.plots.options import chain_lengths
+
+
+def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, str]:
+    return {
+        "episode": str(episode), "option": option, "attempt": "1", "start_step": str(start),
+        "end_step": str(end), "termination": termination,
+    }  # fmt: skip
+
+
+OPTIONS = [
+    run(0, "pick_1", "success"),
+    run(0, "wait", "success"),
+    run(0, "place", "preempted"),
+    run(0, "place", "success"),
+    run(1, "pick_2", "success"),
+    run(1, "place", "failure"),
+]
+EPISODES = ["0", "1", "2"]
+
+
+def test_chain_lengths_count_what_takes_the_task_further() -> None:
+    found = chain_lengths(EPISODES, OPTIONS)
+    assert [(at["options"], at["success"]) for at in found] == [(1, 2 / 3), (2, 1 / 3)]
+    assert all(at["ci95"][0] < at["success"] < at["ci95"][1] for at in found)
+
+
+def test_a_ball_that_is_picked_again_makes_no_chain_longer() -> None:
+    again = [
+        run(0, "pick_1", "success"), run(0, "place", "preempted"), run(0, "retreat", "success"),
+        run(0, "pick_1", "success"), run(0, "place", "success"),
+    ]  # fmt: skip
+    assert [at["options"] for at in chain_lengths(EPISODES[:1], again)] == [1, 2]
+
+
+def test_a_retreat_counts_where_it_takes_the_place_of_a_return_alone() -> None:
+    names = ["pick_1", "retreat", "place_as_1", "retreat", "retreat", "pick_2_as_1"]
+    found = chain_lengths(["0"], [run(0, name, "success") for name in names])
+    assert [at["options"] for at in found] == [1, 2, 3, 4]
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cycle")
+    experts = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = [
+        "task=cycle",
+        "meta_controller=scripted",
+        "human=none",
+        "episodes=3",
+        *experts,
+        f"output={folder}",
+    ]
+    assert main(["evaluate", *words]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["timeline", "chain"])
+def test_figures_of_options_are_drawn_from_an_evaluation(kind: str, evaluation: Path, tmp_path: Path) -> None:
+    output = tmp_path / f"{kind}.png"
+    config = compose("figure", [f"kind={kind}", f"evaluations=[{evaluation}]", f"output={output}"])
+    assert isinstance(config, FigureConfig)
+    figure(config)
+    assert output.stat().st_size > 5000
+    assert output.with_suffix(".json").exists() is (kind == "chain")
+
+
+def test_an_evaluation_without_options_or_episode_is_refused(evaluation: Path, tmp_path: Path) -> None:
+    words = ["kind=timeline", f"evaluations=[{evaluation}]", f"output={tmp_path}/t.png", "episodes=[999]"]
+    with pytest.raises(ConfigError, match="no episode 999"):
+        figure(compose("figure", words))
+
+
+def test_what_an_option_does_has_its_colour_in_every_timeline_and_only_what_is_drawn_is_named() -> None:
+    def named(*options: str) -> dict[str, object]:
+        rows = [*(run(0, option, "success") for option in options), run(1, "retreat", "success")]
+        legend = option_timeline(rows, ["0"]).legends[0]
+        shown = zip(legend.get_texts(), legend.legend_handles, strict=True)
+        return {text.get_text(): bar.get_facecolor() for text, bar in shown if isinstance(bar, Rectangle)}
+
+    few, many = named("pick_2", "return"), named("wait", "pick_1", "place", "return")
+    assert list(few) == ["pick", "return"] and list(many) == ["pick", "place", "return", "wait"]
+    assert few["return"] == many["return"] and len(set(many.values())) == 4

@@ -1,0 +1,344 @@
+import base64
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_comfort.analysis import intervals as statistics
+from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
+from hrl_comfort.files import run_folder
+from hrl_comfort.plots import figures, video
+from hrl_comfort.report import report
+
+CONFIG = """\
+robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0]}
+cell:
+  ball_m: [-0.615, -0.07, 0.287]
+  orange_drop_m: [0.647, -0.055, 0.273]
+  pink_drop_m: [0.126, 0.453, 0.265]
+  ball_radius_m: 0.03
+  table_half_width_m: 0.08
+  base_height_m: 0.75
+task: {name: NAME}
+"""
+ROUTE = {"pick": (0, 1), "place": (1, 2), "return": (2, 3), "cycle": (0, 1, 2, 3)}
+POINTS = np.array([[0.3, -0.1, 0.35], [-0.55, -0.1, 0.3], [0.6, -0.05, 0.3], [0.3, -0.1, 0.35]])
+
+
+def write(file: Path, rows: list[dict[str, object]]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("w", newline="") as out:
+        writer = csv.DictWriter(out, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def make_training(folder: Path, rng: np.random.Generator, rows: int) -> None:
+    share = 1 - np.exp(-np.linspace(0, 4, rows))
+    noisy = np.clip(share + rng.normal(0, 0.05, rows), 0, 1)
+    precision = 0.3 - 0.04 * np.floor(np.linspace(0, 5, rows))
+    write(
+        folder / "metrics.csv",
+        [
+            {
+                "policy_steps": 1000 * i,
+                "updates": 250 * i,
+                "episodes": 20 * i,
+                "precision_m": max(0.1, precision[i]),
+                "success": noisy[i] if i else "",
+                "return": 15 * noisy[i] - 3,
+                "steps": 120,
+                "human_collision": 0.1 * (1 - noisy[i]),
+                "other_collision": 0,
+                "critic_loss": 0.1,
+                "entropy": -6 * share[i],
+                "q_mean": 10 * share[i],
+            }
+            for i in range(rows)
+        ],
+    )
+    write(folder / "timing.csv", [{"policy_steps": 1000 * i, "seconds": 6 * i} for i in range(rows)])
+    (folder / "provenance.json").write_text(json.dumps({"commit": "abc123", "machine": {"cores": 2}}))
+    write(
+        folder / "eval" / "checkpoints.csv",
+        [
+            {
+                "policy_steps": 20000 * (i + 1),
+                "success": s,
+                "success_low": s - 0.06,
+                "success_high": min(1, s + 0.04),
+                "precision_m": 0.1,
+            }
+            for i, s in enumerate((0.2, 0.6, 0.85, 0.97))
+        ],
+    )
+
+
+def make_evaluation(folder: Path, task: str, rng: np.random.Generator, episodes: int) -> None:
+    rows, paths, options = [], [], []
+    for i in range(episodes):
+        failed = i % 7 == 3
+        steps = 90 * (len(ROUTE[task]) - 1) + int(rng.integers(20))
+        rows.append(
+            {
+                "task": task,
+                "policy": f"runs/demo/{task}",
+                "train_seed": 0,
+                "episode_seed": 1000000,
+                "episode": i,
+                "colour": "orange",
+                "spawn_id": i % 19,
+                "motion_id": i,
+                "seen": i % 2,
+                "comfort_level": "",
+                "human": "random_walk",
+                "precision_m": 0.1,
+                "success": int(not failed),
+                "steps": steps,
+                "policy_steps": steps // 5,
+                "return": 11.0,
+                "human_distance_mean_m": 0.8 + 0.1 * rng.random(),
+                "human_distance_min_m": 0.4,
+                "human_collision": int(failed),
+                "robot_moving_at_collision": 1 if failed else "",
+                "other_collision": "none",
+                "truncated": 0,
+            }
+        )
+        legs = len(ROUTE[task]) - 1
+        for leg in range(legs):
+            start, end = leg * steps // legs, (leg + 1) * steps // legs
+            options.append(
+                {
+                    "episode": i,
+                    "option": list(ROUTE)[leg],
+                    "attempt": 1,
+                    "start_step": start,
+                    "end_step": end,
+                    "termination": "failure" if failed and leg == legs - 1 else "success",
+                }
+            )
+        if i < 5:
+            when = np.linspace(0, legs, steps)
+            nodes = POINTS[list(ROUTE[task])]
+            tool = np.stack([np.interp(when, np.arange(legs + 1), nodes[:, k]) for k in range(3)], axis=1)
+            tool[:, 2] += 0.08 * np.sin(np.pi * (when % 1))
+            human = np.array([0.2 + 0.1 * i, 0.75 - 0.3 * i]) + np.cumsum(rng.normal(0, 0.006, (steps, 2)), axis=0)
+            for step in range(steps):
+                paths.append(
+                    {
+                        "episode": i,
+                        "step": step,
+                        "stage": min(int(when[step]), legs - 1),
+                        **{f"q{j}": q for j, q in enumerate((3 - when[step], -1.2, 1.0, 0.2, 1.57, 0))},
+                        **dict(zip(("tcp_x", "tcp_y", "tcp_z"), tool[step], strict=True)),
+                        "human_x": human[step, 0],
+                        "human_y": human[step, 1],
+                        "human_yaw": np.arctan2(-human[step, 1], -human[step, 0]),
+                        "human_distance_m": np.hypot(*(tool[step, :2] - human[step])),
+                    }
+                )
+    write(folder / "eval" / "episodes.csv", rows)
+    write(folder / "eval" / "paths.csv", paths)
+    if task == "cycle":
+        write(folder / "eval" / "options.csv", options)
+    statistics.write_summary(folder / "eval", [], 500)
+
+
+def make_demo(folder: Path, rows: int = 40, episodes: int = 21) -> Path:
+    rng = np.random.default_rng(0)
+    for task in ROUTE:
+        (folder / task).mkdir(parents=True)
+        (folder / task / "config.yaml").write_text(CONFIG.replace("NAME", task))
+        if task != "cycle":
+            make_training(folder / task, rng, rows)
+        make_evaluation(folder / task, task, rng, episodes)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    return make_demo(tmp_path_factory.mktemp("runs") / "demo")
+
+
+@pytest.fixture(scope="module")
+def page(demo):
+    return report.report(ReportConfig(run=str(demo), output=None, video=False)).read_text()
+
+
+def test_the_page_needs_no_other_file_and_is_small(page):
+    sources = re.findall(r'(?:src|href)="([^"]{5})', page)
+    assert len(sources) > 5
+    assert set(sources) == {"data:"}
+    assert len(page) < 5_000_000
+
+
+def test_every_figure_is_a_readable_svg(page):
+    figures = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
+    assert all(b"</svg>" in base64.b64decode(figure) for figure in figures)
+    assert len(figures) == 3 + 4 + 1  # training, paths of four tasks, timeline
+
+
+def test_runs_come_in_the_order_of_the_work(demo):
+    assert [run.name for run in run_folder.find_runs(demo)] == ["pick", "place", "return", "cycle"]
+
+
+def test_the_headline_holds_each_task_with_interval_and_training_minutes(demo):
+    rows = {row["task"]: row for row in report.headline(run_folder.find_runs(demo))}
+    assert rows["pick"]["success (%)"].startswith("85.7 [")
+    assert rows["pick"]["training (min)"] == "3.9"
+    assert rows["cycle"]["training (min)"] == "–"
+
+
+def test_a_run_without_anything_but_metrics_says_what_is_missing(tmp_path):
+    make_training(tmp_path / "pick", np.random.default_rng(0), 5)
+    text = report.report(ReportConfig(run=str(tmp_path / "pick"), output=None, video=True)).read_text()
+    for name in (
+        "eval/summary.json",
+        "eval/paths.csv",
+        "eval/options.csv",
+        "eval/episodes.csv",
+        "config.yaml",
+    ):
+        assert re.search(rf"(no|needs) {name}", text, re.IGNORECASE), name
+
+
+def test_text_of_a_run_is_escaped(tmp_path):
+    make_training(tmp_path / "pick", np.random.default_rng(0), 5)
+    (tmp_path / "pick" / "config.yaml").write_text("task: {name: '<script>alert(1)</script>'}\n")
+    text = report.report(ReportConfig(run=str(tmp_path), output=None, video=False)).read_text()
+    assert "<script>" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_paths_without_a_human_or_a_cell_are_drawn(demo):
+    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)["0", ""]
+    alone = {
+        **path,
+        "human_x": np.full_like(path["human_x"], 50.0),
+        "human_distance_m": np.full_like(path["step"], np.nan),
+    }
+    figure = figures.paths({("0", ""): alone}, {}, {})
+    assert [axis.get_title(loc="left") for axis in figure.axes] == [
+        "Top view",
+        "Side view",
+        "Horizontal distance to human",
+    ]
+    assert not figure.axes[2].lines
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"success": "1"}, "success"),
+        ({"human_collision": "1", "robot_moving_at_collision": "0"}, "human walked into still robot"),
+        ({"human_collision": "1", "robot_moving_at_collision": "1"}, "robot hit human"),
+        ({"other_collision": "table"}, "hit table"),
+        ({"truncated": "1"}, "time limit"),
+        ({}, "other"),
+    ],
+)
+def test_endings_are_told_apart(changes, words):
+    assert (
+        run_folder.termination({"success": "0", "human_collision": "0", "other_collision": "none", **changes}) == words
+    )
+
+
+def test_a_lone_policy_has_no_option_timeline(tmp_path):
+    make_evaluation(tmp_path / "cycle", "cycle", np.random.default_rng(0), 3)
+    options = tmp_path / "cycle" / "eval" / "options.csv"
+    assert len(report._timelines(run_folder.find_runs(tmp_path))) == 1
+    options.write_text("episode,option,attempt,start_step,end_step,termination\n0,pick,1,0,90,success\n")
+    assert report._timelines(run_folder.find_runs(tmp_path)) == []
+
+
+def test_the_configuration_of_the_evaluation_rules_over_that_of_training(tmp_path):
+    (tmp_path / "eval").mkdir()
+    (tmp_path / "config.yaml").write_text("task: {name: pick}\n")
+    (tmp_path / "eval" / "config.yaml").write_text("task: {name: cycle}\n")
+    run = run_folder.read_run(tmp_path)
+    assert run.config["task"]["name"] == "cycle"
+    assert list(run.configs) == ["training", "evaluation"]
+
+
+def test_a_folder_without_runs_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="holds no run"):
+        report.report(ReportConfig(run=str(tmp_path), output=None, video=False))
+    with pytest.raises(ConfigError, match="is not a folder"):
+        report.report(ReportConfig(run=str(tmp_path / "no"), output=None, video=False))
+
+
+def test_video_frames_are_real_time_and_the_yaw_does_not_spin():
+    path = {
+        "step": np.arange(101.0),
+        "human_yaw": np.where(np.arange(101) < 50, 3.1, -3.1),
+        "stage": np.arange(101.0) // 60,
+    }
+    shown = video.resample(path, frames_per_s=25)
+    assert len(shown["step"]) == 2 * 25 + 1
+    assert np.abs(np.diff(shown["human_yaw"])).max() < 0.2
+    assert set(shown["stage"]) == {0.0, 1.0}
+
+
+def test_jitter_on_the_spot_is_no_walk_but_a_walk_swings_the_legs():
+    jitter = np.random.default_rng(0).normal(0, 0.01, 200)
+    walk = np.arange(200) * 0.8 / 25
+    assert video.gait(jitter, -jitter)[1].mean() < 0.5 * video.gait(walk, np.zeros(200))[1].mean()
+
+
+@pytest.mark.parametrize(
+    ("task", "places"),
+    [
+        ("cycle", ["table", "tool", "drop", "drop"]),
+        ("pick", ["table", "tool"]),
+        ("place", ["tool", "drop"]),
+        ("reach", ["nowhere"]),
+    ],
+)
+def test_the_ball_is_where_the_stage_says(task, places):
+    assert [video._ball_place(task, stage) for stage in range(len(places))] == places
+
+
+def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco.egl", None)
+    picture, why = report._video(run_folder.find_runs(demo), draw=True)
+    assert picture is None
+    assert "libegl1 libegl-mesa0 libgl1-mesa-dri" in why
+
+
+def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
+    run = run_folder.find_runs(demo)[0]
+    path = {name: values[:12] for name, values in run_folder.recorded_paths(run, 1)["0", ""].items()}
+    robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
+    try:
+        file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))
+    except video.PicturesUnavailableError as error:
+        pytest.skip(f"nothing can be drawn off screen here: {error}")
+    data = file.read_bytes()
+    assert data[4:8] == b"ftyp"
+    assert len(data) > 2000
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("metrics.csv", "policy_steps,updates\n1,2\n"),
+        ("provenance.json", '{"commit": '),
+        ("eval/summary.json", "{}"),
+        ("eval/episodes.csv", "episode\n1\n"),
+        ("eval/paths.csv", "episode,step\n0,1\n"),
+        ("config.yaml", "a: [1"),
+    ],
+)
+def test_a_damaged_file_is_named_in_one_line(tmp_path, name, text):
+    folder = make_demo(tmp_path / "demo") / "pick"
+    (folder / name).write_text(text)
+    with pytest.raises(ConfigError, match=name) as error:
+        report.report(ReportConfig(run=str(folder), output=None, video=False))
+    assert "\n" not in str(error.value)
+    assert not (folder / "report.html").exists()
