@@ -1,1 +1,1 @@
-"""Comfort of the person beside the robot: measured always."""
+"""Comfort of the human: levels, reward terms and metrics."""

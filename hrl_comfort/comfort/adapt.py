@@ -1,4 +1,4 @@
-"""Comfort added to a subtask: what its policy sees of the level, and what it is paid for."""
+"""The comfort level as an observation and F_comfort as a reward term of a subtask."""
 
 from __future__ import annotations
 
@@ -14,19 +14,15 @@ from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import Change, Quantity
 
 TERM = "comfort"
-"""Name of the reward term, whose weight is `comfort.scale`."""
+"""Name of the reward term; its weight is `comfort.scale`."""
 
 
 def with_comfort(task: Subtask, config: ComfortConfig, max_step_deg: float) -> Subtask:
-    """Return `task` with the level among its observations and F_comfort among its reward terms.
-
-    With `comfort.source=none` it is returned as it is.
-    """
+    """Return `task` with the level as an observation and F_comfort as a reward; unchanged if source=none."""
     if config.source == "none":
         return task
-    return replace(
-        with_level(task, config.levels), rewards={**task.rewards, TERM: comfort_reward(config, max_step_deg)}
-    )
+    rewards = {**task.rewards, TERM: comfort_reward(config, max_step_deg)}
+    return replace(with_level(task, config.levels), rewards=rewards)
 
 
 def with_level(task: Subtask, levels: int) -> Subtask:
@@ -35,7 +31,7 @@ def with_level(task: Subtask, levels: int) -> Subtask:
 
 
 def level_seen(levels: int) -> Quantity:
-    """Return the observation (N, 1): the level in force, 0 for level 1 to 1 for level N_c."""
+    """Return the observation (N, 1): the current level, scaled from 0 (level 1) to 1 (level N_c)."""
 
     def term(state: State) -> Tensor:
         return ((state.level - 1) / (levels - 1))[:, None]
@@ -44,7 +40,7 @@ def level_seen(levels: int) -> Quantity:
 
 
 def comfort_reward(config: ComfortConfig, max_step_deg: float) -> Change:
-    """Return the reward term (N,) of one control step: F_comfort, 0 where nobody is there."""
+    """Return the reward term (N,) of one control step: F_comfort (Eq. 4), 0 without a human."""
 
     def term(before: State, after: State) -> Tensor:
         arm = config.distance == "arm"
@@ -58,7 +54,7 @@ def comfort_reward(config: ComfortConfig, max_step_deg: float) -> Change:
 def max_episode_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tensor:
     """Return the time limit (N,) in control steps at levels (N,).
 
-    Where speed counts (beta > 0) it grows with 1 / threshold of F_conf2, so that slow is possible.
+    If beta > 0 it grows with 1 / threshold of F_conf2, so that an arm below the threshold has time to finish.
     """
     if config.source == "none" or config.beta == 0:
         return torch.full_like(level, limit, dtype=torch.int64)
@@ -66,10 +62,10 @@ def max_episode_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tenso
 
 
 def longest_max_episode_steps(limit: int, config: ComfortConfig) -> int:
-    """Return the time limit at level 1, the longest there is, in control steps."""
+    """Return the time limit at level 1, the longest, in control steps."""
     return int(max_episode_steps(torch.ones(1, dtype=torch.float64), limit, config))
 
 
 def increment(before: State, after: State) -> Tensor:
-    """Return the largest absolute increment (N,) of the joints' targets over a control step, degrees."""
+    """Return the largest absolute increment (N,) of the joint targets in a control step, degrees."""
     return torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))

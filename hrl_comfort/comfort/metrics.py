@@ -1,4 +1,4 @@
-"""What is measured of the person's comfort."""
+"""Distance to the human and presence of the human."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ from hrl_comfort.config import FAR_AWAY_M
 
 
 def human_distance(tcp_pos: Tensor, human_pos: Tensor) -> Tensor:
-    """Return the horizontal distance (...,) m from tool (..., 3) to the human's axis (..., 2).
-
-    The distance of the paper's figures and of its released code.
-    """
+    """Return the horizontal distance (...,) m from tool (..., 3) to the human's axis (..., 2), as in the paper."""
     return vector_norm(tcp_pos[..., :2] - human_pos, dim=-1)
 
 
 def present(human_pos: Tensor) -> Tensor:
-    """Return (...,) bool: somebody is there, not far away (`human=none`); human_pos (..., 2) m."""
+    """Return (...,) bool: a human is in the cell; human_pos (..., 2) m is far away for `human=none`."""
     return human_pos[..., 0] < 0.5 * FAR_AWAY_M

@@ -1,4 +1,4 @@
-"""Where the comfort level comes from: N rows of a level each, in force for a decision at a time."""
+"""Sources of the comfort level: one level a row, constant during a decision."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, Udp, read_recording
-from hrl_comfort.config import ComfortConfig, ConfigError
+from hrl_comfort.config import ComfortConfig
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 DRAWS = 32
-"""Uniform numbers an episode gives its source."""
+"""Uniform random numbers that a source gets each episode."""
 
 
 @dataclass(frozen=True)
-class Moment:
-    """What a source may look at after a decision, (N,) each."""
+class SourceInput:
+    """Inputs of a source after a decision, (N,) each."""
 
     time_s: Floats
-    """Since the episode began."""
+    """Time since the start of the episode."""
     passed_s: Floats
     """Duration of the decision."""
     distance_m: Floats
-    """Horizontal, tool to the human's axis."""
+    """Horizontal distance from the tool to the human's axis."""
     speed_m_s: Floats
-    """Of the tool, over the decision."""
+    """Mean speed of the tool in the decision."""
 
 
 class Source:
-    """No level at all (`source=none`), and what all sources share."""
+    """Base of all sources; as `source=none` it has no level (NaN)."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         self.config = config
@@ -43,20 +43,20 @@ class Source:
         self.level: Floats = np.full(rows, np.nan)
 
     def begin(self, rows: Rows) -> None:
-        """Begin an episode in `rows`, whose `draws` are set."""
+        """Start an episode in `rows`; their `draws` are set."""
         self.level[rows] = self.at(np.zeros(len(self.level)))[rows]
 
-    def advance(self, now: Moment) -> Floats:
-        """Return the levels (N,) of the decision to come."""
+    def advance(self, now: SourceInput) -> Floats:
+        """Return the levels (N,) of the next decision."""
         self.level = self.at(now.time_s)
         return self.level.copy()
 
     def at(self, time_s: Floats) -> Floats:
-        """Return the levels (N,) at times (N,) into the episodes, for sources that follow the clock alone."""
+        """Return the levels (N,) at times (N,) s from the start of the episodes, for sources of time alone."""
         return np.full(len(time_s), np.nan)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything a bit-for-bit continuation needs."""
+        """Return the state for a bit-identical continuation."""
         return {name: torch.from_numpy(getattr(self, name).copy()) for name in ("draws", "level")}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -65,7 +65,7 @@ class Source:
 
 
 class Fixed(Source):
-    """`comfort.level`, always."""
+    """The constant level `comfort.level`."""
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
@@ -74,7 +74,7 @@ class Fixed(Source):
 
 
 class Random(Source):
-    """One level an episode, each as likely."""
+    """One uniformly random level an episode."""
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
@@ -82,10 +82,7 @@ class Random(Source):
 
 
 class Changing(Source):
-    """A level drawn anew after times of exponential length, mean `change_s`, within an episode.
-
-    After the last of its draws, DRAWS / 2 levels, they come round again.
-    """
+    """Random levels that last exponential times of mean `change_s`; DRAWS / 2 levels, then repeated."""
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
@@ -97,21 +94,20 @@ class Changing(Source):
 
 
 class Schedule(Source):
-    """`comfort.schedule_levels` from the times `comfort.schedule_s` on."""
+    """Levels `comfort.schedule_levels` from times `comfort.schedule_s` on."""
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
         times, levels = np.array(self.config.schedule_s), np.array(self.config.schedule_levels)
-        # A decision that begins at a listed time, to rounding, is under the level of that time.
+        # 1e-9 s: a decision that starts at a listed time, up to rounding, has the level of that time.
         return np.asarray(levels.astype(np.float64)[np.searchsorted(times, time_s + 1e-9, side="right") - 1])
 
 
 class File(Source):
-    """A recording of `comfort.file`, from its start in every episode."""
+    """The recording `comfort.file`, restarted every episode."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         super().__init__(config, rows)
-        assert config.file is not None
         self._recording: Recording = read_recording(config)
 
     def at(self, time_s: Floats) -> Floats:
@@ -120,7 +116,7 @@ class File(Source):
 
 
 class Live(Source):
-    """A stream that goes on while the robot moves: the same level in every row, by the wall clock."""
+    """A live stream, read by wall clock; all rows have the same level."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         super().__init__(config, rows)
@@ -134,11 +130,10 @@ class Live(Source):
 
 
 class Simulated(Source):
-    """A person whose level falls with the tool's closeness and speed and recovers with time.
+    """A level that falls with closeness and speed of the tool and recovers with time.
 
-    With c = N_c - 1 levels of range, stress = max(0, 1 - d / near) (1 + v / fast) / 2 in [0, 1]:
-    d(level)/dt = -2 c stress / stress_s + (N_c - level) / recovery_s. A model made for tests and
-    demonstrations; it is not fitted to people.
+    d(level)/dt = -2 (N_c - 1) stress / stress_s + (N_c - level) / recovery_s, with
+    stress = max(0, 1 - d / near) (1 + min(v / fast, 1)) / 2. A model for tests, not fitted to people.
     """
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
@@ -146,10 +141,10 @@ class Simulated(Source):
         self._exact: Floats = np.full(rows, float(config.levels))
 
     def begin(self, rows: Rows) -> None:
-        """See `Source`: everybody begins at ease."""
+        """See `Source`; the episode starts at level N_c."""
         self._exact[rows] = self.level[rows] = float(self.config.levels)
 
-    def advance(self, now: Moment) -> Floats:
+    def advance(self, now: SourceInput) -> Floats:
         """See `Source`."""
         person, top = self.config.person, float(self.config.levels)
         close = np.maximum(0.0, 1.0 - now.distance_m / person.near_m)
@@ -184,11 +179,5 @@ SOURCES: dict[str, type[Source]] = {
 
 
 def make_source(config: ComfortConfig, rows: int) -> Source:
-    """Return the source that `config.source` names, for N rows.
-
-    Raises:
-      ConfigError: no such source, a bad recording, or a stream that cannot be opened.
-    """
-    if config.source not in SOURCES:
-        raise ConfigError(f"comfort.source={config.source!r} is not allowed; choose one of {', '.join(SOURCES)}")
+    """Return the source `config.source` for N rows; raise ConfigError at a bad recording or stream."""
     return SOURCES[config.source](config, rows)

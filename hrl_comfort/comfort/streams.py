@@ -1,8 +1,7 @@
-"""Numbers from outside that stand for comfort, and the level they come to.
+"""Live and recorded signals and their conversion to comfort levels.
 
-A signal goes wrong in three ways, and none stops the robot: rubbish and values far outside the range are
-not used (the last good value holds), and after `stall_s` without a good one the most cautious level is in
-force. Each is warned of when it begins.
+No bad signal stops the robot. Non-numbers and values far outside the range are ignored; the last good value
+holds. After `stall_s` without a good value, the level is CAUTIOUS. Each fault gives one warning when it starts.
 """
 
 from __future__ import annotations
@@ -23,21 +22,22 @@ from numpy.typing import NDArray
 from hrl_comfort.config import ComfortConfig, ConfigError
 
 CAUTIOUS = 1
-LARGEST_DATAGRAM = 4096
+"""The most cautious level."""
+MAX_DATAGRAM_BYTES = 4096
 
 
 class Stream(Protocol):
-    """Something that can be read without waiting."""
+    """A source of values that is read without blocking."""
 
     def read(self) -> list[str | float]:
-        """Return what has arrived since the last call, oldest first; text is taken for a number."""
+        """Return the values since the last call, oldest first; text is parsed as a number."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the stream."""
 
 
 class Signal:
-    """Values become levels: range, smoothing, rubbish and stalls, by `clock` (s)."""
+    """Conversion of values to levels: range, smoothing, bad values and stalls; `clock` in s."""
 
     def __init__(self, config: ComfortConfig, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._config, self._name, self._clock = config, name, clock
@@ -46,10 +46,10 @@ class Signal:
         self._warned: set[str] = set()
 
     def level(self, arrived: list[str | float]) -> int:
-        """Take in what has arrived and return the level in force, 1 to N_c."""
+        """Process the new values; return the current level, 1 to N_c."""
         now = self._clock()
         good = [share for raw in arrived if (share := self._share(raw)) is not None]
-        if good:  # of what came together, the newest: it is what holds now
+        if good:  # only the newest of simultaneous values
             self._take(good[-1], now)
         if self._smooth is None or now - self.last_good_s > self._config.stream.stall_s:
             since = f"for {self._config.stream.stall_s:g} s" if self._smooth is not None else "has come yet"
@@ -59,10 +59,10 @@ class Signal:
         return round(1 + self._smooth * (self._config.levels - 1))
 
     def _share(self, raw: str | float) -> float | None:
-        """Return where a value lies between low (0) and high (1); None, with a warning, if it is no good."""
+        """Return a value scaled to 0 (low) to 1 (high), or None, with a warning, if it is unusable."""
         stream = self._config.stream
         try:
-            # Python reads 1_0 as ten; no sender means that.
+            # float() reads "1_0" as ten
             value = math.nan if "_" in str(raw) else float(raw)
             share = (value - stream.low) / (stream.high - stream.low)
         except (TypeError, ValueError):
@@ -91,24 +91,24 @@ class Signal:
 
 
 class Udp:
-    """Datagrams to `stream.host`:`stream.port`, each one number in ASCII."""
+    """UDP datagrams to `stream.host`:`stream.port`, one ASCII number each."""
 
     def __init__(self, config: ComfortConfig) -> None:
         stream = config.stream
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((stream.host, stream.port))
-        except (OSError, TypeError, ValueError) as error:  # a name that is none is one of the latter
+        except (OSError, TypeError, ValueError) as error:  # the last two at an invalid host name
             self._socket.close()
             raise ConfigError(
-                f"comfort.stream.port={stream.port} on comfort.stream.host={stream.host!r} cannot be "
-                f"listened to: {getattr(error, 'strerror', None) or error}"
+                f"comfort.stream.port={stream.port} on comfort.stream.host={stream.host!r} cannot be opened: "
+                f"{getattr(error, 'strerror', None) or error}; choose another, or 0 for a free port"
             ) from error
         self._socket.setblocking(False)
 
     @property
     def port(self) -> int:
-        """The port in use."""
+        """UDP port in use."""
         return int(self._socket.getsockname()[1])
 
     def read(self) -> list[str | float]:
@@ -116,7 +116,7 @@ class Udp:
         arrived: list[str | float] = []
         while True:
             try:
-                arrived.append(self._socket.recv(LARGEST_DATAGRAM).decode("ascii", "replace").strip())
+                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace").strip())
             except BlockingIOError:
                 return arrived
 
@@ -126,9 +126,9 @@ class Udp:
 
 
 class Lsl:
-    """The first channel of the Lab Streaming Layer stream `stream.name` (extra `streams`: pylsl).
+    """First channel of the Lab Streaming Layer stream `stream.name` (extra `streams`: pylsl).
 
-    It is looked for once, for `stall_s`; while it is away, nothing arrives, and it is found again.
+    The stream must appear within `stall_s`. A lost stream gives no values until pylsl recovers it.
     """
 
     def __init__(self, config: ComfortConfig) -> None:
@@ -142,7 +142,8 @@ class Lsl:
         found = pylsl.resolve_byprop("name", name, timeout=config.stream.stall_s)
         if not found:
             raise ConfigError(
-                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within {config.stream.stall_s:g} s"
+                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within {config.stream.stall_s:g} s; "
+                "start its outlet first, or raise comfort.stream.stall_s"
             )
         self._inlet = pylsl.StreamInlet(found[0], recover=True)
         self._inlet.open_stream(timeout=config.stream.stall_s)
@@ -159,53 +160,53 @@ class Lsl:
 
 @dataclass(frozen=True)
 class Recording:
-    """Levels (E,) from times (E,) s on, rising."""
+    """Levels (E,), each from its time (E,) s on; times rise."""
 
     time_s: NDArray[np.float64]
     levels: NDArray[np.float64]
 
     def level(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the levels (N,) at times (N,) s; before the first value, the most cautious."""
+        """Return the levels (N,) at times (N,) s; CAUTIOUS before the first value."""
         at = np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1
         return np.where(at < 0, float(CAUTIOUS), self.levels[np.maximum(at, 0)])
 
 
 def read_recording(config: ComfortConfig) -> Recording:
-    """Return the recording in `comfort.file`, played through a `Signal` as if it arrived live.
+    """Return the recording `comfort.file`, converted by a `Signal` as if it arrived live.
 
-    In gaps longer than `stall_s`, and so long after the last value, the level is the most cautious.
+    The level is CAUTIOUS in gaps longer than `stall_s`, and `stall_s` after the last value.
 
     Raises:
-      ConfigError: no such file or one that is no CSV, other columns, no line, or times that do not rise.
+      ConfigError: the file is missing or no CSV, or has other columns, no line, or times that do not rise.
     """
-    path = Path(config.file or "")
+    name = f"comfort.file={config.file!r}"
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with Path(config.file or "").open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file, strict=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"comfort.file={str(path)!r} cannot be read: {error}") from error
+        raise ConfigError(f"{name} cannot be read: {error}; it must be a CSV of t,value") from error
     while rows and not "".join(rows[-1]).strip():
         rows.pop()
     if not rows or [cell.strip() for cell in rows[0]] != ["t", "value"] or len(rows) < 2:
-        raise ConfigError(f"comfort.file={str(path)!r} must have the columns t,value and a line")
+        raise ConfigError(f"{name} must have the columns t,value and at least one line")
     now = 0.0
     signal = Signal(config, "file", clock=lambda: now)
     times: list[float] = []
     levels: list[float] = []
     for number, row in enumerate(rows[1:], start=2):
-        where = f"comfort.file={str(path)!r} line {number}: {','.join(row)[:40]!r}"
         try:
-            moment = float(row[0])
-        except (ValueError, IndexError) as error:
-            raise ConfigError(f"{where} must be t,value with t in s") from error
-        if len(row) != 2 or not math.isfinite(moment) or (times and moment <= times[-1]):
-            raise ConfigError(f"{where} must be t,value, times rising")
+            moment, value = float(row[0]), row[1]
+            valid = len(row) == 2 and math.isfinite(moment) and (not times or moment > times[-1])
+        except (ValueError, IndexError):
+            valid = False
+        if not valid:
+            raise ConfigError(f"{name} line {number}: {','.join(row)[:40]!r} must be t,value with rising t in s")
         if times and moment - signal.last_good_s > config.stream.stall_s and levels[-1] != CAUTIOUS:
             times.append(max(signal.last_good_s + config.stream.stall_s, np.nextafter(times[-1], math.inf)))
             levels.append(float(CAUTIOUS))
         now = moment
         times.append(moment)
-        levels.append(float(signal.level([row[1]])))
+        levels.append(float(signal.level([value])))
     end = signal.last_good_s + config.stream.stall_s
     if end > times[-1]:
         times.append(end)

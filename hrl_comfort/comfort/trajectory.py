@@ -1,6 +1,6 @@
-"""Comfort of one whole episode, measured from its trajectory (docs/metrics.md explains every number).
+"""Comfort metrics of an episode, computed from its trajectory (see docs/metrics.md).
 
-Measured whether comfort is rewarded or not. A value that an episode does not have is None, never zero.
+An undefined value is None, never zero.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from hrl_comfort.config import CONTROL_STEP_S
 Floats = NDArray[np.float64]
 
 INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
-"""Outer bounds of the zones round a person (Hall, The Hidden Dimension, 1966)."""
+"""Outer radii of the zones around a person (Hall, The Hidden Dimension, 1966)."""
 SLOW_M_S = 0.01
-"""A tool slower than this waits."""
+"""A slower tool counts as waiting."""
 SHORT_CONTACT_S = 0.5
 CLOSING_M_S = 1e-3
-"""Slower than this, nothing closes in and there is no time to contact."""
+"""Time to contact is infinite at lower closing speeds."""
 ROUNDING = 1e-12
-"""A dimensionless jerk below this is that of rounding errors."""
+"""A smaller dimensionless jerk is a rounding error."""
 
-# Speed and separation monitoring: ISO/TS 15066, since 2025 in ISO 10218-2; terms as in the overview by
-# Marvel and Norcross (NIST, 2017, PMC5117641). The human's speed is the standard's; the robot's numbers are
-# this simulation's. The figures compare runs; they certify nothing.
+# Speed and separation monitoring: ISO/TS 15066, since 2025 in ISO 10218-2; terms as in Marvel and Norcross (NIST,
+# 2017, PMC5117641). The human's speed is that of the standard, the robot's numbers are those of this simulation.
+# The margins compare runs; they are no certification.
 WORST_HUMAN_M_S = 1.6
 REACTION_S = 0.1
 """One decision of five control steps."""
 DECELERATION_M_S2 = 5.0
 """Assumed braking of the tool."""
 INTRUSION_M = 0.0
-"""C: body parts are seen as they are, at every step."""
+"""C: the body parts are known exactly at every step."""
 UNCERTAINTY_M = 0.0
-"""Z_d + Z_r: in simulation positions are exact."""
+"""Z_d + Z_r: positions are exact in simulation."""
 
 
 MEASURES = (
@@ -58,33 +58,33 @@ MEASURES = (
     "separation_margin_min_m",
     "separation_margin_observed_min_m",
 )
-"""Names of what `metrics` returns, in order."""
+"""Names of the values of `metrics`, in order."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One episode, T control steps and the instant before the first: T + 1 instants, 20 ms apart."""
+    """One episode of T control steps of 20 ms: T + 1 instants."""
 
     tool: Floats
     """(T + 1, 3) m, tool centre point."""
     human: Floats
-    """(T + 1, 2) m, the human's axis."""
+    """(T + 1, 2) m, axis of the human."""
     joint_target: Floats
     """(T + 1, 6) rad."""
     arm_distance: Floats
-    """(T + 1,) m, smallest between any link and any body part."""
+    """(T + 1,) m, smallest distance between any link and any body part."""
     human_here: bool
 
 
 def metrics(path: Trajectory) -> dict[str, float | None]:
-    """Return every measure by its column's name; those of the person are None where nobody is there."""
+    """Return every metric by its column name; those of the human are None if there is no human."""
     moved = {**of_motion(path), "log_dimensionless_jerk": log_dimensionless_jerk(path.tool)}
     person = of_person(path)
     return {**moved, **(person if path.human_here else dict.fromkeys(person))}
 
 
 def of_motion(path: Trajectory) -> dict[str, float | None]:
-    """Return the tool's path (m), the share of steps in which it waits, and joint increments (degrees)."""
+    """Return path length (m) and waiting share of the tool, and joint increments (degrees)."""
     lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
     increments = np.degrees(np.abs(np.diff(path.joint_target, axis=0)).max(axis=-1))
     return {
@@ -96,7 +96,7 @@ def of_motion(path: Trajectory) -> dict[str, float | None]:
 
 
 def of_person(path: Trajectory) -> dict[str, float | None]:
-    """Return distances, zones, speed near the person, time to contact and separation margins."""
+    """Return distances, zones, speed near the human, time to contact and separation margins."""
     lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
     distance = np.linalg.norm(path.tool[1:, :2] - path.human[1:], axis=-1)
     arm, speed = path.arm_distance[1:], lengths / CONTROL_STEP_S
@@ -121,13 +121,13 @@ def of_person(path: Trajectory) -> dict[str, float | None]:
 
 
 def time_to_contact(distance: Floats) -> Floats:
-    """Return d / -d' (T,) s at each step of distances (T + 1,) m; infinite where they do not shrink."""
+    """Return d / -d' (T,) s for distances (T + 1,) m; infinite where they do not shrink."""
     closing = -np.diff(distance) / CONTROL_STEP_S
     return np.where(closing > CLOSING_M_S, np.maximum(distance[1:], 0.0) / np.maximum(closing, 1e-9), np.inf)
 
 
 def protective_distance(robot_m_s: Floats, human_m_s: Floats | float) -> Floats:
-    """S_p = v_h (T_r + T_s) + v_r T_r + v_r^2 / 2a + C + Z_d + Z_r, m, with T_s = v_r / a."""
+    """Return S_p = v_h (T_r + T_s) + v_r T_r + v_r^2 / 2a + C + Z_d + Z_r, m, with T_s = v_r / a."""
     stopping_s = robot_m_s / DECELERATION_M_S2
     braking_m = robot_m_s**2 / (2 * DECELERATION_M_S2)
     travelled = human_m_s * (REACTION_S + stopping_s) + robot_m_s * REACTION_S + braking_m
@@ -135,10 +135,10 @@ def protective_distance(robot_m_s: Floats, human_m_s: Floats | float) -> Floats:
 
 
 def log_dimensionless_jerk(tool: Floats) -> float | None:
-    """-ln[(T^3 / v_peak^2) integral of |v''|^2 dt] of positions (T + 1, 3); nearer to zero is smoother.
+    """Return -ln[(T^3 / v_peak^2) integral of |v''|^2 dt] of positions (T + 1, 3) m; higher is smoother.
 
-    Balasubramanian et al., J. NeuroEngineering and Rehabilitation 12 (2015). None for fewer than 3 steps, for
-    a tool that waits throughout, and for one without jerk.
+    Balasubramanian et al., J. NeuroEngineering and Rehabilitation 12 (2015). None for fewer than 3 steps, a tool
+    that waits throughout, or no jerk.
     """
     velocity = np.diff(tool, axis=0) / CONTROL_STEP_S
     peak = np.linalg.norm(velocity, axis=-1).max(initial=0.0)

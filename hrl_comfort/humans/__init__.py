@@ -1,4 +1,4 @@
-"""People: where they begin, how they move, and what the policy is told of them. One file a motion."""
+"""Human motions (one file each), spawn points and the human position in observations."""
 
 from __future__ import annotations
 
@@ -38,20 +38,23 @@ MOTIONS: dict[str, Motion] = {
     "work": work,
     "patrol": patrol,
 }
-ATTEMPTS = 1000
-UNBOUND = ("none", "playback")
-"""Motions that neither the movement bound nor the keep-out discs hold."""
+MAX_SPAWN_DRAWS = 1000
+UNBOUNDED = ("none", "playback")
+"""Motions to which `bound_m` and `keep_out_m` do not apply."""
 
 
 def motion(name: str) -> Motion:
-    """Return the registered motion; raise ConfigError if there is none."""
+    """Return the motion `name`; raise ConfigError if `name` is not in MOTIONS."""
     if name not in MOTIONS:
         raise ConfigError(f"human.motion={name!r} is not allowed; choose one of {', '.join(MOTIONS)}")
     return MOTIONS[name]
 
 
 def begin(config: HumanConfig, spawn: Array) -> Walk:
-    """Return people at spawn (n, 2) m who face the robot; absent, or at their file's start, if so chosen."""
+    """Return n humans at `spawn` (n, 2) m, facing the robot.
+
+    Motion `none` puts them far away, `playback` at the start of its file.
+    """
     n = len(spawn)
     position, yaw = spawn.copy(), facing_base(spawn)
     if motion(config.motion) is none:
@@ -65,13 +68,13 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
 
 
 def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
-    """Return the walk one control step of 20 ms on; noise (n, NOISE), tcp (n, 2) m.
+    """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1), tcp (n, 2) m.
 
-    A step beyond `bound_m` of the spawn is drawn back to it; a step into a keep-out disc slides along
-    its rim, or is not taken where that leads into another.
+    A step beyond `bound_m` from the spawn ends at that distance. A step into a keep-out disc slides along
+    its rim. The human stays in place if the slide ends in another disc or beyond `bound_m`.
     """
     position, yaw = motion(config.motion)(config, walk, noise, tcp)
-    if config.motion not in UNBOUND:
+    if config.motion not in UNBOUNDED:
         offset = position - walk.spawn
         shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
         position = walk.spawn + offset * shrink[:, None]
@@ -88,25 +91,25 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
 
 
 def moved_spawns(config: HumanConfig, goals: Array) -> Array:
-    """Return the spawn points (s, 2) m, moved out where nearer than `keep_out_m` to a goal (g, 2) or base."""
+    """Return the spawn points (s, 2) m; those within `keep_out_m` of a goal (g, 2) m or the base are moved out."""
     spawns = np.array(config.spawns_m, dtype=np.float64)
     return outside(spawns, around(goals, config.keep_out_m, len(spawns)))
 
 
 def around(goals: Array, radius_m: float, rows: int) -> KeepOut:
-    """Return the discs round goals (g, 2) and the robot's base, the same for every row."""
+    """Return discs around the goals (g, 2) m and the robot's base, repeated for each row."""
     centres = np.vstack([goals, np.zeros((1, 2))])
     return KeepOut(np.broadcast_to(centres, (rows, *centres.shape)), radius_m)
 
 
 def training_spawns(config: HumanConfig) -> NDArray[np.int64]:
-    """Return the indices of the spawn points that training uses."""
+    """Return the indices of the spawn points that are not held out."""
     held_out = set(config.held_out)
     return np.array([i for i in range(len(config.spawns_m)) if i not in held_out], dtype=np.int64)
 
 
 def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
-    """Return spawn (n, 2) displaced uniformly over a disc of `spawn_jitter_m`; uniform (n, 2) in [0, 1)."""
+    """Return `spawn` (n, 2) m displaced uniformly in a disc of radius `spawn_jitter_m`; uniform (n, 2) in [0, 1)."""
     radius = config.spawn_jitter_m * np.sqrt(uniform[:, :1])
     angle = 2 * np.pi * uniform[:, 1]
     return spawn + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -115,17 +118,17 @@ def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
 def training_spawn(
     config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator
 ) -> tuple[int, Array]:
-    """Return the index of a spawn point (-1: anywhere) and a place (2,) m, drawn as `config.spawn` says.
+    """Draw a training spawn as `config.spawn` says: index into `spawns` (-1: anywhere) and position (2,) m.
 
-    It is out of the discs and, so that these stay unseen, clear of every held-out one of `spawns` (s, 2).
+    The position lies outside the keep-out discs and at least `spawn_margin_m` from held-out `spawns` (s, 2) m.
 
     Raises:
-      ConfigError: none was found.
+      ConfigError: no free position in MAX_SPAWN_DRAWS draws.
     """
     held_out, indices = spawns[list(config.held_out)], training_spawns(config)
     nearest, farthest = config.spawn_radius_m
     at_point = config.spawn == "points" or (config.spawn == "mixed" and rng.random() < 0.5)
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_SPAWN_DRAWS):
         index = -1
         if at_point:
             index = int(indices[rng.integers(len(indices))])
@@ -136,15 +139,18 @@ def training_spawn(
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
         if clear and not keep_out.entered(place[None])[0]:
             return index, place
-    raise ConfigError(f"no free spawn found at human.spawn_radius_m={list(config.spawn_radius_m)}")
+    raise ConfigError(
+        f"human.spawn_radius_m={list(config.spawn_radius_m)} holds no free spawn; "
+        "widen it, or lower human.keep_out_m or human.spawn_margin_m"
+    )
 
 
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
-    """Return where the policy is told that people at position (n, 2) are.
+    """Return the human position (n, 2) m in the observation for true positions (n, 2) m.
 
-    `masked`, or nobody there: far away. `clipping=full`: at the nearest spawn point. `partial`: there only
-    while that point is nearer to the robot than the person is. The paper's "a given point nearer than the
-    human" leaves open nearer to what; read so, nobody is told to be farther from the robot than they are.
+    `masked` and motion `none` give a position far away. `clipping=full` gives the nearest spawn point;
+    `partial` gives that point only if it is nearer to the robot than the human. The paper's "a given point
+    nearer than the human" does not say nearer to what. This reading never reports a human as farther away.
     """
     if config.masked or config.motion == "none":
         return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))

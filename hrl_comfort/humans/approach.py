@@ -1,4 +1,4 @@
-"""Somebody who walks straight at the gripper (the paper's critical case)."""
+"""Motion `approach`: a straight walk to the gripper, the paper's critical case."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hrl_comfort.humans.walk import Array, Walk
 
 
 def approach(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Walk at `speed_m_s` towards the tool centre point, facing it."""
+    """Walk at `speed_m_s` towards the tool centre point and face it."""
     offset = tcp - walk.position
     distance = np.linalg.norm(offset, axis=-1, keepdims=True)
     stride = np.minimum(config.speed_m_s * CONTROL_STEP_S, distance)

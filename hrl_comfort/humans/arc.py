@@ -1,4 +1,4 @@
-"""The released code's motion: an arc round the robot whose radius wanders."""
+"""Motion `arc`, as in the paper's released code: an arc around the robot with a random-walk radius."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hrl_comfort.humans.walk import Array, Walk, facing_base
 
 
 def arc(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Swing the bearing along `arc_deg` in `arc_steps` and back; the radius takes the random walk's."""
+    """Move the bearing by `arc_deg` over `arc_steps` and back; take the radius from `random_walk`."""
     wandered, _ = random_walk(config, walk, noise, tcp)
     radius = np.linalg.norm(wandered, axis=-1)
     turns = (walk.step + 1) / config.arc_steps

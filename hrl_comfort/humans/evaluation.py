@@ -1,4 +1,4 @@
-"""The committed evaluation set: 1,000 spawns, motions and seeds; half the spawns unseen in training."""
+"""The committed evaluation set: 1,000 spawns, motion seeds and episode seeds, half of the spawns held out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FIRST_SEED, ConfigError
 
+FILE = "humans/evaluation_set.csv"
 COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
 MOTION_STREAM = 7
-"""Second word of the key of a motion's random numbers, so that motions share no stream with episodes."""
+"""Second word of the random key of a motion; it keeps motions and episodes on separate streams."""
 
 
 @dataclass(frozen=True)
 class EvaluationSet:
-    """Columns of the set, each (E,); position (E, 2) m, cell frame."""
+    """Columns of the set, (E,) each, read-only; position (E, 2) m, cell frame."""
 
     episode: NDArray[np.int64]
     episode_seed: NDArray[np.int64]
@@ -29,56 +30,46 @@ class EvaluationSet:
     seen: NDArray[np.bool_]
 
     def part(self, start: int, stop: int) -> EvaluationSet:
-        """Return entries start to stop; seen and unseen spawns alternate."""
+        """Return the entries from `start` to `stop`, exclusive."""
         return EvaluationSet(**{name: value[start:stop] for name, value in vars(self).items()})
 
     def reseeded(self, seed: int) -> EvaluationSet:
-        """Return the same spawns and motions with episode seeds that begin at `seed`."""
+        """Return the same spawns and motions with episode seeds from `seed` on."""
         return replace(self, episode_seed=self.episode_seed - FIRST_SEED + seed)
 
 
 @lru_cache(maxsize=1)
 def load_evaluation_set() -> EvaluationSet:
-    """Return the committed set.
-
-    Raises:
-      ConfigError: the file has been damaged.
-    """
+    """Return the committed set; raise ConfigError if its file is damaged."""
     file = files("hrl_comfort.humans") / "evaluation_set.csv"
     return parse_evaluation_set(file.read_text(encoding="utf-8"))
 
 
 def parse_evaluation_set(text: str) -> EvaluationSet:
-    """Return the set that a file of this `text` holds; its arrays are read-only.
+    """Return the set in the CSV `text`.
 
     Raises:
-      ConfigError: other columns, or a bad line (named).
+      ConfigError: wrong columns, or a bad line (named).
     """
     header, *lines = list(csv.reader(text.splitlines())) or [[]]
     if tuple(header) != COLUMNS or not lines:
-        raise ConfigError(f"people/evaluation_set.csv must have the columns {','.join(COLUMNS)} and an episode")
-    whole, places, seen = [], [], []
+        raise ConfigError(f"{FILE} must have the columns {','.join(COLUMNS)} and at least one episode")
+    rows = []
     for number, line in enumerate(lines, start=2):
-        where = f"people/evaluation_set.csv line {number}: {','.join(line)!r}"
         try:
             episode, seed, spawn, x, y, motion, known = line
-            row, place = [int(v) for v in (episode, seed, spawn, motion)], [float(x), float(y)]
-            seen.append({"True": True, "False": False}[known])
-        except (ValueError, KeyError) as error:
-            raise ConfigError(f"{where} must hold {','.join(COLUMNS)}, seen True or False") from error
-        if row[0] != number - 2 or row[1] < FIRST_SEED or row[2] < 0 or not np.isfinite(place).all():
-            raise ConfigError(f"{where} must be episode {number - 2}, with a seed from {FIRST_SEED} and finite x, y")
-        whole.append(row)
-        places.append(place)
-    numbers = np.array(whole, dtype=np.int64)
-    entries = EvaluationSet(
-        episode=numbers[:, 0].copy(),
-        episode_seed=numbers[:, 1].copy(),
-        spawn_id=numbers[:, 2].copy(),
-        position=np.array(places, dtype=np.float64),
-        motion_id=numbers[:, 3].copy(),
-        seen=np.array(seen, dtype=bool),
-    )
+            whole, place = [int(v) for v in (episode, seed, spawn, motion)], (float(x), float(y))
+            seen = {"True": True, "False": False}[known]
+            valid = whole[0] == number - 2 and whole[1] >= FIRST_SEED and whole[2] >= 0 and np.isfinite(place).all()
+        except (ValueError, KeyError):
+            valid = False
+        if not valid:
+            raise ConfigError(
+                f"{FILE} line {number}: {','.join(line)!r} must hold {','.join(COLUMNS)}: episode {number - 2}, "
+                f"a seed from {FIRST_SEED}, a spawn from 0, finite x and y (m), a motion, seen True or False"
+            )
+        rows.append((*whole[:3], place, whole[3], seen))
+    entries = EvaluationSet(*map(np.array, zip(*rows, strict=True)))
     for column in vars(entries).values():
         column.setflags(write=False)
     return entries

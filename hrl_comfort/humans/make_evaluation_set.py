@@ -1,7 +1,7 @@
-"""Remake people/evaluation_set.csv from conf/: `python -m hrl_comfort.humans.make_evaluation_set > FILE`.
+"""Generation of evaluation_set.csv from conf/: `python -m hrl_comfort.humans.make_evaluation_set > FILE`.
 
-Seen and unseen spawns alternate, so that any prefix of the set is half and half. A seen entry stands within
-`spawn_jitter_m` of a point that is not held out; an unseen one within `UNSEEN_JITTER_M` of a held-out one.
+Seen and unseen spawns alternate, so every prefix of the set is balanced. Seen spawns lie within `spawn_jitter_m`
+of a training point, unseen ones within UNSEEN_JITTER_M of a held-out point.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ UNSEEN_JITTER_M = 0.05
 
 
 def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
-    """Return the file's text."""
+    """Return the evaluation set as CSV text."""
     goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])[:, :2]
     spawns = moved_spawns(human, goals)
     rng = np.random.default_rng(FIRST_SEED)
@@ -42,7 +42,7 @@ def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
 
 
 def default_choices(conf: Path) -> tuple[HumanConfig, CellConfig]:
-    """Return the spawns and the cell that the YAML files in `conf` hold; Hydra is not for this layer."""
+    """Return the default human and cell of the YAML files in `conf`, read without Hydra."""
     human = yaml.safe_load((conf / "human" / "_shared.yaml").read_text(encoding="utf-8"))
     cell = yaml.safe_load((conf / "cell" / "default.yaml").read_text(encoding="utf-8"))
     return HumanConfig(motion="random_walk", **human), CellConfig(**cell)

@@ -1,4 +1,4 @@
-"""Nobody."""
+"""Motion `none`: no human in the cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The paper's random forward walk (its code: `people.arc`)."""
+"""Motion `random_walk`, the paper's "random forward walk".
+
+The paper gives no constants for it. The defaults of `jitter_m`, `forward_m` and `forward_probability` are those
+of its released code, which also moves the human along an arc (motion `arc`).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from hrl_comfort.humans.walk import Array, Walk, facing_base
 
 
 def random_walk(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Jitter by up to `jitter_m` an axis or, with `forward_probability`, step `forward_m` to the base."""
+    """Move up to `jitter_m` along x and y or, with `forward_probability`, `forward_m` towards the base."""
     jitter = (2 * noise[:, :2] - 1) * config.jitter_m
     yaw = facing_base(walk.position)
     forward = config.forward_m * np.array([np.cos(yaw), np.sin(yaw)]).T

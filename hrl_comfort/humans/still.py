@@ -1,4 +1,4 @@
-"""Somebody who stands and faces the robot."""
+"""Motion `still`: a standing human."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from hrl_comfort.humans.walk import Array, Walk, facing_base
 
 
 def still(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Stay at the spawn point."""
+    """Stay at the spawn point and face the robot."""
     return walk.position, facing_base(walk.position)

@@ -1,4 +1,4 @@
-"""A walk in progress, and what every motion model is made of."""
+"""State of a walk, keep-out discs and the gait, shared by all motions."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from hrl_comfort.config import HumanConfig
 Array = NDArray[np.float64]
 
 NOISE = 3
-"""Uniform [0, 1) numbers a motion may use each control step."""
+"""Uniform numbers in [0, 1) that a motion gets each control step."""
 STRIDE_M = 1.4
-"""Ground covered by one gait cycle (two steps) of an adult."""
+"""Distance walked in one gait cycle (two steps) of an adult."""
 FULL_SWING_RAD, FULL_SWING_SPEED_M_S = np.radians(25.0), 1.0
 SPEED_SMOOTHING = 0.05
-"""Weight of the newest step in the low-passed speed that drives the gait."""
+"""Weight of the latest step in the low-pass filter of the walking speed."""
 MARGIN_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Where n people are: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and their gait."""
+    """State of n humans: position (n, 2) m, yaw (n,) rad, spawn (n, 2) m, and gait."""
 
     position: Array
     yaw: Array
     spawn: Array
     walked_m: Array
-    """(n,) ground covered."""
+    """(n,) distance walked."""
     speed_m_s: Array
-    """(n,) low-passed."""
+    """(n,) low-pass filtered."""
     step: NDArray[np.int64]
-    """(n,) control steps walked."""
+    """(n,) control steps since the start."""
 
     def rows(self, index: NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `index`."""
         return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
     def put(self, index: NDArray[np.int64], other: Walk) -> Walk:
-        """Return a walk whose rows at `index` are `other`'s."""
+        """Return a copy with the rows at `index` replaced by `other`."""
         replaced = {}
         for field in fields(self):
             value = getattr(self, field.name).copy()
@@ -51,30 +51,30 @@ class Walk:
 
     @classmethod
     def along(cls, walks: Sequence[Walk]) -> Walk:
-        """Return K walks of n people, one after the other, as one of n * K rows, a person's K together."""
+        """Return K walks of n humans as one walk of n * K rows; the K rows of a human are adjacent."""
         stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
         return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
 
 
 Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
-"""(config, walk, noise (n, NOISE), tcp (n, 2)) -> position (n, 2) m and yaw (n,) rad proposed, a step on."""
+"""(config, walk, noise (n, NOISE), tcp (n, 2) m) -> proposed position (n, 2) m and yaw (n,) rad after one step."""
 
 
 @dataclass(frozen=True)
 class KeepOut:
-    """Discs nobody walks into: centres (n, g, 2) m and their radius."""
+    """Discs that humans must not enter: centres (n, g, 2) m and their radius."""
 
     centres: Array
     radius_m: float
 
     def entered(self, position: Array) -> NDArray[np.bool_]:
-        """Return (n,) whether position (n, 2) lies in any disc."""
+        """Return (n,) bool: position (n, 2) m lies in a disc."""
         if not self.centres.shape[1]:
             return np.zeros(len(position), dtype=bool)
         return np.asarray((length(position[:, None] - self.centres) < self.radius_m).any(axis=1))
 
     def rim(self, position: Array) -> Array:
-        """Return position (n, 2) moved straight out to just beyond the rim of the nearest disc."""
+        """Return position (n, 2) m moved radially to just outside the nearest disc."""
         offset = position[:, None] - self.centres
         nearest = np.arange(len(position)), length(offset).argmin(axis=1)
         out = offset[nearest]
@@ -83,7 +83,7 @@ class KeepOut:
 
 
 def length(vectors: Array) -> Array:
-    """Return the lengths (...,) of vectors (..., 2); quicker than `np.linalg.norm` on short arrays."""
+    """Return the lengths (...,) of vectors (..., 2); faster than `np.linalg.norm` on short arrays."""
     squares = vectors * vectors
     return np.asarray(np.sqrt(squares[..., 0] + squares[..., 1]))
 
@@ -94,10 +94,7 @@ def facing_base(position: Array) -> Array:
 
 
 def outside(position: Array, keep_out: KeepOut) -> Array:
-    """Return position (n, 2), what lies in a disc replaced by the nearest point outside all of them.
-
-    From inside one disc that is straight away from its centre; where discs overlap it may be a corner.
-    """
+    """Return position (n, 2) m, points inside a disc replaced by the nearest point outside all discs."""
     inside = keep_out.entered(position)
     moved = position.copy()
     if inside.any():
@@ -106,9 +103,9 @@ def outside(position: Array, keep_out: KeepOut) -> Array:
 
 
 def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
-    """Return the point (m, 2) nearest to each of `points` that lies in no disc round `centres` (m, g, 2).
+    """Return the free point (m, 2) nearest to each of `points` (m, 2), for discs around `centres` (m, g, 2).
 
-    It is on a rim, straight out from a centre or where two rims cross: the nearest of those that are free.
+    The candidates are radial projections onto each rim and the intersections of two rims.
     """
     offset = points[:, None] - centres
     length = np.linalg.norm(offset, axis=-1, keepdims=True)
@@ -130,6 +127,6 @@ def _nearest_free(points: Array, centres: Array, radius: float) -> Array:
 
 
 def gait(walk: Walk) -> tuple[Array, Array]:
-    """Return phase (n,) rad and swing amplitude (n,) rad of the limbs."""
+    """Return the phase (n,) rad and swing amplitude (n,) rad of the limbs."""
     swing = FULL_SWING_RAD * np.minimum(walk.speed_m_s / FULL_SWING_SPEED_M_S, 1.0)
     return 2 * np.pi * walk.walked_m / STRIDE_M, swing

@@ -1,4 +1,4 @@
-"""Somebody who works at one of the tables."""
+"""Motion `work`: a human who works at one table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hrl_comfort.humans.walk import Array, Walk, facing_base
 
 
 def work(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
-    """Walk at `speed_m_s` to the one of `stations_m` nearest to the spawn point, and jitter there."""
+    """Walk at `speed_m_s` to the station nearest to the spawn point; add jitter of up to `jitter_m` along x and y."""
     stations = np.array(config.stations_m, dtype=np.float64)
     nearest = np.linalg.norm(walk.spawn[:, None] - stations, axis=-1).argmin(axis=1)
     offset = stations[nearest] - walk.position

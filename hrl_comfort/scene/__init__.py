@@ -1,4 +1,4 @@
-"""The physical world: arms, person and cell as one compiled MuJoCo model. Knows no learning."""
+"""Arm, human and cell as one compiled MuJoCo model."""
 
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import ROBOTS, TOOL_LENGTH_M, UrModel, build_robot, forward_kinematics

@@ -1,4 +1,4 @@
-"""A walking person of capsules: five mocap bodies whose poses are a function of place and gait."""
+"""A walking human of five capsule mocap bodies, posed by position and gait."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dm_control import mjcf
 from numpy.typing import ArrayLike, NDArray
 
 LIMBS = ("trunk", "left_leg", "right_leg", "left_arm", "right_arm")
-"""The mocap bodies, in their fixed order."""
+"""Names of the mocap bodies, in order of their mocap index."""
 
-# Measures of a 1.75 m adult, metres, upright (mid-range of Drillis and Contini 1966 proportions).
+# An upright adult of 1.75 m; proportions: middle of the ranges of Drillis and Contini (1966).
 HEIGHT_M = 1.75
 HIP_M = 0.93
 SHOULDER_M = 1.43
@@ -21,19 +21,17 @@ ARM_LENGTH_M = 0.62
 HIP_HALF_WIDTH_M = 0.09
 SHOULDER_HALF_WIDTH_M = 0.18
 
-# Joint of each limb with the trunk: sideways (left is +), height; and the sign of its swing,
-# each arm opposite to the leg of its side.
+# Of each limb: lateral offset (left positive) and height of its joint, m, and the sign of its swing. An arm
+# swings opposite to the leg on its side.
 _SIDE = np.array([0.0, HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M, SHOULDER_HALF_WIDTH_M, -SHOULDER_HALF_WIDTH_M])
 _TOP = np.array([HIP_M, HIP_M, HIP_M, SHOULDER_M, SHOULDER_M])
 _SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0])
 
 
 def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
-    """Add the limbs to a worldbody, each hanging from its joint with the trunk (its body origin).
+    """Add the limbs to a worldbody at initial `poses` (5, 7), as of `limb_poses`.
 
-    poses (5, 7): where the limbs stand until told otherwise, as `limb_poses` gives them.
-
-    The robot's geoms look for them; they never look at each other or at the cell.
+    A body's origin is the joint of its limb. Limbs collide with the robot, not with each other or the cell.
     """
     skin, cloth, trousers = (0.85, 0.65, 0.5, 1), (0.25, 0.4, 0.65, 1), (0.25, 0.25, 0.3, 1)
     shapes = {
@@ -56,9 +54,8 @@ def limb_poses(
 ) -> NDArray[np.float64]:
     """Return the pose (..., 5, 7) of each limb: position (m), quaternion (w, x, y, z), cell frame.
 
-    x, y, yaw: the person's vertical axis and heading (m, m, rad). Legs and arms swing by
-    swing_rad * sin(phase) about their joints, left and right opposite; zero swing is standing.
-    The whole body sinks by what a swung leg loses in height, so the feet stay on the floor.
+    x, y, yaw: vertical axis and heading (m, m, rad). Limbs swing by swing_rad * sin(phase), left and right
+    opposite; zero swing is standing. The body sinks as the legs swing, so the feet stay on the floor.
     """
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)

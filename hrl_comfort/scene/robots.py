@@ -1,6 +1,6 @@
 """Universal Robots e-series arms built from their DH tables, with a two-finger gripper.
 
-Every number here is a fact about hardware and is stated with its source; choices live in `conf/`.
+The numbers are hardware facts with their sources; experiment choices are in `conf/`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 
 TOOL_LENGTH_M = 0.19
-"""Tool centre point beyond the flange, along the flange's z axis (the paper's cell: RG2 gripper)."""
+"""Tool centre point from the flange, along its z axis (RG2 gripper of the paper's cell)."""
 GRIPPER_MASS_KG = 0.78
 """OnRobot RG2 datasheet."""
 FINGER_SPREAD_M = 0.042
-"""Half the distance between the open fingers' axes; an RG2 opens to 0.11 m at most."""
+"""Half the distance between the axes of the open fingers; an RG2 opens to 0.11 m."""
 SERVO_LAG_S = 0.03
-"""Damping over stiffness of the position servos: how far behind a ramp they settle."""
+"""Damping over stiffness of the position servos, the lag behind a ramp."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class UrModel:
     torque_nm: Six
     speed_deg_s: Six
     joint_limit_deg: Six
-    """Symmetric limits. The hardware turns +-360 deg; planners hold the elbow to +-180 deg."""
+    """Symmetric limits. The hardware allows +-360 deg; planners limit the elbow to +-180 deg."""
     reach_m: float
     payload_kg: float
     shoulder_radius_m: float
@@ -53,19 +53,17 @@ class UrModel:
     forearm_radius_m: float
     wrist_radius_m: float
     armature_kg_m2: Six
-    """Reflected rotor inertia. Not published; small against the links' inertia in mid-range poses."""
+    """Reflected rotor inertia, an estimate; small against the inertia of the links in mid-range poses."""
     stiffness_nm_rad: Six
-    """Position servo gain, our choice. Stiff enough to follow a ramp of 100 deg/s within 2 deg, and no
-    stiffer: where the inertia is least, a servo driven into its torque limit by every 2 deg step
-    would chatter at 10 ms a physics step."""
+    """Position servo gain, chosen to follow a ramp of 100 deg/s within 2 deg. Higher gains saturate the
+    torque at 2 deg steps and chatter at a physics step of 10 ms."""
 
 
 _ALPHA: Six = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 _LIMIT: Six = (360.0, 360.0, 180.0, 360.0, 360.0, 360.0)
 
-# DH, masses and centres of mass: Universal Robots, "DH parameters for calculations of kinematics
-# and dynamics" (support article). Torques, speeds, reach, payload: UR's e-series datasheets and
-# "Max. joint torques" article. UR3e radii: planning capsules round its housings.
+# DH, masses, centres of mass: Universal Robots, "DH parameters for calculations of kinematics and dynamics".
+# Torques, speeds, reach, payload: e-series datasheets and "Max. joint torques". UR3e radii: planning capsules.
 UR3E = UrModel(
     name="ur3e",
     a_m=(0.0, -0.24355, -0.2132, 0.0, 0.0, 0.0),
@@ -87,7 +85,7 @@ UR3E = UrModel(
     stiffness_nm_rad=(1500.0, 1500.0, 750.0, 300.0, 250.0, 150.0),
 )
 
-# UR5e and UR10e capsule radii are estimates: the UR3e's, scaled to the size of the joints fitted.
+# Capsule radii of UR5e and UR10e are estimates: those of the UR3e, scaled to the size of the joints.
 UR5E = UrModel(
     name="ur5e",
     a_m=(0.0, -0.425, -0.3922, 0.0, 0.0, 0.0),
@@ -167,35 +165,24 @@ def forward_kinematics(model: UrModel, joint_pos: NDArray[np.float64]) -> NDArra
 def build_robot(model: UrModel) -> mjcf.RootElement:
     """Return the arm with servos and gripper: bodies `base`, LINKS, `gripper`; sites `flange`, `tcp`.
 
-    Each link's body frame is its DH frame, so published centres of mass are used as they are and
-    the pose of site `flange` is `forward_kinematics`. Actuators take joint angles in rad.
+    The body frame of a link is its DH frame, as for the published centres of mass; site `flange` has the pose of
+    `forward_kinematics`. Actuators take joint angles in rad.
     """
     root = mjcf.RootElement(model="robot")
     root.compiler.angle = "radian"
     geom = root.default.geom
-    # Frictionless contacts: touching ends the episode, so only its detection matters, not its feel.
+    # Frictionless contacts: a contact ends the episode, so only its detection matters.
     geom.type, geom.contype, geom.conaffinity, geom.condim = "capsule", 1, 1, 1
     geom.rgba = (0.75, 0.78, 0.8, 1)
 
     body = root.worldbody.add("body", name="base")
-    body.add(
-        "geom",
-        name="base",
-        fromto=(0, 0, 0.03, 0, 0, 0.5 * model.d_m[0]),
-        size=[model.shoulder_radius_m],
-        mass=0,
-        rgba=(0.3, 0.3, 0.33, 1),
-    )
+    post, dark = (0, 0, 0.03, 0, 0, 0.5 * model.d_m[0]), (0.3, 0.3, 0.33, 1)
+    body.add("geom", name="base", fromto=post, size=[model.shoulder_radius_m], mass=0, rgba=dark)
     for i, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
         a, d, alpha = model.a_m[i], model.d_m[i], model.alpha_rad[i]
-        body = body.add(
-            "body",
-            name=link,
-            pos=(a, 0, d),
-            quat=(np.cos(alpha / 2), np.sin(alpha / 2), 0, 0),
-            gravcomp=1,
-        )
-        # The joint turns about z of the frame before, here written in this link's own frame.
+        turn = (np.cos(alpha / 2), np.sin(alpha / 2), 0, 0)
+        body = body.add("body", name=link, pos=(a, 0, d), quat=turn, gravcomp=1)
+        # The joint axis is z of the previous DH frame, expressed in the frame of this link.
         c, s = np.cos(alpha), np.sin(alpha)
         limit = np.radians(model.joint_limit_deg[i])
         body.add(
@@ -208,12 +195,8 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
             armature=model.armature_kg_m2[i],
         )
         radius, start, end = _cylinder(model, i)
-        body.add(
-            "inertial",
-            mass=model.mass_kg[i],
-            pos=model.com_m[i],
-            diaginertia=_cylinder_inertia(model.mass_kg[i], radius, np.subtract(end, start)),
-        )
+        inertia = _cylinder_inertia(model.mass_kg[i], radius, np.subtract(end, start))
+        body.add("inertial", mass=model.mass_kg[i], pos=model.com_m[i], diaginertia=inertia)
         body.add("geom", name=link, fromto=(*start, *end), size=[radius])
         torque, stiffness = model.torque_nm[i], model.stiffness_nm_rad[i]
         root.actuator.add(
@@ -227,36 +210,28 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
         )
         if link == "upper_arm":
             _, side, _ = _sides(model)
-            body.add(
-                "geom",
-                name="elbow",
-                fromto=(0, 0, model.com_m[1][2], 0, 0, side),
-                size=[model.elbow_radius_m],
-            )
+            housing = (0, 0, model.com_m[1][2], 0, 0, side)
+            body.add("geom", name="elbow", fromto=housing, size=[model.elbow_radius_m])
     body.add("site", name="flange", size=[0.005], group=4)
     _add_gripper(body)
-    # The base is welded to the world, so MuJoCo does not exempt this pair of neighbours by itself;
-    # the wrists' capsules are fatter than their housings and would meet where the hardware does not.
-    for first, second in (
-        ("base", "shoulder"),
-        ("base", "upper_arm"),
-        ("forearm", "wrist_2_link"),
-        ("wrist_1_link", "wrist_3_link"),
-    ):
+    # MuJoCo does not exclude neighbours of the base, which is welded to the world. The wrist capsules are wider
+    # than the housings and touch where the hardware does not.
+    for pair in ("base shoulder", "base upper_arm", "forearm wrist_2_link", "wrist_1_link wrist_3_link"):
+        first, second = pair.split()
         root.contact.add("exclude", body1=first, body2=second)
     return root
 
 
 def _sides(model: UrModel) -> tuple[float, float, float]:
-    """Return how far upper arm, forearm and wrist lie sideways of the shoulder's plane, m.
+    """Return the lateral offsets of upper arm, forearm and wrist from the shoulder's plane, m.
 
-    The DH table puts the whole offset in d4; the links' centres of mass say where they really are.
+    The DH table has one offset, d4; the centres of mass give those of the links.
     """
     return model.com_m[1][2], model.com_m[2][2], model.d_m[3]
 
 
 def _cylinder(model: UrModel, i: int) -> tuple[float, Point, Point]:
-    """Return radius and axis ends of the cylinder that stands for link i, in DH frame i, m."""
+    """Return the radius and axis ends of the cylinder of link i, in DH frame i, m."""
     upper, fore, wrist = _sides(model)
     thin = model.wrist_radius_m
     return (
@@ -277,15 +252,11 @@ def _cylinder_inertia(mass: float, radius: float, axis: NDArray[np.float64]) -> 
 
 
 def _add_gripper(flange: mjcf.Element) -> None:
-    """Fix a two-finger gripper to the flange: slim open fingers on both sides of site `tcp`."""
+    """Add a two-finger gripper to the flange, open fingers on both sides of site `tcp`."""
     gripper = flange.add("body", name="gripper", gravcomp=1)
     radius = 0.030
-    gripper.add(
-        "inertial",
-        mass=GRIPPER_MASS_KG,
-        pos=(0, 0, 0.07),
-        diaginertia=_cylinder_inertia(GRIPPER_MASS_KG, radius, np.array([0.0, 0.0, 0.14])),
-    )
+    inertia = _cylinder_inertia(GRIPPER_MASS_KG, radius, np.array([0.0, 0.0, 0.14]))
+    gripper.add("inertial", mass=GRIPPER_MASS_KG, pos=(0, 0, 0.07), diaginertia=inertia)
     dark = (0.2, 0.2, 0.22, 1)
     gripper.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, 0.09), size=[radius], rgba=dark)
     for name, side in (("left_finger", FINGER_SPREAD_M), ("right_finger", -FINGER_SPREAD_M)):

@@ -1,4 +1,4 @@
-"""The cell: robot, tables, pedestal, floor and person, compiled to one MuJoCo model."""
+"""The cell (robot, tables, pedestal, floor, human), compiled to one MuJoCo model."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import JOINTS, ROBOTS, build_robot
 
 PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
-"""Visual mocap bodies after the limbs; those not in use stand at x = FAR_AWAY_M."""
+"""Visual mocap bodies after the limbs; unused ones stand at x = FAR_AWAY_M."""
 MOCAP = LIMBS + PROPS
 OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
-"""What a control vector holds: ctrl (6), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
+"""Layout of a control vector: ctrl (6), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
 
 _ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled cell and where to find things in it."""
+    """A compiled cell with the layout of its state, controls and sensors."""
 
     robot: str
     """A key of `scene.robots.ROBOTS`."""
@@ -34,8 +34,8 @@ class Scene:
     assets: Mapping[str, bytes]
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
-    """Slices of sensordata: joint_pos (6) rad, joint_vel (6) rad/s, tcp_pos (3) m; and counts of
-    contacts with the robot: human (5, by limb), table (5, by OBSTACLES), self (1)."""
+    """Slices of sensordata: joint_pos (6) rad, joint_vel (6) rad/s, tcp_pos (3) m; numbers of contacts with
+    the robot: human (5, by LIMBS), table (5, by OBSTACLES), self (1)."""
     home: NDArray[np.float64]
     """(6,) rad."""
     joint_range: NDArray[np.float64]
@@ -45,18 +45,22 @@ class Scene:
     ncontrol: int
     """Length of CONTROL_SPEC."""
     mocap: tuple[str, ...]
-    """Names of the mocap bodies, by mocap index: LIMBS, then PROPS, then two for each further ball."""
+    """Names of the mocap bodies by mocap index: LIMBS, PROPS, then two for each further ball."""
     floor_z: float
 
 
 def ball_props(index: int) -> NDArray[np.int64]:
-    """Return where among the props the orange and the pink body of the ball `index` stand, (2,)."""
+    """Return the indices (2,) among the props of the orange and the pink body of ball `index`."""
     first = 0 if index == 0 else len(PROPS) + 2 * (index - 1)
     return np.array([first, first + 1])
 
 
 def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int = 1) -> Scene:
-    """Compile the cell; `substeps` physics steps make one control step of 20 ms."""
+    """Compile the cell with `substeps` physics steps a control step of 20 ms.
+
+    Raises:
+      ConfigError: `robot.name` is not in ROBOTS.
+    """
     if robot.name not in ROBOTS:
         raise ConfigError(f"robot.name={robot.name!r} is not allowed; choose one of {', '.join(ROBOTS)}")
     root = mjcf.RootElement(model="cell")
@@ -73,7 +77,6 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(f"robot/{name}").id for name in JOINTS]
-    ncontrol = mujoco.mj_stateSize(model, CONTROL_SPEC)
     return Scene(
         robot=robot.name,
         xml=xml,
@@ -83,7 +86,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
         home=np.radians(np.asarray(robot.home_deg, dtype=np.float64)),
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
-        ncontrol=ncontrol,
+        ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
         mocap=MOCAP + more,
         floor_z=floor_z,
     )
@@ -93,7 +96,7 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
     root.compiler.angle = "radian"
     root.option.timestep = CONTROL_STEP_S / substeps
     root.option.integrator = "implicitfast"
-    # Without warm start the state is qpos and qvel alone, so a trajectory depends on nothing else.
+    # Without warm start the state is qpos and qvel alone.
     root.option.flag.warmstart = "disable"
     screen = getattr(root.visual, "global")
     screen.offwidth, screen.offheight = 640, 480
@@ -103,18 +106,10 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
     light = root.visual.headlight
     light.ambient, light.diffuse, light.specular = (0.3,) * 3, (0.25,) * 3, (0, 0, 0)
     root.visual.map.shadowclip = 2
-    # Told, not computed: what stands 50 m away would push the camera's near plane into the cell.
+    # Explicit: computed from bodies 50 m away, the camera's near plane would cut the cell.
     root.statistic.extent, root.statistic.center = 2.0, (0, 0, 0.2)
-    root.asset.add(
-        "texture",
-        name="sky",
-        type="skybox",
-        builtin="gradient",
-        rgb1=(0.8, 0.87, 0.95),
-        rgb2=(0.95, 0.97, 1),
-        width=64,
-        height=64,
-    )
+    sky = {"type": "skybox", "builtin": "gradient", "width": 64, "height": 64}
+    root.asset.add("texture", name="sky", rgb1=(0.8, 0.87, 0.95), rgb2=(0.95, 0.97, 1), **sky)
 
 
 def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
@@ -123,48 +118,26 @@ def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> 
     world.add("light", name="lamp", directional=True, pos=(0.3, -0.6, 3), dir=(-0.1, 0.2, -1), diffuse=(0.5,) * 3)
     world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
     world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
-    world.add(
-        "geom",
-        name="floor",
-        type="plane",
-        pos=(0, 0, floor_z),
-        size=(3, 3, 0.1),
-        rgba=(0.75, 0.76, 0.75, 1),
-        **look,
-    )
+    grey = (0.75, 0.76, 0.75, 1)
+    world.add("geom", name="floor", type="plane", pos=(0, 0, floor_z), size=(3, 3, 0.1), rgba=grey, **look)
     post = world.add("body", name="pedestal")
-    foot = min(floor_z, -0.01)  # a robot that stands on the floor keeps a plate, so the sensors stay
-    post.add(
-        "geom",
-        name="pedestal",
-        type="cylinder",
-        fromto=(0, 0, foot, 0, 0, 0),
-        size=[0.08],
-        rgba=_STEEL,
-        **look,
-    )
+    foot = min(floor_z, -0.01)  # a robot on the floor keeps a plate for the pedestal's contact sensor
+    post.add("geom", name="pedestal", type="cylinder", fromto=(0, 0, foot, 0, 0, 0), size=[0.08], rgba=_STEEL, **look)
     goals = {"ball": cell.ball_m, "orange": cell.orange_drop_m, "pink": cell.pink_drop_m}
     half, thick = cell.table_half_width_m, 0.01
     for name, (x, y, z) in goals.items():
-        # The goal is the centre of a ball that lies on the table.
+        # The goal is the centre of a ball on the table.
         table = world.add("body", name=f"{name}_table", pos=(x, y, z - cell.ball_radius_m - thick))
         table.add("geom", name=f"{name}_top", type="box", size=(half, half, thick), rgba=_WOOD, **look)
         foot = floor_z - (z - cell.ball_radius_m - thick)
-        table.add(
-            "geom",
-            name=f"{name}_leg",
-            type="capsule",
-            fromto=(0, 0, -0.03, 0, 0, foot),
-            size=[0.02],
-            rgba=_STEEL,
-            **look,
-        )
+        leg = (0, 0, -0.03, 0, 0, foot)
+        table.add("geom", name=f"{name}_leg", type="capsule", fromto=leg, size=[0.02], rgba=_STEEL, **look)
     for name, colour in (("orange", _ORANGE), ("pink", _PINK)):
         world.add("site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3))
 
 
 def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) -> None:
-    """Add the balls and point markers: sites, which are seen but never touched."""
+    """Add the balls and point markers as sites, which have no contacts."""
     looks = {"orange": (*_ORANGE, 1), "pink": (*_PINK, 1), "first": (0.2, 0.8, 0.3, 0.4)}
     for name in names:
         body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
@@ -173,7 +146,7 @@ def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) ->
 
 
 def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:
-    """Add the sensors and return their sizes, in the order of sensordata."""
+    """Add the sensors; return their sizes in order of sensordata."""
     add = root.sensor.add
     for name in JOINTS:
         add("jointpos", name=f"{name}_pos", joint=f"robot/{name}")
@@ -181,17 +154,8 @@ def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:
         add("jointvel", name=f"{name}_vel", joint=f"robot/{name}")
     add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
     found = {"subtree1": "robot/", "data": "found", "num": 1}
-    for name in LIMBS:
-        add("contact", name=f"{name}_contact", body2=name, **found)
-    for name in OBSTACLES[:-1]:
+    for name in (*LIMBS, *OBSTACLES[:-1]):
         add("contact", name=f"{name}_contact", body2=name, **found)
     add("contact", name="floor_contact", geom2="floor", **found)
     add("contact", name="self_contact", subtree2="robot/", **found)
-    return {
-        "joint_pos": 6,
-        "joint_vel": 6,
-        "tcp_pos": 3,
-        "human": len(LIMBS),
-        "table": len(OBSTACLES),
-        "self": 1,
-    }
+    return {"joint_pos": 6, "joint_vel": 6, "tcp_pos": 3, "human": len(LIMBS), "table": len(OBSTACLES), "self": 1}

@@ -21,7 +21,7 @@ from torch.linalg import vector_norm
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import TERM, max_episode_steps, with_comfort
 from hrl_comfort.comfort.metrics import human_distance
-from hrl_comfort.comfort.sources import Moment, make_source
+from hrl_comfort.comfort.sources import SourceInput, make_source
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, EnvConfig, RewardConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.human import LIMBS, limb_poses
@@ -286,7 +286,7 @@ class Episodes:
         taken = outcome.decision_steps
         speed = travelled / (taken * CONTROL_STEP_S)
         distance = human_distance(outcome.state.tcp_pos, outcome.state.human_pos)
-        now = Moment(
+        now = SourceInput(
             time_s=outcome.state.steps.numpy() * CONTROL_STEP_S,
             passed_s=taken.numpy() * CONTROL_STEP_S,
             distance_m=distance.numpy(),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_comfort.comfort.sources import DRAWS, SOURCES, Moment, make_source
+from hrl_comfort.comfort.sources import DRAWS, SOURCES, SourceInput, make_source
 from hrl_comfort.comfort.streams import Signal, Udp, read_recording
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose
@@ -23,9 +23,9 @@ def comfort(*overrides: str) -> ComfortConfig:
     return config.comfort
 
 
-def at(seconds: float, rows: int, distance_m: float = 1.0, speed_m_s: float = 0.0) -> Moment:
+def at(seconds: float, rows: int, distance_m: float = 1.0, speed_m_s: float = 0.0) -> SourceInput:
     whole = np.ones(rows)
-    return Moment(seconds * whole, 0.1 * whole, distance_m * whole, speed_m_s * whole)
+    return SourceInput(seconds * whole, 0.1 * whole, distance_m * whole, speed_m_s * whole)
 
 
 def begun(config: ComfortConfig, rows: int, seed: int = 0):
@@ -302,7 +302,7 @@ def test_a_byte_order_mark_and_blank_lines_at_the_end_are_no_damage(tmp_path: Pa
         (["comfort.schedule_s=[0,nan]", "comfort.schedule_levels=[5,6]"], r"comfort.schedule_s=\[0.0, nan\]"),
         (["comfort.schedule_s=[0,inf]", "comfort.schedule_levels=[5,6]"], r"comfort.schedule_s=\[0.0, inf\]"),
         (["comfort.source=file"], "comfort.file=null"),
-        (["comfort.form=round"], "comfort.form='round'.*bounded"),
+        (["comfort.form=round"], "comfort.form='round'.*target_distance"),
         (["comfort.min_m=2"], "comfort.min_m=2"),
         (["comfort.stream.low=1"], "must differ"),
     ],
