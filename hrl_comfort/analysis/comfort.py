@@ -45,7 +45,7 @@ class Paired:
     """(n,) training seed; empty where nothing was trained."""
     spawn: NDArray[np.str_]
     """(n,) spawn point."""
-    seen: NDArray[np.bool_]
+    seen: Floats
     """(n,) whether training may use the spawn point."""
     values: dict[str, Floats]
     """MEASURED and RATES to (n, L): NaN where the entry was not run at the level, or lacks the value."""
@@ -127,8 +127,8 @@ def paired(tables: Sequence[tuple[Sequence[Row], Limit]]) -> Paired:
         levels=levels,
         entry=np.array(["/".join(key[1:]) for key in found]),
         seed=np.array([row.get("train_seed") or "" for row in first]),
-        spawn=np.array([row["spawn_id"] for row in first]),
-        seen=column(first, "seen") > 0,
+        spawn=np.array([row["spawn_id"] or f"episode {row['episode']}" for row in first]),
+        seen=column(first, "seen"),
         values=values,
     )
 
@@ -252,7 +252,7 @@ def of_spawns(data: Paired) -> dict[str, Any]:
 
 def summarise(data: Paired) -> dict[str, Any]:
     """Return every number about the levels, for all spawn points, seen and unseen ones; JSON holds it."""
-    spawns = {"all": np.ones_like(data.seen), "seen": data.seen, "unseen": ~data.seen}
+    spawns = {"all": np.ones(len(data.seen), dtype=bool), "seen": data.seen == 1, "unseen": data.seen == 0}
     return {
         "levels": list(data.levels),
         "train_seeds": sorted(set(data.seed.tolist())),

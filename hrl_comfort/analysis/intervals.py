@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 Limit = int | Sequence[int]
 """Time limit of an episode, control steps; the same for all, or each row's own."""
 
-KEYS = ("task", "policy", "human", "comfort_level", "precision_m")
+KEYS = ("task", "policy", "human", "comfort_level", "precision_m", "split")
 """What always tells one group of episodes from another."""
 LABELS = (*KEYS, "train_seed", "episode_seed", "episode", "colour", "spawn_id", "motion_id", "seen")
 """Columns that say which episode it was; every other numeric column is a metric."""
@@ -199,7 +199,7 @@ def _label(name: str, cell: str | None) -> str | float | int | bool | None:
     """Return a group's label as JSON holds it: a number where it is one, None where it is missing."""
     if not cell:
         return None
-    if name in ("task", "policy", "human", "colour"):
+    if name in ("task", "policy", "human", "colour", "split"):
         return cell
     if cell.lower() in _TRUTH:
         return cell.lower() == "true"
@@ -222,7 +222,7 @@ def summarise(rows: Sequence[Row], group_by: Sequence[str], max_episode_steps: L
     unknown = [name for name in group_by if name not in rows[0]]
     if unknown:
         raise ConfigError(f"group_by={unknown[0]!r} is not a column; choose among {', '.join(rows[0])}")
-    names = [*KEYS, *(name for name in group_by if name not in KEYS)]
+    names = [name for name in dict.fromkeys([*KEYS, *group_by]) if name in rows[0] or name != "split"]
     limits = np.broadcast_to(np.asarray(max_episode_steps, dtype=np.float64), len(rows))
     split: dict[tuple[str | None, ...], list[int]] = {}
     for index, row in enumerate(rows):

@@ -25,6 +25,7 @@ from hrl_comfort.config.constants import (
     FAR_AWAY_M,
     FIRST_SEED,
     TERMINAL_STATES_SEED,
+    VALIDATION_SEED,
 )
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
@@ -39,6 +40,7 @@ __all__ = [
     "FIGURES",
     "FIRST_SEED",
     "TERMINAL_STATES_SEED",
+    "VALIDATION_SEED",
     "AgentConfig",
     "CellConfig",
     "ComfortConfig",

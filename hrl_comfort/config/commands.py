@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, one_of
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED
+from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED, VALIDATION_SEED
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
@@ -29,7 +29,7 @@ class EnvConfig:
 
 def _check_seeds(train_seed: int, episode_seed: int) -> None:
     between("train_seed", train_seed, 0, 2**63 - 1)
-    between("episode_seed", episode_seed, 0, TERMINAL_STATES_SEED - 1)
+    between("episode_seed", episode_seed, 0, VALIDATION_SEED - 1)
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,12 @@ class MetaControllerTrainConfig:
         _check_seeds(self.train_seed, self.episode_seed)
 
 
+VALIDATION_EPISODES = 10_000
+SPLITS = {
+    "paper": (FIRST_SEED, 2**31, EVALUATION_EPISODES),
+    "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - VALIDATION_EPISODES, VALIDATION_EPISODES),
+}
+"""Smallest and largest seed of a first episode, and the largest number of episodes, by split."""
 HOLDING = ("pick_place", "cycle", "sort")
 """Tasks in which a ball is picked and then placed."""
 
@@ -121,8 +127,11 @@ class EvaluateConfig:
     """Subtask name to policy, for a meta-controller."""
     checkpoints: str
     """`none`, or `all`: every checkpoint of the run in `policy`."""
+    split: str
+    """One of SPLITS: the committed evaluation set (`paper`), or episodes drawn as in training (`validation`)."""
     episodes: int
-    episode_seed: int
+    episode_seed: int | None
+    """Seed of the first episode; null: the split's first."""
     levels: list[int]
     """Comfort levels to evaluate one after the other, the same episodes at each; none: as `comfort` says."""
     group_by: list[str]
@@ -154,8 +163,16 @@ class EvaluateConfig:
             )
         if self.levels:
             self._check_levels()
-        between("episodes", self.episodes, 1, EVALUATION_EPISODES if self.terminal_states is None else 10**6)
-        between("episode_seed", self.episode_seed, FIRST_SEED, 2**31)
+        one_of("split", self.split, tuple(SPLITS))
+        first, last, most = SPLITS[self.split]
+        between("episodes", self.episodes, 1, most if self.terminal_states is None else 10**6)
+        if self.episode_seed is not None:
+            between("episode_seed", self.episode_seed, first, last)
+
+    @property
+    def first_seed(self) -> int:
+        """Seed of the first episode."""
+        return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
     def _check_disturbance(self) -> None:
         if self.disturbance == "drop" and self.task.name not in HOLDING:

@@ -7,9 +7,11 @@ CONTROL_STEP_S = 0.02
 FAR_AWAY_M = 50.0
 """Where everything stands, along x, that is not in the cell."""
 
+VALIDATION_SEED = 850_000
+"""First episode seed of the validation split; training uses the seeds below it."""
+TERMINAL_STATES_SEED = 900_000
+"""First episode seed of recorded terminal states."""
 FIRST_SEED = 1_000_000
-"""Episode seeds from here on are those of the evaluation set; training has those below `TERMINAL_STATES_SEED`."""
+"""First episode seed of the evaluation set."""
 EVALUATION_EPISODES = 1000
 """Entries of the evaluation set."""
-TERMINAL_STATES_SEED = 900_000
-"""Episode seeds from here on, below `FIRST_SEED`, are those of recorded endings."""

@@ -21,9 +21,8 @@ from hrl_comfort.analysis.intervals import wilson_interval
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder
-from hrl_comfort.evaluation.rollout import rollout, write_table
+from hrl_comfort.evaluation.rollout import rollout, split, write_table
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
-from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.plots.options import chain_lengths
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import SCRIPTED
@@ -127,7 +126,7 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     task = subtask(config.task.name, policy.spec["environment"]["observation"])
     if policy.spec["environment"].get("levels") is not None:
         task = with_level(task, config.comfort.levels)
-    entries = load_evaluation_set().reseeded(config.episode_seed).part(0, config.episodes)
+    entries = split(config)
     engine = Engine(environment(config), len(entries.episode), 0, entries)
     state = engine.reset()
     engine.close()

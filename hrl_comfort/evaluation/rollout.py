@@ -24,7 +24,7 @@ from hrl_comfort.evaluation.controllers import make_controller
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.hierarchy.controllers import OptionRun
 from hrl_comfort.hierarchy.play import play
-from hrl_comfort.humans import EvaluationSet, load_evaluation_set
+from hrl_comfort.humans import EvaluationSet, load_evaluation_set, validation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -43,12 +43,13 @@ class Episode:
     task: str
     policy: str
     train_seed: int | None
+    split: str
     episode_seed: int
     episode: int
     colour: str
-    spawn_id: int
+    spawn_id: int | None
     motion_id: int
-    seen: bool
+    seen: bool | None
     comfort_level: int | None
     human: str
     precision_m: float
@@ -115,8 +116,8 @@ def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]
 
 
 def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
-    """Run the first `config.episodes` entries of the evaluation set; `policy` stands in for the config's."""
-    entries = load_evaluation_set().reseeded(config.episode_seed)
+    """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
+    entries = split(config)
     result = Result([], [], [])
     columns = (
         TextColumn("{task.description}"),
@@ -133,6 +134,13 @@ def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
                 EvaluationBatch(at_level, policy, part, result).run(lambda done: progress.advance(bar, done))
                 progress.update(bar, success=f"success {result.success:.1%}")
     return result
+
+
+def split(config: EvaluateConfig) -> EvaluationSet:
+    """Return the episodes that `config` asks for."""
+    if config.split == "validation":
+        return validation_set(config.first_seed, config.episodes)
+    return load_evaluation_set().reseeded(config.first_seed).part(0, config.episodes)
 
 
 def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
@@ -234,12 +242,13 @@ class EvaluationBatch:
             task=config.task.name,
             policy=self.label,
             train_seed=self.train_seed,
+            split=config.split,
             episode_seed=int(entries.episode_seed[row]),
             episode=int(entries.episode[row]),
             colour=colour,
-            spawn_id=int(episodes.spawn_id[row]),
+            spawn_id=None if episodes.spawn_id[row] < 0 else int(episodes.spawn_id[row]),
             motion_id=int(episodes.motion_id[row]),
-            seen=bool(entries.seen[row]),
+            seen=None if entries.drawn else bool(entries.seen[row]),
             comfort_level=self._level(row, config),
             human=config.human.motion,
             precision_m=config.task.precision.grasp_tolerance_m,

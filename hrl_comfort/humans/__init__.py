@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.humans.approach import approach
 from hrl_comfort.humans.arc import arc
-from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set
+from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, validation_set
 from hrl_comfort.humans.none import none
 from hrl_comfort.humans.patrol import patrol
 from hrl_comfort.humans.playback import playback, read_motion
@@ -182,4 +182,5 @@ __all__ = [
     "seen_position",
     "training_spawn",
     "training_spawns",
+    "validation_set",
 ]

@@ -1,4 +1,4 @@
-"""The committed evaluation set: 1,000 spawns, motion seeds and episode seeds, half of the spawns held out."""
+"""Evaluation splits: the committed set of 1,000 spawns, motion seeds and episode seeds, and validation draws."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ MOTION_STREAM = 7
 
 @dataclass(frozen=True)
 class EvaluationSet:
-    """Columns of the set, (E,) each, read-only; position (E, 2) m, cell frame."""
+    """Columns of a split, each (E,); position (E, 2) m, cell frame.
+
+    `spawn_id` is -1 where the spawn is drawn as in training; `position` and `seen` are then void.
+    """
 
     episode: NDArray[np.int64]
     episode_seed: NDArray[np.int64]
@@ -33,9 +36,22 @@ class EvaluationSet:
         """Return the entries from `start` to `stop`, exclusive."""
         return EvaluationSet(**{name: value[start:stop] for name, value in vars(self).items()})
 
+    @property
+    def drawn(self) -> bool:
+        """Whether spawns and starts are drawn as in training."""
+        return bool((self.spawn_id < 0).all())
+
     def reseeded(self, seed: int) -> EvaluationSet:
         """Return the same spawns and motions with episode seeds from `seed` on."""
         return replace(self, episode_seed=self.episode_seed - FIRST_SEED + seed)
+
+
+def validation_set(seed: int, episodes: int) -> EvaluationSet:
+    """Return episodes drawn as in training, each from an episode seed of its own, the first from `seed`."""
+    seeds = np.arange(seed, seed + episodes)
+    drawn = np.full(episodes, -1)
+    nowhere, unknown = np.full((episodes, 2), np.nan), np.zeros(episodes, dtype=bool)
+    return EvaluationSet(seeds - seed, seeds, drawn, nowhere, seeds, unknown)
 
 
 @lru_cache(maxsize=1)

@@ -189,7 +189,7 @@ def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None
         axis.add_patch(Circle(walk[-1], TRUNK_RADIUS_M, color=colour, alpha=0.3, linewidth=0, zorder=2))
     axis.xaxis.set_major_locator(MultipleLocator(0.4))
     axis.yaxis.set_major_locator(MultipleLocator(0.4))
-    seen_word = "seen" if number(first.get("seen")) > 0 else "unseen"
+    seen_word = {1.0: "seen", 0.0: "unseen"}.get(number(first.get("seen")), "drawn")
     axis.set_title(f"{ball.capitalize()} ball, episode {first['episode']} ({seen_word} spawn)")
     axis.legend(
         loc="upper center",

@@ -62,6 +62,7 @@ class EpisodeSampler:
     ) -> None:
         _check_slots(config)
         self.seed = seed
+        self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
         self._on_points = len(task.stages) if task.stages[0].name == "reach" else 0
         cell = config.cell
@@ -77,7 +78,7 @@ class EpisodeSampler:
             )
         self.horizon = longest + config.task.action_repeat
         self._starts = start_states(scene, config, task.start)
-        if evaluation is None:
+        if self._drawn:
             self._starts = [self._unseen_left_out(bank) for bank in self._starts]
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
@@ -108,7 +109,7 @@ class EpisodeSampler:
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
             told = level
-            if kept and len(start) > ARM and self._evaluation is None:
+            if kept and len(start) > ARM and self._drawn:
                 person = humans.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
                 spawn_id, spawn, told = -1, person, self._with_level(level, start[-1])
             yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
@@ -173,7 +174,7 @@ class EpisodeSampler:
             discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
         else:
             discs = self.keep_out(points[None])
-        if self._evaluation is not None:
+        if self._evaluation is not None and not self._drawn:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:

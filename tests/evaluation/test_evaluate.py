@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.rollout import PATH_COLUMNS
@@ -166,6 +166,34 @@ def test_chain_names_the_policy_that_is_missing(tmp_path: Path) -> None:
     assert isinstance(config, EvaluateConfig)
     with pytest.raises(ConfigError, match=r"policies\.place is not given"):
         evaluate(config)
+
+
+def test_validation_episodes_are_drawn_as_in_training_and_the_same_at_every_level(tmp_path: Path) -> None:
+    folder = run(tmp_path, "split=validation", "comfort=conditioned", "levels=[1,10]", "record=true")
+    rows = table(folder / "episodes.csv")
+    assert [int(row["episode_seed"]) for row in rows] == 2 * list(range(VALIDATION_SEED, VALIDATION_SEED + 6))
+    assert {(row["split"], row["seen"]) for row in rows} == {("validation", "")}
+    starts = [row for row in table(folder / "paths.csv") if row["step"] == "0"]
+    people = [(row["human_x"], row["human_y"]) for row in starts]
+    assert people[:6] == people[6:] and len(set(people)) == 6
+    held_out = compose("evaluate").human.held_out
+    assert not {row["spawn_id"] for row in rows} & set(map(str, held_out))
+    groups = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["groups"]
+    assert [(group["split"], group["comfort_level"]) for group in groups] == [("validation", 1), ("validation", 10)]
+
+
+def test_a_validation_episode_is_the_same_however_many_are_run(tmp_path: Path) -> None:
+    words = ("split=validation", "policy=expert")
+    whole = table(run(tmp_path / "a", *words) / "episodes.csv")
+    part = table(run(tmp_path / "b", *words, "episodes=2", f"episode_seed={VALIDATION_SEED + 3}") / "episodes.csv")
+    fresh = [{**row, "episode": ""} for row in part]
+    assert fresh == [{**row, "episode": ""} for row in whole[3:5]]
+
+
+@pytest.mark.parametrize("wrong", ["split=test", "episode_seed=1000000", "episodes=10001"])
+def test_validation_keeps_to_its_own_seeds(tmp_path: Path, wrong: str) -> None:
+    with pytest.raises(ConfigError, match=wrong.split("=")[0]):
+        run(tmp_path, "split=validation", wrong)
 
 
 def test_more_episodes_than_the_set_holds_are_refused(tmp_path: Path) -> None:

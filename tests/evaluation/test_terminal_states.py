@@ -11,6 +11,7 @@ import torch
 from hrl_comfort.config import (
     FIRST_SEED,
     TERMINAL_STATES_SEED,
+    VALIDATION_SEED,
     ConfigError,
     EnvConfig,
     EvaluateConfig,
@@ -105,8 +106,8 @@ def test_recording_again_gives_the_same_endings(tmp_path: Path) -> None:
 
 
 def test_no_training_draws_from_the_seeds_of_endings_or_evaluation() -> None:
-    assert TERMINAL_STATES_SEED < FIRST_SEED
-    for seed in (TERMINAL_STATES_SEED, FIRST_SEED, -1):
+    assert VALIDATION_SEED < TERMINAL_STATES_SEED < FIRST_SEED
+    for seed in (VALIDATION_SEED, TERMINAL_STATES_SEED, FIRST_SEED, -1):
         with pytest.raises(ConfigError, match=f"episode_seed={seed}"):
             compose("train", [f"episode_seed={seed}"])
     with pytest.raises(ConfigError, match="episode_seed=0"):
