@@ -1,4 +1,4 @@
-"""Pick, place and return beside a walking human: reinforcement learning with comfort in mind."""
+"""Hierarchical reinforcement learning of pick, place and return beside a human, with comfort levels."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# dm_control looks for a screen when it is imported; without one it draws off-screen, which is no news.
+# dm_control warns on import without a display; rendering off-screen is intended.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
 
 
 def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
-    """Return the configuration of `task` with the overrides of the command line that `choices` are.
+    """Return the configuration of `task` with `choices` as command-line overrides.
 
     Raises:
       ConfigError: a choice is not allowed.
@@ -33,10 +33,13 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
 
 
 def load(task: str = "pick", seed: int = 0, **choices: object) -> Environment:
-    """Return `task` as a dm_control Environment of one cell.
+    """Return `task` as a dm_control Environment of one cell; the same `seed` gives the same episodes.
 
-    `choices` are the overrides of the command line: `load("pick", human="arc", robot="ur5e")`, and with
-    a dotted key `load("pick", **{"human.speed_m_s": 1.0})`. The same `seed` gives the same episodes.
+    `choices` are command-line overrides: `load("pick", human="arc", robot="ur5e")` or, for a dotted key,
+    `load("pick", **{"human.speed_m_s": 1.0})`.
+
+    Raises:
+      ConfigError: a choice is not allowed.
     """
     from hrl_comfort.envs.dm import make_environment
 

@@ -1,12 +1,10 @@
-"""Registers every subtask with Gymnasium when it is imported (extra `gymnasium`).
+"""Registration of every subtask with Gymnasium on import (extra `gymnasium`).
 
-Then `gymnasium.make("hrl_comfort/Pick-v0", human="arc")` is one cell, and
-`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch of them.
+`gymnasium.make("hrl_comfort/Pick-v0", human="arc")` gives one cell,
+`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import gymnasium
 
@@ -16,7 +14,7 @@ from hrl_comfort.tasks import SUBTASKS
 
 
 def make(task: str, **choices: object) -> CellGym:
-    """Return `task` as a Gymnasium environment of one cell; `choices` as of `hrl_comfort.load`."""
+    """Return `task` as a Gymnasium environment of one cell; `choices` as in `hrl_comfort.load`."""
     return CellGym(environment_of(task, choices))
 
 
@@ -25,18 +23,10 @@ def make_vec(task: str, num_envs: int = 1, **choices: object) -> CellVector:
     return CellVector(environment_of(task, choices), num_envs)
 
 
-def _name(task: str) -> str:
-    return "".join(word.capitalize() for word in task.split("_"))
-
-
-IDS = {task: f"hrl_comfort/{_name(task)}-v0" for task in SUBTASKS if task != "sort"}
-"""Subtask -> its id; `sort` is for controllers (`hrl_comfort.hierarchy.option_env`)."""
+IDS = {task: f"hrl_comfort/{task.title().replace('_', '')}-v0" for task in SUBTASKS if task != "sort"}
+"""Gymnasium id of each subtask; `sort` is an environment of options (`hrl_comfort.hierarchy.option_env`)."""
 
 for _task, _id in IDS.items():
-    _where: dict[str, Any] = {
-        "entry_point": "hrl_comfort.gym:make",
-        "vector_entry_point": "hrl_comfort.gym:make_vec",
-    }
-    gymnasium.register(_id, kwargs={"task": _task}, **_where)
+    gymnasium.register(_id, f"{__name__}:make", vector_entry_point=f"{__name__}:make_vec", kwargs={"task": _task})
 
 __all__ = ["IDS", "make", "make_vec"]

@@ -1,1 +1,1 @@
-"""Fronts of the same episodes: dm_control for one cell, TorchRL for many, Gymnasium for either."""
+"""Environments with the same episodes: dm_control (one cell), TorchRL (N cells), Gymnasium (both)."""

@@ -1,4 +1,4 @@
-"""The dm_control front: one cell as a `dm_control.rl.control.Environment`."""
+"""dm_control front: one cell as a `dm_control.rl.control.Environment`."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 class CellPhysics(Physics):
-    """Physics that runs a queue of controls, one a substep, and keeps what the sensors read at each."""
+    """Physics that runs a queue of controls, one a substep, and records the sensors at each."""
 
     def queue(self, controls: Array) -> None:
-        """Set the controls (substeps, ncontrol) of the coming decision."""
+        """Set the controls (substeps, ncontrol) of the next decision."""
         self._queue = controls
         self.sensed: Array = np.zeros((len(controls), self.model.nsensordata))
         self._after: Array = np.zeros((len(controls), mujoco.mj_stateSize(self.model.ptr, STATE_SPEC)))
 
     def step(self, nstep: int = 1) -> None:
-        """Advance `nstep` substeps along the queue (what dm_control calls once a decision)."""
+        """Advance `nstep` substeps along the queue; dm_control calls this once a decision."""
         model, data = self.model.ptr, self.data.ptr
         for index in range(nstep):
             mujoco.mj_setState(model, data, self._queue[index], CONTROL_SPEC)
@@ -39,13 +39,13 @@ class CellPhysics(Physics):
             mujoco.mj_getState(model, data, self._after[index], STATE_SPEC)
 
     def back_to(self, substep: int) -> None:
-        """Take back what came after `substep` of the queue: the decision ended there."""
+        """Restore the state after `substep` of the queue, where the decision ended."""
         if substep < len(self._queue) - 1:
             mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
             mujoco.mj_forward(self.model.ptr, self.data.ptr)
 
     def sense(self, joints: Array, control: Array) -> Array:
-        """Return sensordata (nsensor,) of joints (12,), angles and velocities, under control (ncontrol,)."""
+        """Return sensordata (nsensor,) at joints (12,), rad and rad/s, under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = joints[:6], joints[6:]
@@ -55,29 +55,29 @@ class CellPhysics(Physics):
 
 
 class CellTask(control.Task):
-    """A subtask as dm_control sees it: the episodes of one row."""
+    """A subtask as a dm_control task, for the episodes of one row."""
 
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
         self.episodes = Episodes(scene, config, rows=1, seed=seed)
         self.outcome: StepResult | None = None
 
     def initialize_episode(self, physics: CellPhysics) -> None:
-        """Begin the row's next episode."""
+        """Start the next episode of the row."""
         self.outcome = None
         self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
-        """Plan the decision."""
+        """Queue the controls of the decision."""
         physics.queue(self.episodes.apply_action(np.asarray(action, dtype=np.float64)[None])[0])
 
     def after_step(self, physics: CellPhysics) -> None:
-        """Judge it."""
+        """Compute the result of the decision."""
         self.outcome = self.episodes.advance(physics.sensed[None])
         substeps = self.episodes.config.engine.substeps
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
-        """(6,) in [-1, 1]."""
+        """Return the action spec: (6,) in [-1, 1]."""
         return specs.BoundedArray((6,), np.float64, -1.0, 1.0, name="action")
 
     def get_observation(self, physics: CellPhysics) -> OrderedDict[str, Array]:
@@ -88,12 +88,12 @@ class CellTask(control.Task):
         return OrderedDict((name, term(state)[0].numpy().copy()) for name, term in terms.items())
 
     def get_reward(self, physics: CellPhysics) -> float:
-        """Return the decision's reward."""
+        """Return the reward of the decision."""
         assert self.outcome is not None
         return float(self.outcome.reward[0])
 
     def get_termination(self, physics: CellPhysics) -> float | None:
-        """Return the final discount: 0 on success or collision, 1 at the time limit; None if it goes on."""
+        """Return the final discount: 0 on success or collision, 1 at the time limit, None during the episode."""
         assert self.outcome is not None
         if self.outcome.terminated[0]:
             return 0.0
@@ -101,14 +101,14 @@ class CellTask(control.Task):
 
 
 def make_environment(config: EnvConfig, seed: int) -> control.Environment:
-    """Return the subtask of `config` as a dm_control environment; its episodes are those of row 0 of `seed`.
+    """Return the subtask of `config` as a dm_control environment with the episodes of row 0 of `seed`.
 
-    A decision is one `step`; reaching `task.max_episode_steps` ends an episode with discount 1 (truncation).
+    A `step` is a decision. At `task.max_episode_steps` an episode ends with discount 1 (truncation).
     """
     scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
     task = CellTask(scene, config, seed)
-    # dm_control asks for the observation's spec before the first reset: there has to be a state by then.
+    # dm_control reads the observation spec before the first reset, which needs a state.
     task.initialize_episode(physics)
     task.episodes.rewind()
     decision_s = CONTROL_STEP_S * config.task.action_repeat

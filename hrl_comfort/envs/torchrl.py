@@ -1,4 +1,4 @@
-"""The batched TorchRL environment."""
+"""TorchRL front: N cells as one batched environment."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from torchrl.envs import EnvBase
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import EnvConfig
+from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 
+_FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
+
 
 class CellEnv(EnvBase):
-    """N cells as one TorchRL environment of batch size (N,).
+    """N cells as one TorchRL environment of batch size (N,); a step is a decision.
 
-    Action (N, 6) in [-1, 1]; observation (N, D) float32. Beside the reward, a step reports `success`,
-    `human_collision`, `other_collision` (N, 1) bool; `steps`, `decision_steps` (N, 1) int64, control steps in
-    the episode and in the decision; `human_distance` (N, 1) m, its mean over the decision;
-    `reward_terms` (N, T).
+    Action (N, 6) in [-1, 1], observation (N, D) float32. A step also returns the values of `step_columns`,
+    (N, 1) each, and `reward_terms` (N, T).
     """
 
     batch_locked = True
@@ -34,7 +35,7 @@ class CellEnv(EnvBase):
         self.task_name = config.task.name
         self.reward_names = self.engine.episodes.reward_names
         self.last: StepResult | None = None
-        """What the latest step led to, with every control step."""
+        """Result of the latest step, with all its control steps."""
         self._make_specs(config)
 
     def _make_specs(self, config: EnvConfig) -> None:
@@ -44,18 +45,15 @@ class CellEnv(EnvBase):
         flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=(*n, width), dtype=torch.float32),
-            success=flag.clone(),
-            human_collision=flag.clone(),
-            other_collision=flag.clone(),
-            steps=count.clone(),
-            decision_steps=count.clone(),
+            **{name: flag.clone() for name in _FLAGS[:3]},
+            **{name: count.clone() for name in ("steps", "decision_steps")},
             human_distance=Unbounded(shape=(*n, 1), dtype=torch.float32),
             reward_terms=Unbounded(shape=(*n, len(self.reward_names)), dtype=torch.float32),
             shape=n,
         )
         self.action_spec = Bounded(-1.0, 1.0, shape=(*n, 6), dtype=torch.float32)
         self.reward_spec = Unbounded(shape=(*n, 1), dtype=torch.float32)
-        self.full_done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=n)
+        self.full_done_spec = Composite({name: flag.clone() for name in _FLAGS[3:]}, shape=n)
         self.engine.episodes.rewind()
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
@@ -79,24 +77,14 @@ class CellEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         outcome = self.engine.step(tensordict["action"].double().numpy())
         self.last = outcome
-        state, valid = outcome.state, outcome.valid
-        distance = torch.where(valid, outcome.human_distance, 0.0).sum(dim=1) / outcome.decision_steps
-        flags = {
-            "success": outcome.success,
-            "human_collision": state.human_collision,
-            "other_collision": state.table_collision | state.self_collision,
-            "terminated": outcome.terminated,
-            "truncated": outcome.truncated,
-            "done": outcome.done,
-        }
+        columns = step_columns(outcome)
+        columns |= {"steps": columns["steps"].clone(), "human_distance": columns["human_distance"].float()}
+        columns |= {name: getattr(outcome, name) for name in _FLAGS[3:]}
         return TensorDict(
             {
-                "observation": self.engine.episodes.subtask.observe(state).float(),
+                "observation": self.engine.episodes.subtask.observe(outcome.state).float(),
                 "reward": outcome.reward[:, None].float(),
-                **{name: value[:, None] for name, value in flags.items()},
-                "steps": state.steps[:, None].clone(),
-                "decision_steps": outcome.decision_steps[:, None],
-                "human_distance": distance[:, None].float(),
+                **{name: value[:, None] for name, value in columns.items()},
                 "reward_terms": outcome.reward_terms.float(),
             },
             batch_size=self.batch_size,
@@ -113,16 +101,13 @@ class CellEnv(EnvBase):
         return self.batch_size[0]
 
     def set_precision(self, precision_m: float) -> None:
-        """From each row's next episode on, `take` is `precision_m`; leave and home keep their ratio."""
+        """Set the grasp tolerance from each row's next episode on, m; the other tolerances keep their ratio to it."""
         self.engine.episodes.precision_m = precision_m
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
-        """Return everything a bit-for-bit continuation needs."""
+        """Return the state for a bit-identical continuation."""
         return self.engine.state_dict()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Continue from `state_dict`."""
         self.engine.load_state_dict(state_dict)
-
-
-_FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
