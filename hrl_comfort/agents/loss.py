@@ -1,131 +1,95 @@
-"""A TorchRL loss module: `SACLoss` for twin critics of linear layers, without vmap and distributions."""
+"""Soft actor-critic's losses (Haarnoja et al. 2018, arXiv:1812.05905) as a TorchRL loss module."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import math
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
 from torch import Tensor, nn
-from torchrl.modules import TanhNormal
-from torchrl.objectives import SACLoss
-from torchrl.objectives.value import TD0Estimator
+from torchrl.objectives import LossModule
 
-from hrl_comfort.agents.networks import narrow, tanh_gaussian
-from hrl_comfort.agents.sac import Batch, sac_losses
+from hrl_comfort.agents.networks import Actor, TwinCritics
 
 
-class TwinSACLoss(SACLoss):
-    """Drop-in for `torchrl.objectives.SACLoss`: same arguments, parameters, checkpoint, values, gradients.
+class TwinSACLoss(LossModule):
+    """Losses of an actor, two critics and the entropy coefficient.
 
-    It draws the same random numbers too, so a seed gives the same training. What makes it faster is that
-    both critics are one batched product, and actions are sampled without distribution objects. It takes
-    what this project trains, and refuses the rest: a `TanhNormal` actor over [-1, 1], two critics that are
-    one `nn.Sequential` of `nn.Linear` and elementwise layers each, `loss_function="l2"`, TD(0) targets,
-    transitions of equal weight; it writes no `td_error`.
-
-    Raises:
-        ValueError: something else is asked for.
+    Values and gradients are those of `torchrl.objectives.SACLoss(loss_function="l2")`. It is faster because
+    both critics are one batched product and actions are sampled without distribution objects. The targets
+    follow the critics by `torchrl.objectives.SoftUpdate`.
     """
 
-    def __init__(self, *networks: Any, **options: Any) -> None:
-        super().__init__(*networks, **options)
-        critic = getattr(self.qvalue_network, "module", None)
-        plain = (
-            isinstance(critic, nn.Sequential)
-            and isinstance(critic[-1], nn.Linear)
-            and all(
-                layer.bias is not None if isinstance(layer, nn.Linear) else not list(layer.parameters())
-                for layer in critic
-            )
-        )
-        drawn, seen = self.actor_network[-1], self.actor_network.in_keys
-        squashed = drawn.distribution_class is TanhNormal and not drawn.distribution_kwargs
-        in_order = list(self.qvalue_network.in_keys) == [*seen, self.tensor_keys.action]
-        allowed = {
-            "value_network": (self._version == 2, "none"),
-            "num_qvalue_nets": (self.num_qvalue_nets == 2, "2"),
-            "loss_function": (self.loss_function == "l2", "l2"),
-            "reduction": (self.reduction == "mean", "mean"),
-            "skip_done_states": (not self.skip_done_states, "False"),
-            "delay_actor": (not self.delay_actor, "False"),
-            "qvalue_network": (plain, "an nn.Sequential of nn.Linear with bias that ends in one"),
-            "qvalue_network.in_keys": (in_order, "what the actor sees, then the action,"),
-            "actor_network": (
-                squashed and len(self.actor_network) == 2,
-                "one module and TanhNormal over [-1, 1]",
-            ),
-        }
-        for name, (fits, value) in allowed.items():
-            if not fits:
-                raise ValueError(f"TwinSACLoss takes {name}={value} only; SACLoss takes the rest")
+    qvalue_network_params: TensorDictParams
+    target_qvalue_network_params: TensorDictParams
+
+    def __init__(
+        self,
+        actor: Actor,
+        critics: TwinCritics,
+        targets: TwinCritics,
+        gamma: float,
+        target_entropy: float,
+        entropy_coefficient: float,
+    ) -> None:
+        """Take over three networks; `gamma` discounts per control step, the coefficient is the initial one."""
+        super().__init__()
+        after = [("next", name) for name in ("observation", "reward", "terminated")]
+        self.in_keys = ["observation", "action", "steps_to_next_obs", *after]
+        self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy", "q_mean"]
+        self.gamma, self.target_entropy = gamma, target_entropy
+        self.actor_network, self.qvalue_network = actor, critics
+        self.target_qvalue_network = targets.requires_grad_(False)
+        device = next(actor.parameters()).device
+        self.log_alpha = nn.Parameter(torch.tensor(math.log(entropy_coefficient), device=device))
+        # SoftUpdate looks for these two names; their tensors are those of the networks.
+        for name in ("qvalue_network", "target_qvalue_network"):
+            parameters = TensorDict.from_module(getattr(self, name))
+            setattr(self, f"{name}_params", TensorDictParams(parameters, no_convert=True))
+        self._has_update_associated["qvalue_network"] = False
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return loss_actor, loss_qvalue, loss_alpha, alpha and entropy, all scalars, as SACLoss does.
+        """Return losses (eq. 5, 7 and 18), alpha, entropy and mean Q, all scalars.
 
-        tensordict (B,) holds the actor's and critics' `in_keys`, the action, and under `next` the same with
-        reward, done and terminated (B, 1); where a transition took several steps, `steps_to_next_obs` (B, 1).
+        `tensordict` (B,) holds `in_keys`: observations (B, D) and actions (B, A), all others (B, 1). Where it
+        holds `noise` (B, A) and `next_noise`, these are the standard normal draws of the two actions.
+        The loss of alpha is taken in log alpha, as TorchRL does.
         """
-        keys, after = self.tensor_keys, tensordict.get("next")
-        alpha = self._alpha  # which keeps log_alpha within its bounds
-        estimator = self.value_estimator
-        if not isinstance(estimator, TD0Estimator):
-            raise ValueError(f"TwinSACLoss takes TD0 targets only, not {type(estimator).__name__}")
-        if self._maybe_get_priority_weight(tensordict) is not None:
-            raise ValueError("TwinSACLoss takes no prioritised weights; SACLoss does")
-        steps = tensordict.get("steps_to_next_obs", None)
-        discount = estimator.gamma if steps is None else estimator.gamma**steps
-        action = tensordict.get(keys.action)
-        batch = Batch(
-            observation=self._seen(tensordict),
-            action=action,
-            reward=after.get(keys.reward)[:, 0],
-            next_observation=self._seen(after),
-            discount=(discount * ~after.get(keys.terminated))[:, 0],
-        )
-        next_noise, noise = torch.randn_like(action), torch.randn_like(action)  # in SACLoss's order
-        critic_loss, actor_loss, alpha_loss, entropy, _ = sac_losses(
-            batch,
-            self,
-            StackedCritics(self.qvalue_network.module, self.qvalue_network_params),
-            StackedCritics(self.qvalue_network.module, self.target_qvalue_network_params),
-            self.log_alpha,
-            float(self.target_entropy),
-            noise,
-            next_noise,
-        )
-        losses = {"loss_actor": actor_loss, "loss_qvalue": critic_loss, "loss_alpha": alpha_loss}
-        return TensorDict({**losses, "alpha": alpha, "entropy": entropy}, batch_size=[])
+        after = tensordict.get("next")
+        observation, next_observation = tensordict.get("observation"), after.get("observation")
+        next_noise, noise = (self._noise(tensordict, name) for name in ("next_noise", "noise"))
+        alpha = self.log_alpha.detach().exp()
+        with torch.no_grad():
+            next_action, next_log_prob = self.actor_network.sample(next_observation, next_noise)
+            next_value = self.target_qvalue_network(next_observation, next_action).amin(0) - alpha * next_log_prob
+            discount = torch.where(after.get("terminated"), 0.0, self.gamma ** tensordict.get("steps_to_next_obs"))
+            target = after.get("reward")[:, 0] + discount[:, 0] * next_value
+        value = self.qvalue_network(observation, tensordict.get("action"))
+        action, log_prob = self.actor_network.sample(observation, noise)
+        entropy = -log_prob.detach().mean()
+        losses = {
+            "loss_actor": (alpha * log_prob - self.qvalue_network(observation, action, frozen=True).amin(0)).mean(),
+            "loss_qvalue": (value - target).square().sum(0).mean(),
+            "loss_alpha": self.log_alpha * (entropy - self.target_entropy),
+            "alpha": alpha,
+            "entropy": entropy,
+            "q_mean": value.detach().mean(),
+        }
+        return TensorDict(losses)
 
-    def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the actor's actions (B, A) and their log-probability (B,) for standard normal `noise`."""
-        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            mean, std = self.actor_network[0].module(observation)
-        return tanh_gaussian(mean, std.log(), noise)
-
-    def _seen(self, tensordict: TensorDictBase) -> Tensor:
-        return torch.cat([tensordict.get(key) for key in self.actor_network.in_keys], dim=-1)
+    def _noise(self, tensordict: TensorDictBase, name: str) -> Tensor:
+        given = tensordict.get(name, None)
+        return torch.randn_like(tensordict.get("action")) if given is None else given
 
 
-@dataclass(frozen=True)
-class StackedCritics:
-    """Twin critics of one architecture, their parameters stacked (2, ...) as SACLoss keeps them."""
+def bc_loss(observation: Tensor, action: Tensor, actor: Actor, critics: TwinCritics) -> Tensor:
+    """Return the squared distance of the actor's mode from demonstrated actions that are better.
 
-    layers: nn.Sequential
-    parameters: TensorDictParams
-
-    def __call__(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
-        """Return Q (2, B) of (B, D) and (B, A); `frozen` keeps gradients off the weights."""
-        x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
-        last = len(self.layers) - 1
-        for index, layer in enumerate(self.layers):
-            if not isinstance(layer, nn.Linear):
-                x = layer(x)
-                continue
-            weight, bias = (self.parameters.get(("module", str(index), name)) for name in ("weight", "bias"))
-            if frozen:
-                weight, bias = weight.detach(), bias.detach()
-            weight, bias = weight.mT, bias[:, None]
-            x = narrow(x, weight, bias) if index == last else torch.baddbmm(bias, x, weight)
-        return x
+    Behaviour cloning with a Q-filter (Nair et al. 2018, arXiv:1709.10089, section IV-C): an action counts
+    only where the lower critic prefers it to the mode. Normalised observations (B, D), actions (B, A);
+    a scalar, the sum over the B.
+    """
+    mode = actor.mode(observation)
+    with torch.no_grad():
+        better = critics(observation, action).amin(0) > critics(observation, mode).amin(0)
+    return ((mode - action).square().sum(-1) * better).sum()

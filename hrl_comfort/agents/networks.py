@@ -123,9 +123,12 @@ class Actor(nn.Module):
 
 
 class TwinCritics(nn.Module):
-    """Two action values in one pass: weights are stacked (2, in, out) and multiplied as a batch."""
+    """Two action values in one pass: weights are stacked (2, in, out) and multiplied as a batch.
 
-    def __init__(self, observation_dim: int, action_dim: int, hidden: list[int]) -> None:
+    With `layer_norm`, every hidden layer is normalised before its ReLU.
+    """
+
+    def __init__(self, observation_dim: int, action_dim: int, hidden: list[int], layer_norm: bool = False) -> None:
         super().__init__()
         sizes = [observation_dim + action_dim, *hidden, 1]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
@@ -133,21 +136,21 @@ class TwinCritics(nn.Module):
             bound = 1 / math.sqrt(fan_in)  # as nn.Linear starts
             self.weights.append(nn.Parameter(torch.empty(2, fan_in, fan_out).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(2, 1, fan_out).uniform_(-bound, bound)))
+        normed = hidden if layer_norm else []
+        self.norm_weights = nn.ParameterList([nn.Parameter(torch.ones(2, 1, width)) for width in normed])
+        self.norm_biases = nn.ParameterList([nn.Parameter(torch.zeros(2, 1, width)) for width in normed])
 
     def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
         """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
-        layers = [*zip(self.weights, self.biases, strict=True)]
-        if frozen:
-            layers = [(weight.detach(), bias.detach()) for weight, bias in layers]
+        lists = (self.weights, self.biases, self.norm_weights, self.norm_biases)
+        weights, biases, norm_weights, norm_biases = (
+            [each.detach() for each in one] if frozen else [*one] for one in lists
+        )
         x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
-        for weight, bias in layers[:-1]:
-            x = torch.baddbmm(bias, x, weight).relu_()
-        return narrow(x, *layers[-1])
-
-
-def narrow(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Return x (n, B, in) times weight (n, in, 1), plus bias (n, 1, 1), as (n, B).
-
-    A batched product with matrices one column wide is slower.
-    """
-    return (x * weight.mT).sum(-1) + bias[..., 0]
+        for layer, (weight, bias) in enumerate(zip(weights[:-1], biases[:-1], strict=True)):
+            x = torch.baddbmm(bias, x, weight)
+            if norm_weights:
+                x = nn.functional.layer_norm(x, x.shape[-1:]) * norm_weights[layer] + norm_biases[layer]
+            x = x.relu_()
+        # A batched product with matrices one column wide is slower.
+        return (x * weights[-1].mT).sum(-1) + biases[-1][..., 0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.loss import TwinSACLoss
 from hrl_comfort.agents.sac import SAC, matmul_precision
 from hrl_comfort.analysis.intervals import Row, read_rows
 from hrl_comfort.benchmarks.env import medians
@@ -124,7 +122,7 @@ def learner(agent: AgentConfig, width: int, batch: int) -> SAC:
     return one
 
 
-def torchrl(agent: AgentConfig, width: int, batch: int, kind: type[SACLoss] = SACLoss) -> Update:
+def torchrl(agent: AgentConfig, width: int, batch: int) -> Update:
     """Return an update by TorchRL's loss, SoftUpdate and replay buffer, one fused Adam for all losses."""
     cells, activation = list(agent.hidden), nn.ReLU
     body = nn.Sequential(MLP(width, 12, num_cells=cells, activation_class=activation), NormalParamExtractor())
@@ -135,7 +133,7 @@ def torchrl(agent: AgentConfig, width: int, batch: int, kind: type[SACLoss] = SA
         return_log_prob=True,
     )
     critic = MLP(width + 6, 1, num_cells=cells, activation_class=activation)
-    loss = kind(
+    loss = SACLoss(
         policy,
         ValueOperator(critic, in_keys=["observation", "action"]),
         loss_function="l2",
@@ -203,7 +201,6 @@ LEARNERS: dict[str, tuple[Callable[[AgentConfig, int, int], Update], str | None]
     "TorchRL SACLoss": (torchrl, "highest"),
     "Stable-Baselines3": (stable_baselines3, "highest"),
     "TorchRL SACLoss, our products": (torchrl, None),
-    "TorchRL with TwinSACLoss, our products": (partial(torchrl, kind=TwinSACLoss), None),
     "Stable-Baselines3, our products": (stable_baselines3, None),
 }
 """Name -> what makes its update, and its inner precision of products: `agent.matmul_precision` if None."""

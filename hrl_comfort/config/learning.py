@@ -51,6 +51,10 @@ class AgentConfig:
     batch_size: int
     buffer_size: int
     learning_rate: float
+    learning_rate_end: float | None
+    """The learning rate falls linearly to this over the training; null keeps it."""
+    critic_layer_norm: bool
+    """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
     tau: float
     ema_rate: float
     """Share of the newest actor, at each update, in the mean that policy files keep (Polyak and Juditsky
@@ -89,6 +93,8 @@ class AgentConfig:
         between("agent.batch_size", self.batch_size, 1, 65536)
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
+        if self.learning_rate_end is not None:
+            between("agent.learning_rate_end", self.learning_rate_end, 0.0, 1.0)
         between("agent.tau", self.tau, 0.0, 1.0)
         between("agent.ema_rate", self.ema_rate, 1e-6, 1.0)
         between("agent.gamma", self.gamma, 0.0, 1.0)

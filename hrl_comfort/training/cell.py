@@ -10,7 +10,7 @@ from torch import Tensor
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.policies.actor import load_value
+from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy, observed_by
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.collector import Collector, Demonstrator, NextSkillValue
@@ -72,10 +72,10 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
     """
     source = Path(config.agent.next_skill or "")
     try:
-        value = load_value(source)
-        spec = value.policy.spec
+        policy = load_policy(source, critics=True)
+        spec = policy.spec
         task = subtask(spec["task"], spec["environment"]["observation"], config.task.balls)
-        seen = observed_by(value.policy, str(source), task, environment(config))
+        seen = observed_by(policy, str(source), task, environment(config))
     except ConfigError as error:
         raise ConfigError(f"agent.next_skill={source}: {error}") from error
     own = subtask(config.task.name, config.task.observation, config.task.balls)
@@ -88,7 +88,7 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
         if len(rows):
             assert env.last is not None
             state = env.last.state.rows(rows)
-            values[rows] = value(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
+            values[rows] = policy.value(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
         return values
 
     return next_skill

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -9,10 +10,12 @@ import pytest
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
+from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.compose import compose
 from hrl_comfort.files.atomic import write_atomically
-from hrl_comfort.policies.actor import load_policy, policy_file, save_policy
+from hrl_comfort.policies.actor import load_initial_policy, load_policy, policy_file, save_policy
 
 SPEC = {
     "task": "pick",
@@ -47,6 +50,37 @@ def test_a_policy_refuses_observations_of_another_width(tmp_path):
     write_policy(tmp_path / "policy.pt")
     with pytest.raises(ConfigError, match="trained on 4 observations, got 9"):
         load_policy(tmp_path / "policy.pt")(torch.zeros(1, 9))
+
+
+def test_a_policy_without_critics_acts_and_neither_values_nor_begins_a_training(tmp_path):
+    agent = compose("train").agent
+    learner, path = SAC(agent, 40, 6), tmp_path / "policy.pt"
+    sizes = {"observation_dim": 40, "action_dim": 6, "hidden": list(agent.hidden)}
+    for critics, most in ((True, 1e6), (False, 0.35e6)):
+        save_policy(path, learner.policy_state(), {**SPEC, **sizes}, critics=critics)
+        assert path.stat().st_size <= most
+        assert load_policy(path)(torch.randn(3, 40)).shape == (3, 6)
+    for use in (lambda: load_policy(path, critics=True), lambda: load_initial_policy(learner, path)):
+        with pytest.raises(ConfigError, match=r"policy\.pt' was saved without its critics"):
+            use()
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_the_value_of_a_policy_is_the_lower_critics_at_its_action(tmp_path, layer_norm):
+    actor, normaliser, critics = Actor(4, 2, [8]), Normaliser(4), TwinCritics(4, 2, [8], layer_norm)
+    parts = {"actor": actor, "normaliser": normaliser, "critics": critics}
+    save_policy(tmp_path / "policy.pt", {name: part.state_dict() for name, part in parts.items()}, SPEC)
+    policy, observation = load_policy(tmp_path / "policy.pt", critics=True), torch.randn(6, 4)
+    expected = critics(normaliser(observation), policy(observation)).amin(0)
+    torch.testing.assert_close(policy.value(observation), expected.detach())
+
+
+def test_a_training_begins_from_a_policy_of_its_own_kind_of_critics(tmp_path):
+    agent, path = compose("train").agent, tmp_path / "policy.pt"
+    sizes = {"observation_dim": 40, "action_dim": 6, "hidden": list(agent.hidden)}
+    save_policy(path, SAC(replace(agent, critic_layer_norm=True), 40, 6).policy_state(), {**SPEC, **sizes})
+    with pytest.raises(ConfigError, match="has critic_layer_norm=True, this training False"):
+        load_initial_policy(SAC(agent, 40, 6), path)
 
 
 @pytest.mark.parametrize("kind", ["cut", "text", "foreign", "pickle", "missing", "empty", "name"])
@@ -146,6 +180,8 @@ def test_one_wrong_bit_is_found_by_the_checksums_of_the_file(tmp_path):
         (lambda state: state["networks"]["normaliser"]["variance"].mul_(-1), "not always finite"),
         (lambda state: state["networks"]["normaliser"]["mean"].fill_(1e300), "mean is not finite"),
         (lambda state: state["networks"].update(actor=[]), "its actor is not there"),
+        (lambda state: state["networks"]["actor"].update(large=torch.zeros(1).expand(10**5, 10**5)), "large is not"),
+        (lambda state: state["networks"]["actor"].update(sparse=torch.zeros(3).to_sparse()), "sparse is not"),
         (lambda state: state["spec"].update(hidden=["8"]), "its spec is"),
         (lambda state: state["spec"].update(hidden=[10**6]), "is damaged"),
         (lambda state: state["spec"].update(normalise=torch.zeros(0)), "its normalise is not of type bool"),
@@ -157,6 +193,6 @@ def test_a_policy_with_something_else_in_it_is_refused(tmp_path, change, says):
     write_policy(path)
     state = checkpoint.load(path)
     change(state)
-    checkpoint.save(path, state)
+    torch.save(state, path)
     with pytest.raises(ConfigError, match=says):
         load_policy(path)

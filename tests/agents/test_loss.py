@@ -2,144 +2,174 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from copy import deepcopy
 
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import NormalParamExtractor, TensorDictModule
+from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
-from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
+from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.loss import TwinSACLoss
+from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
+from hrl_comfort.agents.networks import Actor, TwinCritics
 
-B, D, A = 32, 7, 3
+B, D, A = 64, 7, 3
+GAMMA = 0.98
+LOSSES = ("loss_actor", "loss_qvalue", "loss_alpha")
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
-NORM = ("norm_class", "norm_kwargs")
+class Critic(nn.Module):
+    """One of the twin critics made of PyTorch's own layers."""
+
+    def __init__(self, twins: TwinCritics, which: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for index, (weight, bias) in enumerate(zip(twins.weights, twins.biases, strict=True)):
+            linear = nn.Linear(weight.shape[1], weight.shape[2])
+            linear.weight.data.copy_(weight[which].detach().T)
+            linear.bias.data.copy_(bias[which, 0].detach())
+            layers.append(linear)
+            if index < len(twins.norm_weights):
+                norm = nn.LayerNorm(weight.shape[2])
+                norm.weight.data.copy_(twins.norm_weights[index][which, 0].detach())
+                norm.bias.data.copy_(twins.norm_biases[index][which, 0].detach())
+                layers.append(norm)
+            layers.append(nn.ReLU())
+        self.body = nn.Sequential(*layers[:-1])
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.body(torch.cat([observation, action], dim=-1))
 
 
-def loss_of(kind: type[SACLoss], seed: int = 0, distribution: Any = TanhNormal, **options: Any) -> SACLoss:
-    torch.manual_seed(seed)
-    body = nn.Sequential(MLP(D, 2 * A, num_cells=[16, 16]), NormalParamExtractor())
-    actor = ProbabilisticActor(
-        TensorDictModule(body, in_keys=["observation"], out_keys=["loc", "scale"]),
+def twin_loss(layer_norm: bool = False) -> TwinSACLoss:
+    """Return the module under test; its targets differ from its critics."""
+    torch.manual_seed(0)
+    critics, targets = (TwinCritics(D, A, [16, 16], layer_norm) for _ in range(2))
+    for one in (critics, targets):
+        for norm in (*one.norm_weights, *one.norm_biases):
+            norm.data += 0.1 * torch.randn(norm.shape)
+    return TwinSACLoss(Actor(D, A, [16, 16]), critics, targets, GAMMA, -float(A), 0.3)
+
+
+def torchrl_loss(ours: TwinSACLoss) -> SACLoss:
+    """Return TorchRL's loss of the same networks."""
+    policy = ProbabilisticActor(
+        TensorDictModule(deepcopy(ours.actor_network), in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
-        distribution_class=distribution,
+        distribution_class=TanhNormal,
         return_log_prob=True,
     )
-    norm = {name: options.pop(name) for name in NORM if name in options}
-    critic = ValueOperator(
-        MLP(D + A, 1, num_cells=[16, 16], activation_class=nn.ReLU, **norm),
-        in_keys=options.pop("in_keys", ["observation", "action"]),
+    keys = {"in_keys": ["observation", "action"], "out_keys": ["state_action_value"]}
+    loss = SACLoss(
+        policy,
+        [TensorDictModule(Critic(ours.qvalue_network, i), **keys) for i in range(2)],
+        loss_function="l2",
+        alpha_init=math.exp(ours.log_alpha.item()),
+        target_entropy=-float(A),
     )
-    chosen = {"loss_function": "l2", "target_entropy": -float(A), "alpha_init": 0.3, **options}
-    loss = kind(actor, critic, **chosen)
-    loss.make_value_estimator(gamma=0.97)
+    loss.make_value_estimator(gamma=GAMMA)
+    for i in range(2):
+        wanted = Critic(ours.target_qvalue_network, i).state_dict()
+        for key, value in loss.target_qvalue_network_params.flatten_keys(".").items():
+            value.data[i].copy_(wanted[key.removeprefix("module.")])
     return loss
 
 
-def batch(steps: bool = False) -> TensorDict:
-    torch.manual_seed(1)
-    ended = torch.rand(B, 1) < 0.3
-    after = {
-        "observation": torch.randn(B, D),
-        "reward": torch.randn(B, 1),
-        "terminated": ended,
-        "done": ended,
-    }
-    data: dict[str, Any] = {
-        "observation": torch.randn(B, D),
-        "action": torch.rand(B, A) * 2 - 1,
-        "next": after,
-    }
-    if steps:
-        data["steps_to_next_obs"] = torch.randint(1, 6, (B, 1))
-    return TensorDict(data, batch_size=[B])
+def batch(seed: int = 1) -> TensorDict:
+    torch.manual_seed(seed)
+    terminated = torch.rand(B, 1) < 0.3
+    return TensorDict(
+        {
+            "observation": torch.randn(B, D),
+            "action": torch.rand(B, A) * 1.8 - 0.9,
+            "steps_to_next_obs": torch.randint(1, 6, (B, 1)),
+            "next": {
+                "observation": torch.randn(B, D),
+                "reward": torch.randn(B, 1),
+                "terminated": terminated,
+                "done": terminated | (torch.rand(B, 1) < 0.3),  # truncated rows must bootstrap
+            },
+        },
+        batch_size=[B],
+    )
 
 
-def moved_apart(loss: SACLoss) -> SACLoss:
-    """Let the targets differ from the critics."""
-    with torch.no_grad():
-        for tensor in loss.target_qvalue_network_params.flatten_keys().values():
-            tensor.mul_(0.9)
-    return loss
-
-
-@pytest.mark.parametrize(("steps", "options"), [(False, {}), (True, {}), (False, {"max_alpha": 0.1})])
-def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(steps: bool, options: dict[str, Any]) -> None:
-    theirs, ours = (moved_apart(loss_of(kind, **options)) for kind in (SACLoss, TwinSACLoss))
-    results = []
-    for loss in (theirs, ours):
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(layer_norm: bool) -> None:
+    ours = twin_loss(layer_norm)
+    theirs = torchrl_loss(ours)
+    outs = []
+    for loss in (ours, theirs):
         torch.manual_seed(2)
-        out = loss(batch(steps))
-        (out["loss_actor"] + out["loss_qvalue"] + out["loss_alpha"]).backward()
-        results.append((out, {name: p.grad for name, p in loss.named_parameters() if p.grad is not None}))
-    (their_out, their_grads), (our_out, our_grads) = results
-    names = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
-    assert {*our_out.keys()} == {*their_out.keys()} == {*names}
-    for name in names:
-        torch.testing.assert_close(our_out[name], their_out[name], rtol=1e-5, atol=1e-5)
-    assert our_grads.keys() == their_grads.keys() and len(our_grads) > 10
-    for name, gradient in their_grads.items():
-        torch.testing.assert_close(our_grads[name], gradient, rtol=1e-4, atol=1e-6)
+        outs.append(loss(batch()))
+        sum(outs[-1][name] for name in LOSSES).backward()
+    close = {"rtol": 1e-5, "atol": 1e-5}
+    for name in (*LOSSES, "alpha", "entropy"):
+        torch.testing.assert_close(outs[0][name], outs[1][name], **close)
+    torch.testing.assert_close(ours.log_alpha.grad, theirs.log_alpha.grad, **close)
+    expected = {key: value.grad for key, value in theirs.actor_network_params.flatten_keys(".").items()}
+    mine = dict(ours.actor_network.named_parameters())
+    assert len(expected) == len(mine) == 6
+    for key, gradient in expected.items():
+        torch.testing.assert_close(mine[key.rsplit("module.", 1)[1]].grad, gradient, **close)
+    critics, stride = ours.qvalue_network, 3 if layer_norm else 2
+    expected = {key: value.grad for key, value in theirs.qvalue_network_params.flatten_keys(".").items()}
+    for kind, index, weights, biases in (
+        ("linear", 0, critics.weights, critics.biases),
+        ("norm", 1, critics.norm_weights, critics.norm_biases),
+    ):
+        for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+            layer = f"module.body.{stride * i + index}"
+            turned = weight.grad.mT if kind == "linear" else weight.grad[:, 0]
+            torch.testing.assert_close(turned, expected.pop(f"{layer}.weight"), **close)
+            torch.testing.assert_close(bias.grad[:, 0], expected.pop(f"{layer}.bias"), **close)
+    assert not expected
 
 
-def test_checkpoint_goes_from_one_to_the_other() -> None:
-    theirs, ours = loss_of(SACLoss, seed=3), loss_of(TwinSACLoss, seed=4)
-    ours.load_state_dict(theirs.state_dict())
-    theirs.load_state_dict(ours.state_dict())
-    values = []
-    for loss in (theirs, ours):
-        torch.manual_seed(2)
-        values.append(loss(batch())["loss_qvalue"])
-    torch.testing.assert_close(*values, rtol=1e-5, atol=1e-6)
-
-
-def test_same_training_as_with_torchrls_loss() -> None:
+def test_training_is_that_of_torchrls_loss_with_the_same_target_updater() -> None:
+    ours = twin_loss()
     finals = []
-    for kind in (SACLoss, TwinSACLoss):
-        loss = loss_of(kind)
+    for loss in (torchrl_loss(ours), ours):
         target = SoftUpdate(loss, tau=0.1)
         optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
-        torch.manual_seed(5)
-        for _ in range(10):
-            out = loss(batch())
+        for seed in range(10):
+            data = batch(seed)
+            out = loss(data)
             optimiser.zero_grad()
-            (out["loss_actor"] + out["loss_qvalue"] + out["loss_alpha"]).backward()
+            sum(out[name] for name in LOSSES).backward()
             optimiser.step()
             target.step()
-        finals.append(torch.cat([p.detach().flatten() for p in loss.parameters()]))
-    torch.testing.assert_close(*finals, rtol=1e-3, atol=1e-4)
+        torch.manual_seed(5)
+        finals.append(loss(batch()))
+    for name in LOSSES:
+        torch.testing.assert_close(finals[1][name], finals[0][name], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"loss_function": "smooth_l1"}, "loss_function=l2"),
-        ({"num_qvalue_nets": 3}, "num_qvalue_nets=2"),
-        ({"reduction": "sum"}, "reduction=mean"),
-        ({"delay_actor": True}, "delay_actor=False"),
-        ({"distribution": torch.distributions.Normal}, "actor_network=one module and TanhNormal"),
-        ({"norm_class": nn.LayerNorm, "norm_kwargs": {"normalized_shape": 16}}, "qvalue_network=an nn.Seq"),
-        ({"in_keys": ["action", "observation"]}, "qvalue_network.in_keys=what the actor sees"),
-    ],
-)
-def test_what_it_does_not_take_is_refused_by_name(options: dict[str, Any], word: str) -> None:
-    with pytest.raises(ValueError, match=word):
-        loss_of(TwinSACLoss, **options)
+def test_given_noise_is_used() -> None:
+    loss, data = twin_loss(), batch()
+    torch.manual_seed(3)
+    expected = loss(data)
+    torch.manual_seed(3)
+    data["next_noise"], data["noise"] = torch.randn(B, A), torch.randn(B, A)
+    found = loss(data)
+    assert all(torch.equal(found[name], expected[name]) for name in loss.out_keys)
 
 
-def test_prioritised_weights_are_refused() -> None:
-    weighted = batch().set("priority_weight", torch.rand(B))
-    with pytest.raises(ValueError, match="prioritised"):
-        loss_of(TwinSACLoss)(weighted)
+class PreferFirst(nn.Module):
+    """Critics that value an action by its first number alone."""
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return action[:, 0].expand(2, -1)
 
 
-def test_targets_other_than_td0_are_refused() -> None:
-    loss = loss_of(TwinSACLoss)
-    loss.make_value_estimator(ValueEstimators.TDLambda, gamma=0.97, lmbda=0.9)
-    with pytest.raises(ValueError, match="TD0"):
-        loss(batch())
+def test_a_demonstrator_is_imitated_only_where_the_critics_prefer_it() -> None:
+    actor = Actor(D, A, [16])
+    observation = torch.randn(2, D)
+    mode = actor.mode(observation).detach()
+    action = mode + torch.tensor([[0.1, 0.2, 0.0], [-0.1, 0.2, 0.0]])
+    loss = bc_loss(observation, action, actor, PreferFirst())
+    torch.testing.assert_close(loss, torch.tensor(0.1**2 + 0.2**2))

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import replace
 
 import pytest
 import torch
-from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
-from torch import nn
-from torchrl.modules import ProbabilisticActor, TanhNormal
-from torchrl.objectives import SACLoss
 
-from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser, TwinCritics
-from hrl_comfort.agents.sac import SAC, TERMS, Batch, TrainingDiverged, bc_loss, sac_losses
+from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser
+from hrl_comfort.agents.sac import SAC, TERMS, TrainingDiverged
 from hrl_comfort.config import AgentConfig, ConfigError
 from hrl_comfort.config.compose import compose
 
-B, D, A = 64, 7, 3
+D, A = 7, 3
 
 
 def agent(**changes: object) -> AgentConfig:
@@ -39,44 +33,8 @@ def filled(learner: SAC, rows: int = 40, reward: float | None = None) -> SAC:
     return learner
 
 
-class Critic(nn.Module):
-    """One of the twin critics as plain linear layers."""
-
-    def __init__(self, twins: TwinCritics, which: int) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        for weight, bias in zip(twins.weights, twins.biases, strict=True):
-            linear = nn.Linear(weight.shape[1], weight.shape[2])
-            linear.weight.data.copy_(weight[which].detach().T)
-            linear.bias.data.copy_(bias[which, 0].detach())
-            layers += [linear, nn.ReLU()]
-        self.body = nn.Sequential(*layers[:-1])
-
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return self.body(torch.cat([observation, action], dim=-1))
-
-
-def torchrl_loss(actor: Actor, critics: TwinCritics, targets: TwinCritics, log_alpha: float) -> SACLoss:
-    policy = ProbabilisticActor(
-        TensorDictModule(deepcopy(actor), in_keys=["observation"], out_keys=["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        distribution_class=TanhNormal,
-        return_log_prob=True,
-    )
-    keys = {"in_keys": ["observation", "action"], "out_keys": ["state_action_value"]}
-    loss = SACLoss(
-        policy,
-        [TensorDictModule(Critic(critics, i), **keys) for i in range(2)],
-        loss_function="l2",
-        alpha_init=math.exp(log_alpha),
-        target_entropy=-float(A),
-    )
-    loss.make_value_estimator(gamma=0.98)
-    for i in range(2):
-        wanted = Critic(targets, i).state_dict()
-        for key, value in loss.target_qvalue_network_params.flatten_keys(".").items():
-            value.data[i].copy_(wanted[key.removeprefix("module.")])
-    return loss
+def trained(learner: SAC) -> list[torch.Tensor]:
+    return [parameter for group in learner.optimiser.param_groups for parameter in group["params"]]
 
 
 @pytest.fixture(autouse=True)
@@ -84,89 +42,10 @@ def _seeded() -> None:
     torch.manual_seed(0)
 
 
-@pytest.mark.filterwarnings("ignore:No target network updater")
-def test_losses_and_gradients_equal_torchrls_sac_loss():
-    actor, critics, targets = Actor(D, A, [16, 16]), TwinCritics(D, A, [16, 16]), TwinCritics(D, A, [16, 16])
-    log_alpha = torch.tensor(math.log(0.3), requires_grad=True)
-    steps, terminated = torch.randint(1, 6, (B,)), torch.rand(B) < 0.3
-    observation, after = torch.randn(2, B, D)
-    action, reward = torch.rand(B, A) * 1.8 - 0.9, torch.randn(B)
-
-    reference = torchrl_loss(actor, critics, targets, log_alpha.item())
-    done = terminated[:, None]
-    data = TensorDict(
-        {
-            "observation": observation,
-            "action": action,
-            "steps_to_next_obs": steps[:, None],
-            "next": {
-                "observation": after,
-                "reward": reward[:, None],
-                "terminated": done,
-                "done": done | (torch.rand(B, 1) < 0.3),  # truncated rows must bootstrap
-            },
-        },
-        batch_size=[B],
-    )
-    torch.manual_seed(1)
-    expected = reference(data)
-    sum(expected[f"loss_{name}"] for name in ("qvalue", "actor", "alpha")).backward()
-
-    torch.manual_seed(1)
-    next_noise = torch.normal(torch.zeros(B, A), torch.ones(B, A))
-    noise = torch.normal(torch.zeros(B, A), torch.ones(B, A))
-    discount = torch.where(terminated, 0.0, 0.98 ** steps.float())
-    batch = Batch(observation, action, reward, after, discount)
-    critic, actor_loss, alpha, entropy, _ = sac_losses(
-        batch, actor, critics, targets, log_alpha, -float(A), noise, next_noise
-    )
-    (critic + actor_loss + alpha).backward()
-
-    close = {"rtol": 1e-5, "atol": 1e-5}
-    torch.testing.assert_close(critic, expected["loss_qvalue"], **close)
-    torch.testing.assert_close(actor_loss, expected["loss_actor"], **close)
-    torch.testing.assert_close(alpha, expected["loss_alpha"], **close)
-    torch.testing.assert_close(entropy, expected["entropy"], **close)
-    torch.testing.assert_close(log_alpha.grad, reference.log_alpha.grad, **close)
-    theirs = {k: v.grad for k, v in reference.actor_network_params.flatten_keys(".").items()}
-    mine = dict(actor.named_parameters())
-    assert len(theirs) == len(mine) == 6
-    for key, gradient in theirs.items():
-        torch.testing.assert_close(mine[key.rsplit("module.", 1)[1]].grad, gradient, **close)
-    theirs = {k: v.grad for k, v in reference.qvalue_network_params.flatten_keys(".").items()}
-    for i, (weight, bias) in enumerate(zip(critics.weights, critics.biases, strict=True)):
-        torch.testing.assert_close(weight.grad.mT, theirs[f"module.body.{2 * i}.weight"], **close)
-        torch.testing.assert_close(bias.grad[:, 0], theirs[f"module.body.{2 * i}.bias"], **close)
-
-
-def test_discount_is_gamma_to_the_steps_taken_and_zero_only_where_terminated():
-    learner = SAC(agent(gamma=0.9), D, A)
-    terminated = torch.tensor([False, True, False])
-    zeros = torch.zeros(3, D)
-    learner.remember(zeros, torch.zeros(3, A), torch.zeros(3), zeros, terminated, torch.tensor([5, 5, 2]))
-    torch.testing.assert_close(learner.buffer.storage[:3]["discount"], torch.tensor([0.9**5, 0.0, 0.81]))
-
-
-class PreferFirst(nn.Module):
-    """Critics that value an action by its first number alone."""
-
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return action[:, 0].expand(2, -1)
-
-
-def test_a_guide_is_imitated_only_where_the_critics_prefer_it():
-    actor, critics = Actor(D, A, [16]), PreferFirst()
-    observation = torch.randn(2, D)
-    mode = actor.mode(observation).detach()
-    action = mode + torch.tensor([[0.1, 0.2, 0.0], [-0.1, 0.2, 0.0]])
-    loss = bc_loss(observation, action, critics(observation, action), actor, critics)
-    torch.testing.assert_close(loss, torch.tensor(0.1**2 + 0.2**2))
-
-
 def beside_a_valley(bc_weight: float) -> float:
-    """Return where an actor ends that stands at -0.9, when -1 is worth 1, +1 is worth 2, between is little.
+    """Return the final action of an actor that begins at -0.9; -1 is worth 1, +1 is worth 2, between is little.
 
-    One action in eight is a guide's, at +1; the others are drawn evenly, so that the critics know the valley.
+    One action in eight is a demonstrator's, at +1; the others are uniform, so the critics know the valley.
     """
     torch.manual_seed(0)
     learner = SAC(
@@ -198,29 +77,29 @@ def beside_a_valley(bc_weight: float) -> float:
     return float(learner.actor.mode(learner.normaliser(torch.randn(64, D))).detach().mean())
 
 
-def test_a_guide_takes_the_actor_over_a_valley_that_gradients_do_not():
+def test_a_demonstrator_leads_the_actor_across_a_valley_that_gradients_do_not():
     assert beside_a_valley(bc_weight=0.0) < -0.5
     assert beside_a_valley(bc_weight=10.0) > 0.5
 
 
 def test_update_moves_every_parameter_and_targets_follow_by_tau():
     learner = filled(SAC(agent(tau=0.25), D, A))
-    before = [p.detach().clone() for p in learner._parameters]
-    targets = [p.clone() for p in learner._target_parameters]
+    before = [p.detach().clone() for p in trained(learner)]
+    targets = [p.clone() for p in learner.targets.parameters()]
     terms = learner.update()
-    assert tuple(terms) == TERMS
-    assert all(not torch.equal(p, q) for p, q in zip(learner._parameters, before, strict=True))
-    for old, new, critic in zip(targets, learner._target_parameters, learner._critic_parameters, strict=True):
+    assert list(terms) == list(TERMS)
+    assert all(not torch.equal(p, q) for p, q in zip(trained(learner), before, strict=True))
+    for old, new, critic in zip(targets, learner.targets.parameters(), learner.critics.parameters(), strict=True):
         torch.testing.assert_close(new, old + 0.25 * (critic - old))
         assert not new.requires_grad, "a graph of every update so far would pile up"
 
 
 def test_a_broken_term_stops_before_the_parameters_change():
     learner = filled(SAC(agent(), D, A), reward=math.nan)
-    before = [p.detach().clone() for p in learner._parameters]
+    before = [p.detach().clone() for p in trained(learner)]
     with pytest.raises(TrainingDiverged, match=r"update 0: critic_loss is nan"):
         learner.update()
-    assert all(torch.equal(p, q) for p, q in zip(learner._parameters, before, strict=True))
+    assert all(torch.equal(p, q) for p, q in zip(trained(learner), before, strict=True))
 
 
 def test_a_broken_parameter_is_never_saved():
@@ -348,3 +227,24 @@ def test_inner_precision_of_products_holds_for_the_update_alone() -> None:
 def test_a_replay_buffer_larger_than_the_memory_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"agent\.buffer_size=100000000 takes 80\d\d GB; this machine has"):
         SAC(agent(buffer_size=10**8), 10_000, A)
+
+
+@pytest.mark.parametrize(("end", "expected"), [(None, [1e-3] * 5), (2e-4, [1e-3, 8e-4, 6e-4, 4e-4, 2e-4, 2e-4])])
+def test_the_learning_rate_falls_linearly_to_its_end(end: float | None, expected: list[float]) -> None:
+    budget = {"policy_steps": 24, "learning_starts": 8, "updates_per_policy_step": 0.25}  # 4 updates
+    learner = filled(SAC(agent(learning_rate=1e-3, learning_rate_end=end, **budget), D, A))
+    rates = []
+    for _ in expected:
+        learner.update()
+        rates.append(learner.optimiser.param_groups[0]["lr"])
+    assert rates == pytest.approx(expected)
+
+
+def test_critics_with_layer_norm_learn_and_continue_from_a_checkpoint() -> None:
+    learner = filled(SAC(agent(critic_layer_norm=True), D, A))
+    before = [p.detach().clone() for p in trained(learner)]
+    learner.update()
+    assert all(not torch.equal(p, q) for p, q in zip(trained(learner), before, strict=True))
+    other = SAC(agent(critic_layer_norm=True), D, A)
+    other.load_state_dict(learner.state_dict())
+    assert learner.update() == other.update()

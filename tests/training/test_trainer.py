@@ -21,7 +21,7 @@ from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import environment, load_config
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.policies.actor import load_policy, load_value
+from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.cell import make_demonstrator, make_next_skill_value, train_cell
@@ -179,9 +179,10 @@ def test_training_on_starts_from_the_networks_of_the_run_and_skips_random_action
     config = small_config(tmp_path / "on", initial_policy=str(run))
     training = Training(config, make_points(config), tmp_path / "on")
     saved = checkpoint.load(run / "policy.pt")["networks"]
-    for part, module in (("critics", training.learner.critics), ("targets", training.learner.targets)):
+    assert set(saved) == {"actor", "critics", "normaliser", "log_alpha"}
+    for module in (training.learner.critics, training.learner.targets):
         for name, tensor in module.state_dict().items():
-            assert torch.equal(tensor, saved[part][name])
+            assert torch.equal(tensor, saved["critics"][name])
     assert torch.equal(training.learner.log_alpha.detach(), saved["log_alpha"])
     training.decide()
     training.take_in()
@@ -317,7 +318,7 @@ def test_a_success_is_worth_what_the_successor_makes_of_it(tmp_path):
         env.point[:4], env.point[4:] = 0.0, 0.9  # four are there at once
         training.decide()
         training.take_in()
-        rewards.append(training.learner.buffer.storage[:8]["reward"])
+        rewards.append(training.learner.buffer.storage[:8]["next", "reward"][:, 0])
     expected = torch.zeros(8)
     expected[:4] = 100.0 * 0.5 ** env.rand_step()["next", "decision_steps"][0, 0]
     torch.testing.assert_close(rewards[1] - rewards[0], expected)
@@ -345,7 +346,7 @@ def test_in_the_cell_the_successor_sees_what_it_would_begin_with(tmp_path):
     assert env.last is not None
     values = value_of(torch.tensor([True, False, True, False]))
     task = with_level(subtask("place", config.task.observation, 1), config.comfort.levels)
-    expected = load_value(place)(task.observe(env.last.state).float())
+    expected = load_policy(place, critics=True).value(task.observe(env.last.state).float())
     torch.testing.assert_close(values[[0, 2]], expected[[0, 2]])
     assert values[[1, 3]].tolist() == [0.0, 0.0]
 
