@@ -24,7 +24,8 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
       ConfigError: a choice is not allowed.
     """
     from hrl_comfort.config import ConfigError, TrainConfig
-    from hrl_comfort.config.compose import compose, environment, override
+    from hrl_comfort.config.compose import compose, environment
+    from hrl_comfort.config.overrides import override
 
     config = compose("train", [override(key, value) for key, value in {"task": task, **choices}.items()])
     if not isinstance(config, TrainConfig):

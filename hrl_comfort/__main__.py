@@ -93,7 +93,8 @@ def handover(overrides: list[str]) -> None:
 
 def report(overrides: list[str]) -> None:
     """Run `hrl-comfort report`; a folder alone is its run."""
-    from hrl_comfort.config.compose import compose, override
+    from hrl_comfort.config.compose import compose
+    from hrl_comfort.config.overrides import override
 
     config = compose("report", [override("run", each) if Path(each).is_dir() else each for each in overrides])
     assert isinstance(config, ReportConfig)
@@ -164,7 +165,7 @@ def sweep(verb: str, overrides: list[str]) -> None:
         raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
     if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
-    from hrl_comfort.config.compose import check_overrides, root_of
+    from hrl_comfort.config.overrides import check_overrides, root_of
 
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]

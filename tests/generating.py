@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, TrainConfig
-from hrl_comfort.config.checks import LONGEST_LINE
+from hrl_comfort.config.checks import MAX_LINE
 from hrl_comfort.config.compose import compose
 from hrl_comfort.tasks import State
 
@@ -52,7 +52,7 @@ def tried(call: Callable[[], T]) -> T | None:
     except ConfigError as error:
         line = str(error)
         assert line.strip() and len(line.splitlines()) == 1, f"not one line: {line!r}"
-        assert line.isprintable() and len(line) <= LONGEST_LINE + 3, f"nobody can read {line[:200]!r}"
+        assert line.isprintable() and len(line) <= MAX_LINE + 3, f"nobody can read {line[:200]!r}"
         RAN["refused"] += 1
         return None
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.config.compose import check_overrides, compose, load_config
+from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation.rollout import COLUMNS
 from hrl_comfort.training.logger import read_provenance
 

@@ -1,55 +1,57 @@
-"""The robot, the cell and its simulation."""
+"""Configuration of the robot, the cell and the simulation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from hrl_comfort.config.checks import between, point
+from hrl_comfort.config.checks import check_fields, coordinates, within
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """Which arm stands in the cell. Its kinematics and masses are constants of `scene.robots`."""
+    """The arm; its kinematics and masses are constants of `scene.robots`."""
 
     name: str
-    """A key of `scene.robots.ROBOTS`, which checks it."""
-    home_deg: list[float]
-    """Joint angles at the start and after `return`, one per joint, degrees."""
+    """A key of `scene.robots.ROBOTS`, checked there."""
+    home_deg: Annotated[list[float], coordinates(6)]
+    """Joint angles of the home pose, degrees."""
 
     def __post_init__(self) -> None:
-        point("robot.home_deg", self.home_deg, 6)
+        check_fields("robot", self)
 
 
 @dataclass(frozen=True)
 class CellConfig:
-    """Where things stand; metres, cell frame: robot base at the origin, z up."""
+    """Layout of the cell: metres, cell frame (robot base at the origin, z up)."""
 
-    ball_m: list[float]
-    orange_drop_m: list[float]
-    pink_drop_m: list[float]
-    ball_radius_m: float
-    table_half_width_m: float
-    base_height_m: float
-    """Height of the robot's base above the floor the human walks on."""
+    ball_m: Annotated[list[float], coordinates(3)]
+    """Centre of the ball on the pick table, m."""
+    orange_drop_m: Annotated[list[float], coordinates(3)]
+    """Drop point of orange balls, m."""
+    pink_drop_m: Annotated[list[float], coordinates(3)]
+    """Drop point of pink balls, m."""
+    ball_radius_m: Annotated[float, within(0.005, 0.2)]
+    """Radius of a ball, m."""
+    table_half_width_m: Annotated[float, within(0.02, 1.0)]
+    """Half the side of each square table, m."""
+    base_height_m: Annotated[float, within(0.0, 2.0)]
+    """Height of the robot's base above the floor, m."""
 
     def __post_init__(self) -> None:
-        for key in ("ball_m", "orange_drop_m", "pink_drop_m"):
-            point(f"cell.{key}", getattr(self, key), 3)
-        between("cell.ball_radius_m", self.ball_radius_m, 0.005, 0.2)
-        between("cell.table_half_width_m", self.table_half_width_m, 0.02, 1.0)
-        between("cell.base_height_m", self.base_height_m, 0.0, 2.0)
+        check_fields("cell", self)
 
 
 @dataclass(frozen=True)
 class EngineConfig:
     """The batched simulation."""
 
-    num_envs: int
-    threads: int
-    substeps: int
+    num_envs: Annotated[int, within(1, 65536)]
+    """Number of cells."""
+    threads: Annotated[int, within(1, 256)]
+    """Threads of the simulation."""
+    substeps: Annotated[int, within(1, 100)]
     """Physics steps a control step of 20 ms."""
 
     def __post_init__(self) -> None:
-        between("engine.num_envs", self.num_envs, 1, 65536)
-        between("engine.threads", self.threads, 1, 256)
-        between("engine.substeps", self.substeps, 1, 100)
+        check_fields("engine", self)

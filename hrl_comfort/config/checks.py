@@ -1,28 +1,33 @@
-"""What is checked of a choice; every mistake is a ConfigError of one line."""
+"""Checks of configuration values; every failure is a ConfigError of one line."""
 
 from __future__ import annotations
 
-LONGEST_LINE = 1000
-"""Of a message; a value may be a whole file by mistake."""
+from collections.abc import Callable
+from functools import partial
+from typing import Any, get_type_hints
+
+MAX_LINE = 1000
+"""Longest message in characters, without the ellipsis."""
 FARTHEST = 1000.0
-"""Of a coordinate in m and an angle in degrees; farther is a mistake, and squares of it may overflow."""
+"""Largest coordinate, m, and angle, degrees; squares of larger values may overflow."""
+Check = Callable[[str, Any], None]
+"""(key, value): raises ConfigError if the value is not allowed."""
 
 
 class ConfigError(ValueError):
-    """A choice that is not allowed; the message names the key, its value and what is allowed.
+    """A value that is not allowed; the message names the key, the value and the allowed values.
 
-    It is one line that can be read, whatever the value is: what cannot be printed is escaped, and of what is
-    too long the middle, which is the value's, is left out.
+    The message is one printable line: other characters are escaped, and the middle of a long line is omitted.
     """
 
     def __init__(self, message: str) -> None:
         line = "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in message)
-        half = LONGEST_LINE // 2
-        super().__init__(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}")
+        half = MAX_LINE // 2
+        super().__init__(line if len(line) <= MAX_LINE else f"{line[:half]} … {line[-half:]}")
 
 
 def filled(key: str, value: object) -> None:
-    """Raise ConfigError where `value` is an empty text, which names nothing."""
+    """Raise ConfigError if `value` is an empty text."""
     if value == "":
         raise ConfigError(f"{key}='' is empty; it takes a value")
 
@@ -34,13 +39,13 @@ def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def between(key: str, value: float, low: float, high: float) -> None:
-    """Raise ConfigError unless `value` is in [low, high], which are finite; NaN is in no range."""
+    """Raise ConfigError unless `value` is in [low, high]; NaN is not."""
     if not low <= value <= high:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 
 def widths(key: str, value: list[int]) -> None:
-    """Raise ConfigError unless `value` is widths of hidden layers."""
+    """Raise ConfigError unless `value` is a list of hidden-layer widths."""
     if not value or any(not 1 <= width <= 8192 for width in value):
         raise ConfigError(f"{key}={list(value)!r} must be layer widths from 1 to 8192")
 
@@ -49,3 +54,46 @@ def point(key: str, value: list[float], size: int, farthest: float = FARTHEST) -
     """Raise ConfigError unless `value` is `size` numbers within ±`farthest`."""
     if len(value) != size or not all(abs(v) <= farthest for v in value):
         raise ConfigError(f"{key}={list(value)!r} must be {size} finite numbers within ±{farthest:g}")
+
+
+def unique(key: str, value: list[int]) -> None:
+    """Raise ConfigError if `value` contains an entry twice."""
+    if len(set(value)) < len(value):
+        raise ConfigError(f"{key}={list(value)!r} contains an entry twice; leave one out")
+
+
+def within(low: float, high: float) -> Check:
+    """Return the check `between` of [low, high]."""
+    return partial(between, low=low, high=high)
+
+
+def choice(*names: str) -> Check:
+    """Return the check `one_of` of `names`."""
+    return partial(one_of, allowed=names)
+
+
+def coordinates(size: int) -> Check:
+    """Return the check `point` of `size` numbers."""
+    return partial(point, size=size)
+
+
+def each(check: Check) -> Check:
+    """Return `check` for every entry of a list."""
+
+    def entries(key: str, value: list[Any]) -> None:
+        for index, entry in enumerate(value):
+            check(f"{key}[{index}]", entry)
+
+    return entries
+
+
+def check_fields(section: str, config: Any) -> None:
+    """Run the checks in the `Annotated` types of a dataclass; null passes.
+
+    Raises:
+      ConfigError: a check of the field `section`.name fails.
+    """
+    for name, hint in get_type_hints(type(config), include_extras=True).items():
+        value = getattr(config, name)
+        for check in getattr(hint, "__metadata__", ()) if value is not None else ():
+            check(f"{section}.{name}" if section else name, value)

@@ -1,11 +1,12 @@
-"""What each command takes: sections and a few keys of its own."""
+"""Configuration of each command: shared sections and keys of its own."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
-from hrl_comfort.config.checks import ConfigError, between, one_of
+from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, each, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED, VALIDATION_SEED
 from hrl_comfort.config.human import HumanConfig
@@ -13,105 +14,25 @@ from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.task import RewardConfig, TaskConfig
 
-
-@dataclass(frozen=True)
-class EnvConfig:
-    """What an environment is made of."""
-
-    robot: RobotConfig
-    cell: CellConfig
-    human: HumanConfig
-    comfort: ComfortConfig
-    task: TaskConfig
-    reward: RewardConfig
-    engine: EngineConfig
-
-
-def _check_seeds(train_seed: int, episode_seed: int) -> None:
-    between("train_seed", train_seed, 0, 2**63 - 1)
-    between("episode_seed", episode_seed, 0, VALIDATION_SEED - 1)
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """`hrl-comfort train`."""
-
-    robot: RobotConfig
-    cell: CellConfig
-    human: HumanConfig
-    comfort: ComfortConfig
-    task: TaskConfig
-    reward: RewardConfig
-    engine: EngineConfig
-    curriculum: CurriculumConfig
-    agent: AgentConfig
-    train_seed: int
-    episode_seed: int
-    output: str
-    resume: str | None
-    """Run folder to continue; its own config.yaml is used."""
-    initial_policy: str | None
-    """policy.pt or run folder whose actor, critics and normaliser training starts from."""
-
-    def __post_init__(self) -> None:
-        between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
-        between("agent.demonstrator_envs", self.agent.demonstrator_envs, 0, self.engine.num_envs - 1)
-        _check_seeds(self.train_seed, self.episode_seed)
-
-
 DISTURBANCES = ("none", "drop", "block")
-"""What `sim.disturbance` knows of."""
-
-
-@dataclass(frozen=True)
-class MetaControllerTrainConfig:
-    """`hrl-comfort train meta_controller`: a controller above frozen policies."""
-
-    robot: RobotConfig
-    cell: CellConfig
-    human: HumanConfig
-    comfort: ComfortConfig
-    task: TaskConfig
-    reward: RewardConfig
-    engine: EngineConfig
-    meta_controller: MetaControllerConfig
-    meta_controller_agent: MetaControllerAgentConfig
-    policies: dict[str, str]
-    """Subtask name to policy."""
-    disturbance: str
-    """What goes wrong on purpose, once an episode: `none`, `drop` or `block` (`sim.disturbance`)."""
-    train_seed: int
-    episode_seed: int
-    output: str
-    resume: str | None
-    """Run folder to continue; its own config.yaml is used."""
-
-    def __post_init__(self) -> None:
-        one_of("disturbance", self.disturbance, DISTURBANCES)
-        if self.task.name != "sort":
-            raise ConfigError(
-                f"task.name={self.task.name!r} leaves nothing to choose; train meta_controller takes task=sort"
-            )
-        if self.meta_controller.name != "learned":
-            raise ConfigError(
-                f"meta_controller.name={self.meta_controller.name!r} learns nothing; choose meta_controller=learned"
-            )
-        _check_seeds(self.train_seed, self.episode_seed)
-
-
+"""Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
+PICK_AND_PLACE = ("pick_place", "cycle", "sort")
+"""Tasks that pick a ball and then place it."""
 VALIDATION_EPISODES = 10_000
 SPLITS = {
     "paper": (FIRST_SEED, 2**31, EVALUATION_EPISODES),
     "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - VALIDATION_EPISODES, VALIDATION_EPISODES),
 }
-"""Smallest and largest seed of a first episode, and the largest number of episodes, by split."""
-HOLDING = ("pick_place", "cycle", "sort")
-"""Tasks in which a ball is picked and then placed."""
+"""Smallest and largest seed of the first episode, and the largest number of episodes, by split."""
+FIGURES = (
+    "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
+    "handover",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
-    """`hrl-comfort evaluate`."""
+class EnvConfig:
+    """Sections of an environment."""
 
     robot: RobotConfig
     cell: CellConfig
@@ -120,34 +41,92 @@ class EvaluateConfig:
     task: TaskConfig
     reward: RewardConfig
     engine: EngineConfig
-    meta_controller: MetaControllerConfig
-    policy: str | None
-    """Run folder, checkpoint, policy file, `expert`, `potential_field` or `random`; not used with a meta-controller."""
-    policies: dict[str, str]
-    """Subtask name to policy, for a meta-controller."""
-    checkpoints: str
-    """`none`, or `all`: every checkpoint of the run in `policy`."""
-    split: str
-    """One of SPLITS: the committed evaluation set (`paper`), or episodes drawn as in training (`validation`)."""
-    episodes: int
-    episode_seed: int | None
-    """Seed of the first episode; null: the split's first."""
-    levels: list[int]
-    """Comfort levels to evaluate one after the other, the same episodes at each; none: as `comfort` says."""
-    group_by: list[str]
-    """Columns of episodes.csv that split summary.json further."""
-    record: bool
-    """Write paths.csv."""
-    disturbance: str
-    """What goes wrong on purpose, once an episode: `none`, `drop` or `block` (`sim.disturbance`)."""
-    terminal_states: str | None
-    """Instead, write how the joints were when episodes drawn as in training succeeded to this .npz: angles,
-    velocities and servo targets, the starts of the next subtask."""
+
+
+@dataclass(frozen=True)
+class TrainConfig(EnvConfig):
+    """`hrl-comfort train`."""
+
+    curriculum: CurriculumConfig
+    agent: AgentConfig
+    train_seed: Annotated[int, within(0, 2**63 - 1)]
+    """Seed of networks, exploration and replay."""
+    episode_seed: Annotated[int, within(0, VALIDATION_SEED - 1)]
+    """Seed of the episodes."""
     output: str
+    """Run folder."""
+    resume: str | None
+    """Run folder to continue with its own config.yaml."""
+    initial_policy: str | None
+    """policy.pt or run folder of the initial actor, critics and normaliser."""
 
     def __post_init__(self) -> None:
-        one_of("checkpoints", self.checkpoints, ("none", "all"))
-        one_of("disturbance", self.disturbance, DISTURBANCES)
+        check_fields("", self)
+        between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
+        between("agent.demonstrator_envs", self.agent.demonstrator_envs, 0, self.engine.num_envs - 1)
+
+
+@dataclass(frozen=True)
+class MetaControllerTrainConfig(EnvConfig):
+    """`hrl-comfort train meta_controller`: training of a meta-controller over frozen policies."""
+
+    meta_controller: MetaControllerConfig
+    meta_controller_agent: MetaControllerAgentConfig
+    policies: dict[str, str]
+    """Policy of each subtask."""
+    disturbance: Annotated[str, choice(*DISTURBANCES)]
+    """Disturbance of each episode, one of DISTURBANCES."""
+    train_seed: Annotated[int, within(0, 2**63 - 1)]
+    """Seed of networks, exploration and replay."""
+    episode_seed: Annotated[int, within(0, VALIDATION_SEED - 1)]
+    """Seed of the episodes."""
+    output: str
+    """Run folder."""
+    resume: str | None
+    """Run folder to continue with its own config.yaml."""
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
+        if self.task.name != "sort":
+            raise ConfigError(f"task.name={self.task.name!r} has one order of options; choose task=sort")
+        if self.meta_controller.name != "learned":
+            name = self.meta_controller.name
+            raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")
+
+
+@dataclass(frozen=True)
+class EvaluateConfig(EnvConfig):
+    """`hrl-comfort evaluate`."""
+
+    meta_controller: MetaControllerConfig
+    policy: str | None
+    """Run folder, checkpoint, policy file, `expert`, `potential_field` or `random`; without a meta-controller."""
+    policies: dict[str, str]
+    """Policy of each subtask, with a meta-controller."""
+    checkpoints: Annotated[str, choice("none", "all")]
+    """`all` evaluates every checkpoint of the run in `policy`."""
+    split: Annotated[str, choice(*SPLITS)]
+    """The committed evaluation set (`paper`), or episodes drawn as in training (`validation`)."""
+    episodes: int
+    """Number of episodes (at each level)."""
+    episode_seed: int | None
+    """Seed of the first episode; null is the first of the split."""
+    levels: Annotated[list[int], unique]
+    """Comfort levels to evaluate on the same episodes; [] leaves the level to `comfort`."""
+    group_by: list[str]
+    """Further columns of episodes.csv by which summary.json is grouped."""
+    record: bool
+    """Write paths.csv."""
+    disturbance: Annotated[str, choice(*DISTURBANCES)]
+    """Disturbance of each episode, one of DISTURBANCES."""
+    terminal_states: str | None
+    """File (.npz) for the joint states at the end of successful episodes, drawn as in training: angles, rad,
+    velocities, rad/s, and servo targets, rad. No evaluation is made."""
+    output: str
+    """Folder of the evaluation."""
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
         if self.disturbance != "none":
             self._check_disturbance()
         chained = self.meta_controller.name != "none"
@@ -163,7 +142,6 @@ class EvaluateConfig:
             )
         if self.levels:
             self._check_levels()
-        one_of("split", self.split, tuple(SPLITS))
         first, last, most = SPLITS[self.split]
         between("episodes", self.episodes, 1, most if self.terminal_states is None else 10**6)
         if self.episode_seed is not None:
@@ -175,28 +153,25 @@ class EvaluateConfig:
         return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
     def _check_disturbance(self) -> None:
-        if self.disturbance == "drop" and self.task.name not in HOLDING:
+        if self.disturbance == "drop" and self.task.name not in PICK_AND_PLACE:
             raise ConfigError(
                 f"disturbance=drop needs a ball that is picked and then placed; task.name={self.task.name!r} "
-                f"is not one of {', '.join(HOLDING)}"
+                f"is not one of {', '.join(PICK_AND_PLACE)}"
             )
         if self.disturbance == "block" and self.human.motion in ("none", "playback"):
-            raise ConfigError(f"disturbance=block needs a person who can stand; not human={self.human.motion}")
+            raise ConfigError(f"disturbance=block needs a human who can stand still; not human={self.human.motion}")
         if self.terminal_states is not None:
             raise ConfigError(f"disturbance={self.disturbance} does not go with terminal_states=")
 
     def _check_levels(self) -> None:
-        levels, source = list(self.levels), self.comfort.source
-        for level in levels:
-            between("levels", level, 1, self.comfort.levels)
-        if len(set(levels)) < len(levels):
-            raise ConfigError(f"levels={levels} names a level twice")
+        said, source = f"levels={list(self.levels)}", self.comfort.source
+        each(within(1, self.comfort.levels))("levels", self.levels)
         if source not in ("none", "fixed", "random"):
-            raise ConfigError(f"levels={levels} does not go with comfort.source={source}; choose none, fixed or random")
+            raise ConfigError(f"{said} does not go with comfort.source={source}; choose none, fixed or random")
         if self.terminal_states is not None:
-            raise ConfigError(f"levels={levels} does not go with terminal_states=; choose a comfort.source")
+            raise ConfigError(f"{said} does not go with terminal_states=; choose a comfort.source")
         if self.checkpoints == "all":
-            raise ConfigError(f"levels={levels} does not go with checkpoints=all; choose a comfort.source")
+            raise ConfigError(f"{said} does not go with checkpoints=all; choose a comfort.source")
 
 
 @dataclass(frozen=True)
@@ -204,42 +179,37 @@ class ReportConfig:
     """`hrl-comfort report`."""
 
     run: str
-    """Folder that holds run folders and their `eval/`, or one run folder."""
+    """Run folder, or folder of run folders and their `eval/`."""
     output: str | None
+    """HTML file; null is report.html in `run`."""
     video: bool
-
-
-FIGURES = (
-    "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
-    "handover",
-)  # fmt: skip
+    """Include a video of an episode."""
 
 
 @dataclass(frozen=True)
 class FigureConfig:
     """`hrl-comfort figure`."""
 
-    kind: str
-    """One of FIGURES."""
+    kind: Annotated[str, choice(*FIGURES)]
+    """Kind of figure."""
     evaluations: list[str]
-    """Folders of evaluations, or patterns of them: `runs/*/eval`."""
+    """Folders of evaluations, or patterns such as `runs/*/eval`."""
     output: str
-    """The PNG; where there are numbers they go to a JSON file of the same name beside it."""
+    """PNG file; its numbers, if any, go to a JSON file of the same name."""
     labels: list[str]
-    """`plane`, `people`: a name for each of `evaluations`; those of one name are one series of `plane`."""
-    over: str
-    """`levels`, `speed`, `plane`: over `pairs`, the episodes that succeed at every level, or over `all`."""
+    """`plane`, `people`: a name for each of `evaluations`; equal names form one series of `plane`."""
+    over: Annotated[str, choice("pairs", "all")]
+    """`levels`, `speed`, `plane`: average over `pairs`, episodes with success at every level, or over `all`."""
     levels: list[int]
-    """`paths`: levels to draw; `people`: the one level to draw."""
+    """`paths`: levels to draw. `people`: the level to draw."""
     episodes: list[int]
-    """`paths`, `people`: one or two; none: the first orange and the first pink one that succeed in all.
-    `timeline`: any; none: the first twelve."""
+    """`paths`, `people`: one or two; [] is the first orange and the first pink one with success in all.
+    `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
-    """`jump`: when the level changes, seconds from the start of the episode."""
+    """`jump`: time of the level change, s from the start of the episode."""
 
     def __post_init__(self) -> None:
-        one_of("kind", self.kind, FIGURES)
-        one_of("over", self.over, ("pairs", "all"))
+        check_fields("", self)
         if not self.evaluations:
             raise ConfigError("evaluations=[] must name at least one folder of an evaluation")
         if not self.output.endswith(".png"):
@@ -247,7 +217,7 @@ class FigureConfig:
         if self.labels and len(self.labels) != len(self.evaluations):
             raise ConfigError(f"labels={list(self.labels)} must be as many as evaluations, or none")
         if len(self.episodes) > 2 and self.kind != "timeline":
-            raise ConfigError(f"episodes={list(self.episodes)} must be one or two, a panel each")
+            raise ConfigError(f"episodes={list(self.episodes)} must be one or two, one a panel")
         if self.kind == "people" and len(self.levels) > 1:
             raise ConfigError(f"levels={list(self.levels)} must be one level: kind=people compares motions")
         if self.kind == "jump":

@@ -1,11 +1,11 @@
-"""Constants that more than one part of the program needs."""
+"""Constants of more than one package."""
 
 from __future__ import annotations
 
 CONTROL_STEP_S = 0.02
-"""Length of a control step: joints move by at most 2 degrees in it (the paper's unit)."""
+"""Length of a control step, s; joints move by at most 2 degrees in it, as in the paper."""
 FAR_AWAY_M = 50.0
-"""Where everything stands, along x, that is not in the cell."""
+"""x coordinate of everything that is not in the cell, m."""
 
 VALIDATION_SEED = 850_000
 """First episode seed of the validation split; training uses the seeds below it."""

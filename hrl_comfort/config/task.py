@@ -1,114 +1,117 @@
-"""What is to be done, and what it pays."""
+"""Configuration of the subtask and its reward."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, between, one_of, point
+from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, coordinates, each, within
 
-COLOURS = ("random", "orange", "pink")
-ACTIONS = ("joint", "cartesian")
-POINTS = ("fixed", "random")
 OBSERVATIONS = ("default", "paper")
 
 
 @dataclass(frozen=True)
 class PrecisionConfig:
-    """How near counts as done."""
+    """Tolerances of the stages."""
 
-    grasp_tolerance_m: float
-    place_tolerance_m: float
-    home_tolerance_deg: float
+    grasp_tolerance_m: Annotated[float, within(0.005, 0.5)]
+    """Distance of the tool from the ball, or from the point of `reach`, at which the stage is done, m."""
+    place_tolerance_m: Annotated[float, within(0.005, 0.5)]
+    """Distance of the tool from the drop point at which `place` is done, m."""
+    home_tolerance_deg: Annotated[float, within(0.1, 60.0)]
+    """Largest joint error at which `return` is done, degrees."""
 
     def __post_init__(self) -> None:
-        between("task.precision.grasp_tolerance_m", self.grasp_tolerance_m, 0.005, 0.5)
-        between("task.precision.place_tolerance_m", self.place_tolerance_m, 0.005, 0.5)
-        between("task.precision.home_tolerance_deg", self.home_tolerance_deg, 0.1, 60.0)
+        check_fields("task.precision", self)
 
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """One subtask (or a chain of them in one network) and its contract with the policy."""
+    """A subtask, or a chain of subtasks for one policy."""
 
     name: str
-    colour: str
+    """A key of `tasks.SUBTASKS`, checked there."""
+    colour: Annotated[str, choice("random", "orange", "pink")]
+    """Colour of the balls."""
     balls: int
-    """How many lie on the pick table; more than one are for `sort`."""
-    ball_slots_m: list[list[float]]
-    """Where they may lie, (x, y) from `cell.ball_m`; each ball of an episode has a slot of its own."""
-    ball_jitter_m: float
-    """A ball lies within this of its slot along x and y."""
+    """Number of balls on the pick table; above 1 for `sort` only."""
+    ball_slots_m: Annotated[list[list[float]], each(coordinates(2))]
+    """Possible positions (x, y) of balls relative to `cell.ball_m`, m; each ball has a slot of its own."""
+    ball_jitter_m: Annotated[float, within(0.0, 0.1)]
+    """Largest offset of a ball from its slot along x and along y, m."""
     precision: PrecisionConfig
-    max_episode_steps: int
+    max_episode_steps: Annotated[int, within(1, 100_000)]
     """Control steps of 20 ms after which an episode is truncated."""
-    max_option_steps: int
+    max_option_steps: Annotated[int, within(1, 100_000)]
     """Default of `meta_controller.time_limit_steps`, control steps."""
-    action_repeat: int
-    max_step_deg: float
-    """Largest joint increment a control step."""
-    max_step_m: float
-    """`action=cartesian`: largest tool displacement a control step, each axis."""
-    max_step_rot_deg: float
-    """`action=cartesian`: largest tool rotation a control step, each axis."""
-    action: str
-    observation: str
-    point: str
-    """`reach`: the goal is `point_m`, or drawn at random for each episode."""
-    point_m: list[float]
-    second_point_m: list[float]
-    """`point_to_point`: fixed second point."""
+    action_repeat: Annotated[int, within(1, 100)]
+    """Control steps a decision."""
+    max_step_deg: Annotated[float, within(0.01, 3.6)]
+    """Largest joint increment a control step, degrees."""
+    max_step_m: Annotated[float, within(0.001, 0.05)]
+    """`action=cartesian`: largest tool displacement a control step, each axis, m."""
+    max_step_rot_deg: Annotated[float, within(0.01, 10.0)]
+    """`action=cartesian`: largest tool rotation a control step, each axis, degrees."""
+    action: Annotated[str, choice("joint", "cartesian")]
+    """Joint increments, or tool displacements and rotations."""
+    observation: Annotated[str, choice(*OBSERVATIONS)]
+    """Layout of the observation, as of `tasks.observations`."""
+    point: Annotated[str, choice("fixed", "random")]
+    """`reach`: the goal is `point_m`, or random in each episode."""
+    point_m: Annotated[list[float], coordinates(3)]
+    """`reach`, `point_to_point`: the fixed point, m."""
+    second_point_m: Annotated[list[float], coordinates(3)]
+    """`point_to_point`: fixed second point, m."""
     start: str
-    """Where place and return start: `ik`, or the path of recorded endings (.npz), replayed in motion."""
-    resample_start_probability: float
-    """Training: fraction of recorded starts with a person and a level drawn anew, not those recorded."""
+    """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
+    resample_start_probability: Annotated[float, within(0.0, 1.0)]
+    """Training: probability of a new random human and level for a recorded start, instead of the recorded ones."""
 
     def __post_init__(self) -> None:
-        one_of("task.colour", self.colour, COLOURS)
-        for slot in self.ball_slots_m:
-            point("task.ball_slots_m", slot, 2)
-        between("task.ball_jitter_m", self.ball_jitter_m, 0.0, 0.1)
+        check_fields("task", self)
         if not 1 <= self.balls <= len(self.ball_slots_m):
             raise ConfigError(
-                f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the task.ball_slots_m"
+                f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the length of task.ball_slots_m"
             )
         if self.balls > 1 and self.name != "sort":
             raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort")
-        one_of("task.action", self.action, ACTIONS)
-        one_of("task.observation", self.observation, OBSERVATIONS)
-        one_of("task.point", self.point, POINTS)
-        between("task.resample_start_probability", self.resample_start_probability, 0.0, 1.0)
-        between("task.max_episode_steps", self.max_episode_steps, 1, 100_000)
-        between("task.max_option_steps", self.max_option_steps, 1, 100_000)
-        between("task.action_repeat", self.action_repeat, 1, 100)
-        between("task.max_step_deg", self.max_step_deg, 0.01, 3.6)
-        between("task.max_step_m", self.max_step_m, 0.001, 0.05)
-        between("task.max_step_rot_deg", self.max_step_rot_deg, 0.01, 10.0)
-        point("task.point_m", self.point_m, 3)
-        point("task.second_point_m", self.second_point_m, 3)
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weight of each named reward term (see docs/tasks.md for their equations and units)."""
+    """Weight of each reward term; docs/tasks.md has their equations and units."""
 
     progress: float
+    """Per m of decrease of the tool's distance from its goal."""
     home_progress: float
+    """Per rad of decrease of the sum of joint errors, in `return`."""
     pick: float
+    """Completion of `pick`."""
     place: float
+    """Completion of `place`."""
     home: float
+    """Completion of `return`."""
     reach: float
+    """Completion of `reach`."""
     arrival_speed: float
-    """A rad/s of the joints' velocity (Euclidean norm) at the control step that completes a stage."""
+    """Per rad/s of joint velocity (Euclidean norm) at the control step that completes a stage."""
     human_collision: float
+    """Contact of the robot with the human."""
     other_collision: float
+    """Contact of the robot with the cell or itself."""
     step: float
+    """Every control step."""
     overtime: float
+    """Every control step after `tasks.rewards.LATE_STEPS`."""
     return_shaping: float
+    """The released code's shaping of `return`."""
     k1: float
-    """Eq. 1: k1, k2 and k3 multiply the bonuses of pick, place and return."""
+    """Factor of the bonus `pick` (Eq. 1)."""
     k2: float
+    """Factor of the bonus `place` (Eq. 1)."""
     k3: float
+    """Factor of the bonus `home` (Eq. 1)."""
 
     def __post_init__(self) -> None:
-        for key, value in vars(self).items():
-            between(f"reward.{key}", value, -1e4, 1e4)
+        for field in fields(self):
+            between(f"reward.{field.name}", getattr(self, field.name), -1e4, 1e4)

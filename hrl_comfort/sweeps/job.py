@@ -15,7 +15,8 @@ from hrl_comfort.analysis.job_status import Left, OtherRunError, left
 from hrl_comfort.analysis.learning_curve import curve_of
 from hrl_comfort.analysis.training_end import training_end
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.compose import compose, override, root_of
+from hrl_comfort.config.compose import compose
+from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import KilledError, run_apart

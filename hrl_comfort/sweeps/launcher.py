@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import filled
-from hrl_comfort.config.compose import config_dir, one_line, override, root_of
+from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import ERRORS, Ended, Run, job
 

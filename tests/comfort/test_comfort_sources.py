@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_comfort.comfort.sources import DRAWS, SOURCES, SourceInput, make_source
+from hrl_comfort.comfort.sources import DRAWS, SourceInput, make_source
 from hrl_comfort.comfort.streams import Signal, Udp, read_recording
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose
@@ -33,12 +33,6 @@ def begun(config: ComfortConfig, rows: int, seed: int = 0):
     source.draws[:] = np.random.default_rng(seed).random((rows, DRAWS))
     source.begin(np.arange(rows))
     return source
-
-
-def test_every_source_is_registered_under_a_name_the_configuration_allows() -> None:
-    from hrl_comfort.config.comfort import SOURCES as ALLOWED
-
-    assert tuple(SOURCES) == ALLOWED
 
 
 def test_random_levels_are_all_as_likely_and_hold_for_their_episode() -> None:

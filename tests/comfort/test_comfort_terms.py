@@ -13,7 +13,6 @@ from torch import Tensor
 from hrl_comfort.comfort import terms
 from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
 from hrl_comfort.config import ComfortConfig, TrainConfig
-from hrl_comfort.config import comfort as allowed
 from hrl_comfort.config.compose import compose
 from hrl_comfort.tasks import SUBTASKS
 
@@ -22,12 +21,6 @@ def comfort(**changes: Any) -> ComfortConfig:
     config = compose("train", ["comfort=conditioned"])
     assert isinstance(config, TrainConfig)
     return replace(config.comfort, **changes)
-
-
-def test_what_the_configuration_allows_is_what_there_is() -> None:
-    assert tuple(terms.FORMS) == allowed.FORMS
-    assert tuple(terms.THRESHOLDS) == allowed.THRESHOLDS
-    assert tuple(terms.SPEED_FORMS) == allowed.SPEED_FORMS
 
 
 def number(value: float) -> Tensor:

@@ -8,13 +8,8 @@ import pytest
 
 from hrl_comfort import __main__ as commands
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import (
-    ROOTS,
-    choices,
-    compose,
-    config_dir,
-    groups,
-)
+from hrl_comfort.config.compose import compose
+from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups
 
 OWN = {
     "report": ["run=runs"],

@@ -1,0 +1,152 @@
+"""Overrides of the command line: checks against the known keys and choices, and one-line errors."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, get_origin, get_type_hints
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from hrl_comfort.config import (
+    ConfigError,
+    EvaluateConfig,
+    FigureConfig,
+    MetaControllerTrainConfig,
+    ReportConfig,
+    TrainConfig,
+)
+
+Config = TrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
+ROOTS: dict[str, type[Config]] = {
+    "train": TrainConfig,
+    "train_meta_controller": MetaControllerTrainConfig,
+    "evaluate": EvaluateConfig,
+    "report": ReportConfig,
+    "figure": FigureConfig,
+}
+"""Configuration class of each root, a file `conf/ROOT.yaml`."""
+TOO_DEEP = "contains itself, or is nested too deeply"
+
+
+def root_of(verb: str) -> str:
+    """Return the key in ROOTS of a verb such as `train meta_controller`."""
+    return verb.replace(" ", "_")
+
+
+def config_dir() -> Path:
+    """Return the folder of the YAML files: in the package of a wheel, beside it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "train.yaml").is_file():
+            return folder
+    raise ConfigError(f"conf/ is neither in {package} nor beside it; install the package again")
+
+
+@cache
+def groups(root: str) -> dict[str, tuple[str, ...]]:
+    """Return the choices of every group of `root`, by group."""
+    defaults = OmegaConf.load(config_dir() / f"{root}.yaml").defaults
+    names = [str(key) for entry in defaults if isinstance(entry, DictConfig) for key in entry]
+    return {name: choices(name) for name in names}
+
+
+def choices(group: str) -> tuple[str, ...]:
+    """Return the choices of `group`; files that begin with `_` are shared parts."""
+    return tuple(sorted(p.stem for p in (config_dir() / group).glob("*.yaml") if p.stem[0] != "_"))
+
+
+def override(key: str, value: object) -> str:
+    """Return `key=value` in Hydra's grammar for a Python value."""
+    return f"{key}={_quoted(value)}"
+
+
+def _quoted(value: object) -> str:
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_quoted, value))}]"
+    if isinstance(value, (int, float)) or re.fullmatch(r"[\w./-]+", str(value), re.ASCII):
+        return str(value)
+    # Hydra takes a backslash literally unless a quote, or the end of the text, follows the backslashes.
+    escaped = re.sub(r"(\\+)(?='|$)", r"\1\1", str(value)).replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) -> list[str]:
+    """Return `overrides` in the form that Hydra composes; with `sweep`, a key may have several values.
+
+    Raises:
+      ConfigError: an unknown key or choice, a deletion, bad grammar, or several values without `sweep`.
+    """
+    if root not in ROOTS:
+        raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
+    return [_checked(root, _parsed(line, sweep), line) for line in overrides]
+
+
+def _parsed(line: str, sweep: bool) -> Override:
+    try:
+        parsed = OverridesParser.create().parse_override(line)
+    except (HydraException, ValueError) as error:  # ValueError: a number of thousands of digits
+        raise ConfigError(
+            f"{line!r} is not an override; write key=value, such as human=arc, and quote a value with other "
+            "characters than letters, digits and ./-_ : \"output='my run'\""
+        ) from error
+    except RecursionError:
+        raise ConfigError(f"{line} {TOO_DEEP}") from None
+    if parsed.is_sweep_override() and not sweep:
+        raise ConfigError(f"{line} has several values; add -m to run each, or write [a,b] for a list")
+    return parsed
+
+
+def _checked(root: str, parsed: Override, line: str) -> str:
+    key, allowed = parsed.key_or_group, groups(root)
+    if re.split("[./]", key)[0] == "hydra":
+        return line
+    if parsed.is_delete():
+        raise ConfigError(f"{line} deletes a key; every key needs a value: {key}=VALUE")
+    if key in allowed:
+        for value in parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]:
+            if str(value) not in allowed[key] and not (key == "experiment" and value is None):
+                near = _near(str(value), allowed[key])
+                raise ConfigError(f"{key}={value} is not a choice{near}; choose one of {', '.join(allowed[key])}")
+        return line
+    kind: Any = ROOTS[root]
+    for depth, name in enumerate(parts := key.split(".")):
+        if get_origin(kind) is dict:
+            return line if line[0] == "+" else f"++{line}"  # Hydra adds new keys of a dict only with ++
+        fields = get_type_hints(kind) if is_dataclass(kind) else {}
+        if name not in fields:
+            inside = ".".join(parts[:depth]) or root.replace("_", " ")
+            names = sorted({*fields, *(allowed if depth == 0 else ())})
+            raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}")
+        kind = fields[name]
+    if is_dataclass(kind) and not isinstance(parsed.value(), dict):
+        raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
+    return line
+
+
+def _near(word: str, words: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, list(words), n=1)
+    return f", did you mean {close[0]}?" if close else ""
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an error of Hydra or OmegaConf, with its key and cause, on one line."""
+    # Under a debugger or coverage OmegaConf chains its errors, and only the outer one has the key.
+    chain = [e for e in (error.__cause__, error) if isinstance(e, OmegaConfBaseException)]
+    if chain:
+        cause = next((e for e in chain if e.full_key), chain[0])
+        message = (cause.msg or str(cause)).splitlines()[0]
+        key = str(cause.full_key or "")
+        return f"{key}: {message}" if key not in message else message
+    return " ".join(str(error).split())
