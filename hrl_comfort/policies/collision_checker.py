@@ -1,4 +1,4 @@
-"""The arm as spheres and the cell as contacts: the geometry that the scripted expert weighs."""
+"""Geometry for the scripted expert: the arm as spheres, and contacts with the cell."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from hrl_comfort.sim.arm_distance import link_frames
 Array = NDArray[np.float64]
 
 CHECK_RAD = np.radians(4.0)
-"""Turn of the fastest joint between two checks for contact with the cell."""
+"""Motion of the fastest joint between two checks for contact with the cell."""
 SPACING_M = 0.06
-"""Between the spheres that stand for a capsule of the arm."""
+"""Distance between the spheres that approximate a capsule of the arm."""
 RISE_M = 0.08
-"""How far the tool is raised out of a tight place."""
+"""Height by which the tool is raised where all ways are blocked."""
 CLEARANCE_M = 0.01
-"""The arm keeps this from the cell, the person and itself."""
+"""Distance kept from the cell, the person and the arm itself."""
 
 
 class ArmSpheres:
@@ -39,7 +39,7 @@ class ArmSpheres:
             while body not in links and body != 0:
                 body = int(model.body_parentid[body])
             if body == 0:
-                continue  # the pedestal side of the arm, and everything that is not the arm
+                continue  # not part of a moving link
             size, half = model.geom_size[geom][:2]
             along = np.linspace(-half, half, max(2, int(np.ceil(2 * half / SPACING_M)) + 1))
             world = data.geom_xpos[geom] + along[:, None] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
@@ -85,15 +85,17 @@ class CollisionChecker:
         return float(min(self._data.contact.dist.min(initial=CLEARANCE_M), CLEARANCE_M))
 
     def free(self, start: Array, end: Array) -> bool:
-        """Return whether the straight way keeps its clearance, or no less than it has at the start."""
+        """Return whether the straight leg keeps its clearance, or no less than it has at the start."""
         least = min(self._depth(start), CLEARANCE_M) - 1e-3
-        way = np.abs(end - start).max()
-        turned = np.concatenate([np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, way, CHECK_RAD), [way]])
-        shares = turned[turned <= way] / max(way, 1e-9)
+        length = np.abs(end - start).max()
+        checks = np.concatenate(
+            [np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, length, CHECK_RAD), [length]]
+        )
+        shares = checks[checks <= length] / max(length, 1e-9)
         return all(self._depth(start + share * (end - start)) >= least for share in shares)
 
-    def risings(self, joints: Array) -> Array:
-        """Return postures (5, 6) near `joints` in which the tool is higher, and aside in four of them."""
+    def raised(self, joints: Array) -> Array:
+        """Return postures (5, 6) near `joints` with the tool higher, and to one side in four of them."""
         self._configuration.update(joints)
         tool = self._data.site("robot/tcp").xpos.copy()
         found = []
@@ -101,26 +103,26 @@ class CollisionChecker:
             self._configuration.update(joints)
             self._tool.set_target(mink.SE3.from_translation(tool + RISE_M * np.array([*aside, 1.0])))
             for _ in range(8):
-                self._pull()
+                self._step()
             found.append(self._configuration.q.copy())
         return np.array(found)
 
     def escape(self, joints: Array) -> Array:
-        """Return the posture, of many nearby, that is farthest from contact."""
-        around = joints + np.radians(12.0) * np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
+        """Return the posture farthest from contact among 60 nearby."""
+        around = joints + np.radians(12.0) * np.random.default_rng(0).uniform(-1.0, 1.0, (60, len(joints)))
         return around[np.argmax([self._depth(posture) for posture in around])]
 
     def reach(self, seed: Array, goal: Array, tolerance: float) -> Array | None:
-        """Return a posture near `seed`, tool within `tolerance` of `goal`, touching nothing, if found."""
+        """Return a collision-free posture near `seed` with the tool within `tolerance` of `goal`, if found."""
         self._configuration.update(seed)
         self._tool.set_target(mink.SE3.from_translation(goal))
         for _ in range(20):
             if np.linalg.norm(self._data.site("robot/tcp").xpos - goal) < tolerance:
                 posture = self._configuration.q.copy()
                 return posture if self._depth(posture) >= CLEARANCE_M - 1e-3 else None
-            self._pull()
+            self._step()
         return None
 
-    def _pull(self) -> None:
+    def _step(self) -> None:
         velocity = mink.solve_ik(self._configuration, [self._tool], 0.5, "daqp", damping=1e-4, limits=self._limits)
         self._configuration.integrate_inplace(velocity, 0.5)

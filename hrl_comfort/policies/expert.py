@@ -1,10 +1,9 @@
-"""A scripted expert: goal postures by mink, straight joint-space paths, and a forecast of the person's walk.
+"""A scripted expert: goal postures by mink, straight joint-space legs, and a forecast of the person's walk.
 
-At every decision and for every row it weighs plans: straight to one of the goal's postures, to one by way of
-an upright posture, or to wait upright. A plan costs its control steps plus a price on the chance that the
-person, who wanders like a Brownian particle, gets to where the arm will be. The first leg of the cheapest
-plan that meets neither the cell nor the arm itself is followed for one decision; nothing is remembered but
-postures.
+At every decision it weighs plans for every row: straight to one of the goal's postures, to one by way of an
+intermediate posture, or to wait in such a posture. A plan costs its control steps plus a price on the chance
+that the person, modelled as Brownian motion, reaches the arm. The expert follows the first leg of the
+cheapest plan without collision for one decision. It remembers nothing but postures.
 """
 
 from __future__ import annotations
@@ -19,53 +18,45 @@ from torch import Tensor
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
-from hrl_comfort.scene.human import (
-    ARM_RADIUS_M,
-    SHOULDER_HALF_WIDTH_M,
-    SHOULDER_M,
-    TRUNK_RADIUS_M,
-)
+from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.scene.human import ARM_RADIUS_M, SHOULDER_HALF_WIDTH_M, SHOULDER_M, TRUNK_RADIUS_M
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.subtask import by_stage
 
 Array = NDArray[np.float64]
 Goal = tuple[float, ...] | None
-"""Where the tool shall go, m; None: home, joint by joint."""
+"""Tool position, m; None for the home posture."""
 
 NEAREST, SPREAD = 12, 36
-"""Postures kept for a goal: those nearest to home, and others weighed only when those will not do."""
+"""Postures kept for a goal: those nearest to home, and others, weighed only where those do not suffice."""
 CONSIDERED = 12
-"""Postures, the safest to be in, to which detours are weighed."""
+"""Safest goal postures, to which detours are weighed."""
 LIBRARY = 20_000
 """Random postures that seed inverse kinematics."""
 DISTINCT_RAD = np.radians(25.0)
 """Two postures of a goal differ by this in some joint."""
 UPRIGHT_PANS_RAD = np.radians(np.arange(-225.0, 226.0, 45.0))
 PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
-"""(16, 6) which joints a partial raising brings home."""
+"""(16, 6) bool, the joints that a partial homing brings home."""
 SAMPLES = 12
 """Instants at which a leg of a plan is checked for the person."""
 ARM_SWING_RAD = np.radians(15.0)
-"""How far the arms of a person of random_walk swing."""
+"""Swing of the arms of a person of random_walk."""
 FORESIGHT_STEPS = 30.0
-"""The person's walk is forecast this far; what comes later can still be answered."""
+"""Horizon of the forecast; the next decisions can answer to what comes later."""
 RISK_STEPS, LAST_RISK_STEPS = 1500.0, 150.0
-"""Control steps that a certain collision is worth, at the beginning and when time is up."""
+"""Price of a certain collision in control steps, at the beginning and at the time limit."""
 WAIT_STEPS = 120.0
-"""Control steps that waiting is reckoned to cost."""
+"""Price of waiting in control steps."""
 NEGLIGIBLE = 2e-3
-"""A straight plan with less risk is not compared with detours."""
+"""Collision chance below which a straight plan is not compared with detours."""
 
 
 class Expert:
-    """Acts for any rows of any subtask; a function of the state."""
+    """Policy for any rows of any subtask; a function of the state."""
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
-        if config.task.action != "joint":
-            raise ConfigError(f"task.action={config.task.action!r} is not allowed with policy=expert; choose joint")
-        self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
-        self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
+        self._goals = StageGoals("expert", config, subtask)
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.action_repeat
         self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
@@ -87,9 +78,7 @@ class Expert:
     def act(self, state: State) -> Tensor:
         """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
         joints = state.joint_target.numpy()
-        index = state.stage.clamp(0, len(self._homeward) - 1)
-        homeward = self._homeward[index].numpy()
-        points = self._goal(state.with_(stage=index)).numpy()
+        points, homeward = self._goals(state)
         goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
         people = np.concatenate([state.human_pos.numpy(), state.human_yaw.numpy()[:, None]], axis=-1)
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
@@ -106,17 +95,16 @@ class Expert:
         return torch.from_numpy(move / np.maximum(largest, self._decision))
 
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
-        """Return where to go first (6,): a posture of the goal, a place on the way to one, or to wait."""
+        """Return the end (6,) of the first leg: a posture of the goal, or one on the way or to wait in."""
         postures = self._postures(goal, more=True)
         steps, risk = self._weigh(joints, postures, person)
         direct = steps + price * risk
-        boxed_in = not self._cell.free(joints, postures[direct.argmin()])
+        blocked = not self._cell.free(joints, postures[direct.argmin()])
         end_risk = self._weigh(postures, postures, person)[1]
         safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
-        # By way of: upright at some pan; any of shoulder to second wrist as at home, the rest as they are.
-        partly = np.where(PARTS, self._home, joints)
-        risings = self._cell.risings(joints) if boxed_in else joints[None]
-        ways = np.concatenate([self._upright, partly, risings])
+        # Upright at some pan; any of shoulder to second wrist at home; raised; or the present posture.
+        raised = self._cell.raised(joints) if blocked else joints[None]
+        ways = np.concatenate([self._upright, np.where(PARTS, self._home, joints), raised])
         first_steps, first_risk = self._weigh(joints, ways, person)
         steps_on, risk_on = self._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
@@ -132,20 +120,20 @@ class Expert:
         return self._cell.escape(joints)
 
     def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return control steps and collision chance (...,) of straight legs begun `begun` steps from now."""
+        """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps."""
         steps = np.abs(end - start).max(axis=-1) / self._step
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
         when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
         gap = self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
         z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
-        # Within 10 % of the chance that Brownian motion gets as far as z standard deviations by then.
+        # Within 10 % of the chance that Brownian motion has passed z standard deviations by then.
         return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
 
     def _gap(self, spheres: Array, person: Array) -> Array:
         """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 3) of x, y, yaw.
 
-        The person is a pillar of the trunk's width, between arms that may swing to and fro.
+        The person is a cylinder of the trunk's width between two swinging arms.
         """
         x, y = spheres[..., 0] - person[..., 0], spheres[..., 1] - person[..., 1]
         cos, sin = np.cos(person[..., 2]), np.sin(person[..., 2])
@@ -160,15 +148,15 @@ class Expert:
     # ---- postures --------------------------------------------------------------------------------------
 
     def _seeds(self) -> Array:
-        """Return random postures (LIBRARY, 6) rad round an upright home, pan at home."""
+        """Return random postures (LIBRARY, 6) rad around home, pan at home."""
         rng = np.random.default_rng(0)
         bend = np.radians([0.0, 120.0, 120.0, 120.0, 80.0, 0.0])
-        return np.clip(self._home + rng.uniform(-bend, bend, (LIBRARY, 6)), *self._range.T)
+        return np.clip(self._home + rng.uniform(-bend, bend, (LIBRARY, len(bend))), *self._range.T)
 
     def _postures(self, goal: Goal, more: bool = False) -> Array:
-        """Return postures (K, 6), free of contact, that bring the tool to `goal` (home itself if None).
+        """Return collision-free postures (K, 6) with the tool at `goal`, the NEAREST to home first, or home itself.
 
-        The NEAREST to home come first; `more` adds others.
+        `more` adds others.
         """
         if goal is None:
             return np.tile(self._home, (NEAREST, 1))
@@ -197,13 +185,13 @@ class Expert:
         if not found:
             raise ConfigError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
         postures = np.array(found)[np.arange(count) % len(found)]
-        if more:  # the same the other way round, where the pan allows
+        if more:  # the same with the pan turned fully around, where its range allows
             turned = postures - np.sign(postures) * np.array([2 * np.pi, 0, 0, 0, 0, 0])
             postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
         return postures
 
     def _clear(self, goal: Goal) -> NDArray[np.bool_]:
-        """Return (V, K): whether the way from upright to each of `_postures(goal, more=True)` is free."""
+        """Return (V, K): whether the leg from upright to each of `_postures(goal, more=True)` is free."""
         if goal not in self._passages:
             postures = self._postures(goal, more=True)
             self._passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])

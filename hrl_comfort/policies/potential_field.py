@@ -1,13 +1,13 @@
-"""A non-learning rival: an artificial potential field that heeds the comfort level, followed by mink.
+"""A non-learning baseline: an artificial potential field that depends on the comfort level, followed by mink.
 
-The tool is drawn to the goal of the stage in force and pushed from the person's axis inside a radius that
-the level sets (Khatib, Int. J. Robotics Research 5(1), 1986, 10.1177/027836498600500106). Three departures
-from the textbook keep it from stopping halfway: the push fades towards the goal, which a person may stand
-beside (Ge and Cui, IEEE Trans. Robotics and Automation 16(5), 2000, 10.1109/70.880813); what draws the tool
-at the person is turned round them; and the way to the goal leads round the robot's base, on the side where
-the push is less, drawn in and raised. A quadratic program turns tool velocity to joint velocity and keeps
-the links off person, cell and each other. Where speed counts (`comfort.beta`), the joints go no faster than
-is at ease. Nothing is remembered.
+The goal of the stage attracts the tool, and the person's axis repels it within a radius that the level sets
+(Khatib, Int. J. Robotics Research 5(1), 1986, 10.1177/027836498600500106). Three departures from the textbook
+avoid local minima: repulsion fades towards the goal, which may lie beside a person (Ge and Cui, IEEE Trans.
+Robotics and Automation 16(5), 2000, 10.1109/70.880813); attraction towards the person is deflected around
+them; and the path leads around the robot's base, retracted and raised, on the side with less repulsion. A
+quadratic program turns tool velocity into joint velocity and keeps the links off person, cell and each other.
+Where the comfort model weighs speed (`comfort.beta`), joints move no faster than is comfortable. The policy
+has no memory.
 """
 
 from __future__ import annotations
@@ -20,52 +20,47 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import SMALLEST_M, increment_threshold, threshold_levels
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.policies.scripted import StageGoals
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.scene.workcell import OBSTACLES, Scene
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.subtask import by_stage
 
 Array = NDArray[np.float64]
 
 SPEED_M = 0.04
-"""The goal draws the tool by this a control step; the joints seldom manage as much."""
+"""Largest displacement of the tool towards the goal per control step; the joints seldom reach it."""
 SLOWING = 0.3
-"""Share of the way left that is done in one control step at most, so that the tool settles at the goal."""
+"""Largest share of the remaining way in one control step, so that the tool settles at the goal."""
 PUSH = 2.0
-"""Push over pull where the tool is at the person's axis and far from the goal."""
+"""Repulsion over attraction where the tool is at the person's axis and far from the goal."""
 FADE_M = 0.25
-"""The push fades over this distance from the goal. Longer, a person beside the goal holds the tool off."""
+"""Distance from the goal at which repulsion starts to fade. A larger one keeps the tool off a goal beside a person."""
 SIDE_WEIGHT = 4.0
-"""What a turn round the base costs within the push, at the person's axis, over one outside it."""
+"""Extra cost of a turn around the base through the repulsive field, at the person's axis."""
 CRUISE_M, CRUISE_HEIGHT_M = 0.26, 0.50
-"""Distance from the base's axis and height at which the tool travels round it."""
+"""Distance from the base's axis, and height, of the tool on its way around the base."""
 BLOCKED_M = 0.34
-"""A way round the base is blocked where the tool would come so near the person's axis."""
+"""A way around the base is blocked where it passes so near the person's axis."""
 DESCENT, ABOVE_M = 0.4, 0.05
-"""Slope, rise over run, at which the tool comes down to its goal, or the fingers touch the table's edge;
-and how near the goal's vertical the slope ends."""
+"""Slope, rise over run, of the descent to the goal (flatter, the fingers touch the table's edge), and the distance
+from the goal's vertical at which the slope ends."""
 TURNING_RAD = np.radians(20.0), np.radians(70.0)
-"""From the first to the second angle left to turn, the tool goes over from the goal to travelling."""
+"""Between these remaining angles the target blends from the goal to the way around the base."""
 PERSON_M, PERSON_SEEN_M = 0.08, 0.40
-"""Least distance of the links to the person, whose arms swing, and from where on it is watched."""
+"""Smallest distance of the links to the person, whose arms swing, and the distance below which it is enforced."""
 CELL_M, CELL_SEEN_M = 0.03, 0.12
 """Likewise to tables, pedestal and the arm itself."""
 APPROACH = 0.3
-"""Share of the room above the least distance that links may close in one control step."""
+"""Share of the room above the smallest distance that links may close in one control step."""
 
 
 class PotentialField:
-    """Acts for any rows of any subtask; a function of the state."""
+    """Policy for any rows of any subtask; a function of the state."""
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
-        if config.task.action != "joint":
-            raise ConfigError(
-                f"task.action={config.task.action!r} is not allowed with policy=potential_field; choose joint"
-            )
-        self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
-        self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
+        self._goals = StageGoals("potential_field", config, subtask)
         self._comfort, self._floor_z = config.comfort, scene.floor_z
         self._step = np.radians(config.task.max_step_deg)
         self._solves = config.task.action_repeat
@@ -92,9 +87,7 @@ class PotentialField:
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
         """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
-        index = state.stage.clamp(0, len(self._homeward) - 1)
-        homeward = self._homeward[index].numpy()
-        goals = self._goal(state.with_(stage=index)).numpy()
+        goals, homeward = self._goals(state)
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
         radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
         pace = self._pace(level).numpy()
@@ -103,25 +96,25 @@ class PotentialField:
         before = state.joint_target.numpy()
         joints = before.copy()
         for row in range(len(joints)):
-            self._stand(limbs[row])
+            self._place_person(limbs[row])
             for _ in range(self._solves):
                 ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
                 joints[row] += pace[row] * (ahead - joints[row])
         return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
 
     def _pace(self, level: Tensor) -> Tensor:
-        """Return (N,) the share of full speed that is at ease at level (N,)."""
+        """Return the comfortable share (N,) of full speed at level (N,)."""
         if self._comfort.source == "none" or not self._comfort.beta:
             return torch.ones_like(level)
         return increment_threshold(level, 1.0, self._comfort)
 
-    def _stand(self, limbs: Array) -> None:
-        """Put the person's limbs (5, 7) into the model; they are taken to hang still."""
+    def _place_person(self, limbs: Array) -> None:
+        """Put the person's limbs (5, 7) into the model."""
         data = self._configuration.data
         data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
 
     def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: bool) -> Array:
-        """Return the joints (6,) rad a control step on."""
+        """Return the joints (6,) rad after one control step."""
         self._configuration.update(joints)
         tool = self._configuration.data.site("robot/tcp").xpos.copy()
         tasks: list[mink.Task]
@@ -133,20 +126,18 @@ class PotentialField:
             move = self.displacement(tool, goal, person, radius, joints[0])
             self._tool.set_target(mink.SE3.from_translation(tool + move))
             tasks = [self._tool, self._posture]
-        # Should the limits leave no way to move, the arm stands.
         try:
             velocity = mink.solve_ik(
                 self._configuration, tasks, CONTROL_STEP_S, "daqp", damping=1e-4, limits=self._limits
             )
         except mink.NoSolutionFound:
-            return joints
+            return joints  # the limits leave no motion
         return joints + velocity * CONTROL_STEP_S
 
     def displacement(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> Array:
-        """Return the displacement (3,) m that the field asks of the tool in a control step.
+        """Return the displacement (3,) m of the tool in a control step.
 
-        Cell frame: tool and goal (3,) m, person (2,) m; `radius` m is how far the push reaches, `pan` rad the
-        first joint's angle.
+        Cell frame: tool and goal (3,) m, person (2,) m; `radius` m of the repulsion; `pan` rad of the first joint.
         """
         left = float(np.linalg.norm(goal - tool))
         pull = self._pull(tool, goal, person, radius, pan)
@@ -162,7 +153,7 @@ class PotentialField:
         return pull + PUSH * SPEED_M * strength * away
 
     def _pull(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> Array:
-        """Return the displacement (3,) m a control step by which the goal draws the tool round the base."""
+        """Return the attraction (3,) m a control step towards the goal, around the base."""
         angle, turn = np.arctan2(tool[1], tool[0]), self._turn(tool, goal, person, radius, pan)
         low, high = TURNING_RAD
         travelling = np.clip((abs(turn) - low) / (high - low), 0.0, 1.0)
@@ -178,7 +169,7 @@ class PotentialField:
         return pull * min(1.0, SPEED_M / max(float(np.linalg.norm(pull)), 1e-9))
 
     def _turn(self, tool: Array, goal: Array, person: Array, radius: float, pan: float) -> float:
-        """Return the angle (rad, left positive) about the base's axis that leads to the goal."""
+        """Return the angle (rad, left positive) about the base's axis to the goal, by the cheaper way around."""
         angle = np.arctan2(tool[1], tool[0])
         short = (np.arctan2(goal[1], goal[0]) - angle + np.pi) % (2 * np.pi) - np.pi
         ways = np.array([short, short - np.sign(short) * 2 * np.pi])
