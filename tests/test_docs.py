@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation.rollout import COLUMNS
-from hrl_comfort.training.logger import read_provenance
 
 ROOT = Path(__file__).resolve().parent.parent
-REFERENCE = ROOT / "runs" / "reference"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 IMAGINED = "hover"
 """The task that docs/add_a_task.md adds."""
@@ -82,14 +80,6 @@ def test_tables_are_those_of_the_committed_evaluations() -> None:
     for each in tables["PAGES"]:
         page = each.read_text(encoding="utf-8")
         assert tables["filled"](page) == page, "run python docs/tables.py"
-
-
-@pytest.mark.parametrize(
-    "folder", sorted(path.parent for path in REFERENCE.rglob("policy.pt")), ids=lambda path: path.name
-)
-def test_a_reference_policy_is_finished_and_its_configuration_loads(folder: Path) -> None:
-    assert read_provenance(folder)["finished"]
-    assert load_config(folder).output == str(folder.relative_to(ROOT))
 
 
 def test_every_link_between_pages_leads_somewhere() -> None:

@@ -1,0 +1,60 @@
+"""The repository stays light, and the results committed in it can be read."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from hrl_comfort.config.compose import load_config
+from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.training.logger import read_provenance
+
+ROOT = Path(__file__).resolve().parent.parent
+REFERENCE = ROOT / "runs" / "reference"
+MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.35
+SUPERSEDED_MB = 125.0
+"""Policies of superseded results, without a config.yaml beside them. They are to be deleted; then this is 0."""
+CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
+POLICIES = sorted(path for path in REFERENCE.rglob("policy.pt") if path.with_name("config.yaml").exists())
+
+
+def named(path: Path) -> str:
+    return str(path.parent.relative_to(REFERENCE))
+
+
+def megabytes(files: list[Path]) -> float:
+    return sum(path.stat().st_size for path in files) / 1e6
+
+
+def test_committed_results_are_few_and_small() -> None:
+    listed = subprocess.run(["git", "ls-files", "-z", "runs"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("no git repository here")
+    files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    superseded = [path for path in files if path.name == "policy.pt" and path not in POLICIES]
+    kept = [path for path in files if path not in superseded]
+    assert len(kept) <= MAX_FILES
+    assert megabytes(kept) <= MAX_MB
+    assert megabytes(superseded) <= SUPERSEDED_MB
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=named)
+def test_every_committed_configuration_loads(path: Path) -> None:
+    assert load_config(path).output == f"runs/reference/{named(path)}"
+
+
+@pytest.mark.parametrize("path", POLICIES, ids=named)
+def test_a_committed_policy_is_small_finished_and_acts(path: Path) -> None:
+    assert megabytes([path]) <= MAX_POLICY_MB
+    assert read_provenance(path.parent)["finished"]
+    assert load_policy(path).spec["task"] == load_config(path.parent).task.name
+
+
+@pytest.mark.parametrize("path", sorted(REFERENCE.rglob("episodes.parquet")), ids=named)
+def test_committed_episodes_can_be_read(path: Path) -> None:
+    episodes = pd.read_parquet(path)
+    assert len(episodes) % 1000 == 0 and episodes["success"].dtype == bool
+    assert {"policy_steps", "spawn_id", "train_seed"} <= set(episodes.columns)
