@@ -42,9 +42,9 @@ def train(overrides: list[str]) -> None:
     config = compose("train", overrides)
     assert isinstance(config, TrainConfig)
     _check_resumed_alone(config, overrides)
-    from hrl_comfort.training.cell import train_cell
+    from hrl_comfort.training.trainer import train as run
 
-    train_cell(config)
+    run(config)
 
 
 def train_meta_controller(overrides: list[str]) -> None:

@@ -16,10 +16,10 @@ def stopping(training: type, method: str, when: Callable[[Any], bool]) -> Iterat
     """Expect a training to end as it calls its `method`, as soon as `when` says so of it."""
     call = getattr(training, method)
 
-    def stop(self: Any) -> Any:
+    def stop(self: Any, *given: Any) -> Any:
         if when(self):
             raise Stopped
-        return call(self)
+        return call(self, *given)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, method, stop)

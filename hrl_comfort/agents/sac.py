@@ -87,12 +87,32 @@ class SAC:
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
         # The three losses share no gradient, so one fused step serves all.
-        parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
-        self.optimiser = torch.optim.Adam(parameters, lr=config.learning_rate, fused=True)
-        self.buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(config.buffer_size, device=self.device))
+        self.optimiser = self._new_optimiser()
+        self.buffer = self._new_buffer()
         self.updates = 0
+        self._stage_begin = 0
+        """Number of updates at which the current stage began."""
         self.generator = torch.Generator()
         self.generator.set_state(torch.get_rng_state())
+
+    def _new_optimiser(self) -> torch.optim.Optimizer:
+        parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
+        return torch.optim.Adam(parameters, lr=self.config.learning_rate, fused=True)
+
+    def _new_buffer(self) -> TensorDictReplayBuffer:
+        return TensorDictReplayBuffer(storage=LazyTensorStorage(self.config.buffer_size, device=self.device))
+
+    def begin_stage(self, config: AgentConfig, keep_replay: bool, keep_optimiser: bool) -> None:
+        """Go on under `config`, of the same sizes, from the networks that a policy file would hold now."""
+        self.config, self._stage_begin = config, self.updates
+        self.load_networks(self.policy_state())
+        self.loss.gamma, self.loss.target_entropy = config.gamma, config.target_entropy
+        self.target_updater = SoftUpdate(self.loss, tau=config.tau)
+        if not keep_optimiser:
+            self.optimiser = self._new_optimiser()
+        self.optimiser.param_groups[0]["lr"] = config.learning_rate
+        if not keep_replay:
+            self.buffer = self._new_buffer()
 
     @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
@@ -145,7 +165,7 @@ class SAC:
             if not math.isfinite(value):
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         loss = losses["loss_qvalue"]
-        if self.updates >= self.config.critic_warmup_updates:
+        if self.updates - self._stage_begin >= self.config.critic_warmup_updates:
             loss = loss + losses["loss_actor"] + losses["loss_alpha"] + self._bc_loss(batch)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -174,7 +194,7 @@ class SAC:
         if config.learning_rate_end is None:
             return config.learning_rate
         total = (config.policy_steps - config.learning_starts) * config.updates_per_policy_step
-        share = min(1.0, self.updates / max(total, 1.0))
+        share = min(1.0, (self.updates - self._stage_begin) / max(total, 1.0))
         return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
 
     def _bc_loss(self, batch: TensorDict) -> Tensor | float:
@@ -229,6 +249,7 @@ class SAC:
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "updates": self.updates,
+            "stage_begin": self._stage_begin,
             "generator": self.generator.get_state(),
             **replay_state(self.buffer),
         }
@@ -239,6 +260,6 @@ class SAC:
         self.targets.load_state_dict(state["targets"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
-        self.updates = state["updates"]
+        self.updates, self._stage_begin = state["updates"], state["stage_begin"]
         self.generator.set_state(state["generator"])
         load_replay(self.buffer, state)

@@ -23,7 +23,7 @@ from hrl_comfort.evaluation.rollout import write_table
 from hrl_comfort.plots.compare import markdown
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.training.cell import make_collector
+from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training
 
 SEEDS = (0, 1, 2)
@@ -148,7 +148,7 @@ def success(env: EnvConfig, act: Act) -> float:
 def race(config: TrainConfig, clock: Clock) -> int:
     """Train by this project until `clock` says so; return the decisions made."""
     with tempfile.TemporaryDirectory() as folder:
-        training = Training(config, make_collector(config), Path(folder))
+        training = Training(config, make_collector, Path(folder))
         learner = training.learner
         policy = ActorPolicy(learner.average, learner.normaliser, {"observation_dim": learner.observation_dim})
 
@@ -158,9 +158,7 @@ def race(config: TrainConfig, clock: Clock) -> int:
 
         clock.start()
         while not clock.done(act, training.policy_steps):
-            training.decide()
-            training.learn(training.due())
-            training.take_in()
+            training.step()
         return training.policy_steps
 
 

@@ -28,7 +28,7 @@ from hrl_comfort.config.constants import (
     VALIDATION_SEED,
 )
 from hrl_comfort.config.human import HumanConfig
-from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
+from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.task import PrecisionConfig, RewardConfig, TaskConfig
 
@@ -58,6 +58,7 @@ __all__ = [
     "ReportConfig",
     "RewardConfig",
     "RobotConfig",
+    "StageConfig",
     "TaskConfig",
     "TrainConfig",
 ]

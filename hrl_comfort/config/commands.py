@@ -64,6 +64,9 @@ class TrainConfig(EnvConfig):
         check_fields("", self)
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
         between("agent.demonstrator_envs", self.agent.demonstrator_envs, 0, self.engine.num_envs - 1)
+        total = sum(stage.policy_steps for stage in self.curriculum.stages)
+        if self.curriculum.stages and total != self.agent.policy_steps:
+            raise ConfigError(f"agent.policy_steps={self.agent.policy_steps} is not {total}, the sum of its stages'")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -16,9 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.checks import filled
+from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
+from hrl_comfort.config.stages import settle_budget, stages_of
+from hrl_comfort.config.structured import freeze, schema
 from hrl_comfort.files.atomic import write_text
 
 AS_TRAINED: dict[str, tuple[str, ...]] = {
@@ -26,7 +27,6 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections that take their defaults from the run of the given policy, by root."""
-T = TypeVar("T")
 
 
 def compose(root: str, overrides: Iterable[str] = ()) -> Config:
@@ -42,13 +42,24 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
         if root in AS_TRAINED:
             known = [*_as_trained(known, AS_TRAINED[root]), *known]
         with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
-            return _freeze(ROOTS[root], hydra_compose(root, known))
+            return _settled(ROOTS[root], hydra_compose(root, known), known)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     except RecursionError:
         raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
     except OverflowError as error:
         raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+
+
+def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
+    """Return the configuration `cls` of a composed `node`, with the budgets of its stages settled and checked."""
+    if cls is not TrainConfig:
+        return freeze(cls, node)
+    asked = any(line.startswith("agent.policy_steps=") for line in overrides)
+    settle_budget(node, node.agent.policy_steps if asked else None)
+    config = freeze(TrainConfig, node)
+    stages_of(config)
+    return config
 
 
 def environment(config: EnvConfig) -> EnvConfig:
@@ -74,7 +85,7 @@ def load_config(path: str | Path) -> Config:
         loaded = OmegaConf.load(file)
         for cls in ROOTS.values():
             if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
-                return _freeze(cls, OmegaConf.merge(OmegaConf.structured(_schema(cls)), loaded))
+                return freeze(cls, OmegaConf.merge(OmegaConf.structured(schema(cls)), loaded))
     except OmegaConfBaseException as error:
         raise ConfigError(f"{file}: {one_line(error)}") from error
     except ConfigError:
@@ -134,53 +145,6 @@ def _evaluation_folder(policy: str | None, task: str) -> str:
     return f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}"
 
 
-def _schema(cls: Any) -> Any:
-    """Return a mutable twin of the frozen dataclass `cls`: OmegaConf cannot merge into a frozen one.
-
-    The twin is an attribute of this module, so that other processes can unpickle it.
-    """
-    name = f"{cls.__name__}Schema"
-    if name not in globals():
-        hints = get_type_hints(cls)
-        twins = [(key, _schema(t) if dataclasses.is_dataclass(t) else t) for key, t in hints.items()]
-        globals()[name] = twin = dataclasses.make_dataclass(name, twins)
-        twin.__module__ = __name__
-    return globals()[name]
-
-
-def _freeze(cls: type[T], node: Any) -> T:
-    """Return the dataclass `cls` for `node`; raise ConfigError if a value is missing or not allowed."""
-    missing = sorted(OmegaConf.missing_keys(node))
-    if missing:
-        raise ConfigError(f"{missing[0]} must be set: {missing[0]}=VALUE")
-    frozen: T = _frozen(cls, OmegaConf.to_container(node, resolve=True))
-    return frozen
-
-
-def _frozen(cls: Any, tree: Any, prefix: str = "") -> Any:
-    values = {}
-    for name, hint in get_type_hints(cls).items():
-        if dataclasses.is_dataclass(hint):
-            values[name] = _frozen(hint, tree[name], f"{prefix}{name}.")
-        else:
-            _check_entries(prefix + name, tree[name], hint)
-            values[name] = tree[name]
-    return cls(**values)
-
-
-def _check_entries(key: str, value: Any, hint: Any) -> None:
-    """Raise ConfigError at empty texts and at misplaced lists and dicts, which OmegaConf accepts."""
-    filled(key, value)
-    if get_origin(hint) not in (list, dict):
-        return
-    kind = get_args(hint)[-1]
-    for name, entry in value.items() if isinstance(value, dict) else enumerate(value):
-        if isinstance(entry, dict) or isinstance(entry, list) is not (get_origin(kind) is list):
-            wanted = getattr(kind, "__name__", kind)
-            raise ConfigError(f"{key}={value!r} holds {entry!r}, which is not of type {wanted}")
-        _check_entries(f"{key}.{name}" if isinstance(value, dict) else f"{key}[{name}]", entry, kind)
-
-
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)
 for _root, _cls in ROOTS.items():
-    ConfigStore.instance().store(f"{_root}_schema", _schema(_cls))
+    ConfigStore.instance().store(f"{_root}_schema", schema(_cls))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
+from typing import Any
 
 from hrl_comfort.config.checks import ConfigError, between, one_of, widths
 
@@ -12,8 +14,37 @@ MATMUL_PRECISIONS = ("highest", "high", "medium")
 
 
 @dataclass(frozen=True)
+class StageConfig:
+    """One stage of a training. The fields with a default are those that a list in YAML may leave out."""
+
+    name: str
+    """Written to the column `stage` of metrics.csv."""
+    policy_steps: int
+    """Policy calls of this stage, over all environments."""
+    set: dict[str, Any] = field(default_factory=dict)
+    """Values by their dotted keys (`reward.pick: 20`), in force in this stage alone."""
+    replay: str = "clear"
+    """`clear` empties the replay buffer as the stage begins; `keep` goes on with it, old rewards included."""
+    optimiser: str = "fresh"
+    """`fresh` forgets the optimiser's moments as the stage begins; `keep` goes on with them."""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[\w.-]+", self.name):
+            raise ConfigError(f"curriculum.stages: name={self.name!r} must be letters, digits and ._- only")
+        between(f"curriculum.stages ({self.name}): policy_steps", self.policy_steps, 1, 1e9)
+        one_of(f"curriculum.stages ({self.name}): replay", self.replay, ("keep", "clear"))
+        one_of(f"curriculum.stages ({self.name}): optimiser", self.optimiser, ("keep", "fresh"))
+
+
+@dataclass(frozen=True)
 class CurriculumConfig:
-    """Precision schedule. `task.precision.grasp_tolerance_m` follows it, leave and home keep their ratio to it."""
+    """Precision schedule and stages of a training.
+
+    `task.precision.grasp_tolerance_m` follows the schedule; place and home keep their ratio to it.
+    """
+
+    stages: list[StageConfig]
+    """In the order in which they are trained; none: one stage of `agent.policy_steps`."""
 
     kind: str
     start_m: float
@@ -24,9 +55,12 @@ class CurriculumConfig:
     """`adaptive`: success share over the last `window` episodes that tightens."""
     window: int
     fraction: float
-    """`linear`: share of the training after which `end_m` is reached."""
+    """`linear`: share of the stage after which `end_m` is reached."""
 
     def __post_init__(self) -> None:
+        names = [stage.name for stage in self.stages]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"curriculum.stages are named {', '.join(names)}; give each a name of its own")
         one_of("curriculum.kind", self.kind, CURRICULA)
         between("curriculum.end_m", self.end_m, 0.005, 0.5)
         between("curriculum.start_m", self.start_m, self.end_m, 0.5)
@@ -52,7 +86,7 @@ class AgentConfig:
     buffer_size: int
     learning_rate: float
     learning_rate_end: float | None
-    """The learning rate falls linearly to this over the training; null keeps it."""
+    """The learning rate falls linearly to this over the stage; null keeps it."""
     critic_layer_norm: bool
     """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
     tau: float

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -122,6 +122,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         return line
     kind: Any = ROOTS[root]
     for depth, name in enumerate(parts := key.split(".")):
+        if get_origin(kind) is list and name.isdigit():
+            kind = get_args(kind)[0]
+            continue
         if get_origin(kind) is dict:
             return line if line[0] == "+" else f"++{line}"  # Hydra adds new keys of a dict only with ++
         fields = get_type_hints(kind) if is_dataclass(kind) else {}

@@ -1,48 +1,46 @@
-"""What a training steps: an environment, who shows the way in some of its rows, and who goes on after it."""
+"""Collectors step environments for the trainer, optionally with a demonstrator in some of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from hrl_comfort.config import AgentConfig, ConfigError
+from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
+from hrl_comfort.config.compose import environment
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.load import make_policy, observed_by
+from hrl_comfort.tasks import subtask
 
 Demonstrator = Callable[[], Tensor]
-"""() -> the actions (guided rows, A) in [-1, 1] that a guide takes now."""
+"""() -> actions (demonstrator_envs, A) in [-1, 1] for the first environments."""
 NextSkillValue = Callable[[Tensor], Tensor]
-"""success (N,) bool of the latest decision -> value (N,) to the policy that takes over, 0 without success."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Of what is stepped."""
-
-    rows: int
-    observation_dim: int
-    action_dim: int
-    reward_names: tuple[str, ...]
+"""success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
+STARTS = {"pick": "at_ball", "place": "at_drop"}
+"""A subtask's last stage -> the start of the subtask after it (`Subtask.start`)."""
 
 
 @dataclass(frozen=True)
 class Transition:
-    """What a decision in each of N rows led to."""
+    """Result of one decision in each of N environments."""
 
     action: Tensor
-    """(N, A): what was done, a guide's in its rows."""
+    """(N, A): the action taken, the demonstrator's in its environments."""
     reward: Tensor
     """(N,)."""
     terminal_value: Tensor
-    """(N,): what a success is worth beside, as the policy that takes over values it."""
+    """(N,): value of a success to the next skill, discounted; added to the reward."""
     next_observation: Tensor
-    """(N, D), before a row begins anew."""
+    """(N, D): before an environment is reset."""
     observation: Tensor
-    """(N, D): what the next decision is made on."""
+    """(N, D): the observation of the next decision."""
     reward_terms: Tensor
     """(N, T)."""
     success: Tensor
@@ -57,47 +55,21 @@ class Transition:
     """(N,) int64: control steps in the decision."""
 
 
-COLUMNS = (
-    "success",
-    "terminated",
-    "done",
-    "human_collision",
-    "other_collision",
-    "steps",
-    "decision_steps",
-)
-"""What a `Transition` takes from the environment as it is, but for its last dimension."""
-
-
-class Steps(Protocol):
-    """What a training asks of what it steps, in its own process or another."""
-
-    shape: Shape
-
-    def reset(self, precision_m: float) -> Tensor:
-        """Begin episodes at this precision in every row; return the observation (N, D)."""
-
-    def start(self, action: Tensor, precision_m: float) -> None:
-        """Let a decision (N, A) in [-1, 1] begin; episodes that begin after it are at this precision."""
-
-    def finish(self) -> Transition:
-        """Wait for the decision begun; return what it led to."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything a bit-for-bit continuation needs, between two decisions."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> Tensor:
-        """Continue from `state_dict`; return the observation (N, D)."""
-
-    def close(self) -> None:
-        """Let go of what is held."""
+COLUMNS = ("success", "terminated", "done", "human_collision", "other_collision", "steps", "decision_steps")
+"""Fields of `Transition` that the environment reports as (N, 1)."""
 
 
 class Collector:
-    """Steps an environment in this process, when what a decision led to is asked for.
+    """Steps a batched environment one decision at a time.
+
+    Args:
+        config: names the demonstrator and the next skill, and holds gamma.
+        env: TorchRL environment of N rows that reports `COLUMNS` and `reward_terms`.
+        demonstrator: acts in the first environments.
+        next_skill: values of successes.
 
     Raises:
-        ConfigError: the configuration names a guide or a successor, and there is none.
+        ConfigError: the configuration names a demonstrator or a next skill, and there is none.
     """
 
     def __init__(
@@ -111,26 +83,20 @@ class Collector:
             if (named := getattr(config, what)) is not None and given is None:
                 raise ConfigError(f"agent.{what}={named}: this environment knows no {what}")
         self._config, self._env, self._demonstrator, self._next_skill = config, env, demonstrator, next_skill
-        observation = env.observation_spec["observation"]
-        rows, names = env.batch_size[0], env.reward_names
-        self.shape = Shape(rows, observation.shape[-1], env.action_spec.shape[-1], tuple(names))
+        self.num_envs = env.batch_size[0]
+        self.observation_dim = env.observation_spec["observation"].shape[-1]
+        self.action_dim = env.action_spec.shape[-1]
+        self.reward_names = tuple(env.reward_names)
         self._now: TensorDictBase = TensorDict()
-        self._begun: tuple[Tensor, float] | None = None
 
     def reset(self, precision_m: float) -> Tensor:
-        """See `Collector`."""
+        """Begin an episode at this precision in every environment; return the observation (N, D)."""
         self._env.set_precision(precision_m)
         self._now = self._env.reset()
         return self._now["observation"]
 
-    def start(self, action: Tensor, precision_m: float) -> None:
-        """See `Collector`."""
-        self._begun = action, precision_m
-
-    def finish(self) -> Transition:
-        """See `Collector`."""
-        assert self._begun is not None
-        (action, precision_m), self._begun = self._begun, None
+    def step(self, action: Tensor, precision_m: float) -> Transition:
+        """Take actions (N, A) in [-1, 1]; episodes that begin after them are at this precision."""
         self._env.set_precision(precision_m)
         if self._demonstrator is not None:
             shown = self._demonstrator()
@@ -153,14 +119,81 @@ class Collector:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """See `Collector`."""
+        """Return everything that a bit-for-bit continuation needs."""
         return {"env": self._env.state_dict(), "now": dict(self._now.items())}
 
     def load_state_dict(self, state: dict[str, Any]) -> Tensor:
-        """See `Collector`."""
+        """Continue from `state_dict`; return the observation (N, D)."""
         self._env.load_state_dict(state["env"])
         self._now = TensorDict(state["now"], batch_size=self._env.batch_size)
         return self._now["observation"]
 
-    def close(self) -> None:
-        """See `Collector`; nothing is held."""
+
+def make_collector(config: TrainConfig) -> Collector:
+    """Return a collector over the batched workcells of `config`.
+
+    Raises:
+        ConfigError: a choice is not allowed, or the demonstrator or the next skill does not fit the task.
+    """
+    env = CellEnv(environment(config), config.engine.num_envs, config.episode_seed)
+    demonstrator = None if config.agent.demonstrator is None else make_demonstrator(config, env)
+    next_skill = None if config.agent.next_skill is None else make_next_skill_value(config, env)
+    return Collector(config.agent, env, demonstrator, next_skill)
+
+
+def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
+    """Return the policy `agent.demonstrator` for the first environments of `env`.
+
+    Raises:
+        ConfigError: there is no such policy, or it does not fit this training.
+    """
+    source, episodes = config.agent.demonstrator, env.engine.episodes
+    rows = torch.arange(config.agent.demonstrator_envs)
+    assert source is not None
+    if source == "random":
+        raise ConfigError(
+            "agent.demonstrator=random demonstrates nothing; choose potential_field, expert or a run folder"
+        )
+    try:
+        act = make_policy(source, episodes.subtask, env.engine.scene, environment(config), config.train_seed)
+    except ConfigError as error:
+        raise ConfigError(f"agent.demonstrator={source}: {error}") from error
+
+    def demonstrator() -> Tensor:
+        assert episodes.state is not None
+        return act(episodes.state.rows(rows))
+
+    return demonstrator
+
+
+def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
+    """Return the value of the states that `env` ends in to the policy `agent.next_skill`.
+
+    The target of a success then bootstraps on that policy's critics, as one policy's would in the longer task, if
+    both were trained with the same gamma and rewards, which is not checked.
+
+    Raises:
+        ConfigError: there is no such policy, it starts elsewhere, or it does not fit this training.
+    """
+    source = Path(config.agent.next_skill or "")
+    try:
+        policy = load_policy(source, critics=True)
+        spec = policy.spec
+        task = subtask(spec["task"], spec["environment"]["observation"], config.task.balls)
+        seen = observed_by(policy, str(source), task, environment(config))
+    except ConfigError as error:
+        raise ConfigError(f"agent.next_skill={source}: {error}") from error
+    own = subtask(config.task.name, config.task.observation, config.task.balls)
+    if task.start != STARTS.get(own.stages[-1].name):
+        raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
+
+    def next_skill(success: Tensor) -> Tensor:
+        values = torch.zeros(len(success))
+        rows = success.nonzero()[:, 0]
+        if len(rows):
+            assert env.last is not None
+            state = env.last.state.rows(rows)
+            values[rows] = policy.value(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
+        return values
+
+    return next_skill

@@ -114,7 +114,7 @@ class ControllerTraining:
                         checkpoint.save_resumable(checkpoints, self.state_dict())
                     self._save()
                 latest = [episode[0] > 0 for episode in self.finished[-100:]]
-                show(min(self.options, agent.options), latest, precision_m)
+                show(min(self.options, agent.options), latest, precision_m, "")
         self._provenance(finished=True)
         checkpoint.drop_resumable(checkpoints)
 

@@ -66,12 +66,12 @@ def compose_line(output: Path, chosen: dict[str, str]) -> dict[str, TrainConfig]
 
 def train_line(trainings: dict[str, TrainConfig]) -> dict[str, Path]:
     """Train the subtasks in order, each from recorded endings of the one before; return their folders."""
-    from hrl_comfort.training.cell import train_cell
+    from hrl_comfort.training.trainer import train
 
     folders: dict[str, Path] = {}
     start = "ik"
     for name, config in trainings.items():
-        folder = folders[name] = train_cell(replace(config, task=replace(config.task, start=start)))
+        folder = folders[name] = train(replace(config, task=replace(config.task, start=start)))
         if name != LINE[-1]:
             start = str(terminal_states_of(folder))
     return folders

@@ -71,7 +71,7 @@ class MetricsLog:
     def __init__(self, folder: Path, reward_names: tuple[str, ...]) -> None:
         self._folder = folder
         self._outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
-        self.columns = ("policy_steps", "updates", "episodes", "precision_m", *self._outcomes, *TERMS)
+        self.columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *self._outcomes, *TERMS)
         self._sums: dict[str, float] = {}
         self._finished = self._updates = self._episodes = self._rows = 0
         self._board: SummaryWriter | None = None
@@ -99,8 +99,10 @@ class MetricsLog:
         for name, value in values.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
 
-    def write_row(self, policy_steps: int, updates: int, precision_m: float, timing: tuple[float, ...]) -> None:
-        """Write a row; `timing` is seconds, decisions per s and updates per s."""
+    def write_row(
+        self, policy_steps: int, stage: str, updates: int, precision_m: float, timing: tuple[float, ...]
+    ) -> None:
+        """Write a row; `timing` is seconds, policy steps per s and updates per s."""
         row: dict[str, float] = {
             "policy_steps": policy_steps,
             "updates": updates,
@@ -110,7 +112,7 @@ class MetricsLog:
         for names, count in ((self._outcomes, self._finished), (TERMS, self._updates)):
             if count:
                 row |= {name: self._sums[name] / count for name in names}
-        self._append("metrics.csv", [row.get(name) for name in self.columns])
+        self._append("metrics.csv", [stage if name == "stage" else row.get(name) for name in self.columns])
         self._append("timing.csv", [policy_steps, *timing])
         assert self._board is not None
         for name, value in row.items():
@@ -121,8 +123,8 @@ class MetricsLog:
         self._finished = self._updates = 0
         self._rows += 1
 
-    def _append(self, name: str, values: list[float | None]) -> None:
-        cells = ["" if v is None else v if isinstance(v, int) else f"{v:.6g}" for v in values]
+    def _append(self, name: str, values: list[float | str | None]) -> None:
+        cells = ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in values]
         with (self._folder / name).open("a", newline="") as file:
             csv.writer(file, lineterminator="\n").writerow(cells)
 

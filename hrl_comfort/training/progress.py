@@ -1,4 +1,4 @@
-"""The line that a training shows while it runs."""
+"""Progress line of a training."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-Show = Callable[[int, Sequence[bool], float], None]
-"""(decisions, success of the latest episodes, precision in m) -> what is shown."""
+Show = Callable[[int, Sequence[bool], float, str], None]
+"""(policy steps, success of the latest episodes, precision in m, stage) -> the line."""
 
 
 @contextmanager
 def training_line(task: str, total: int, done: int) -> Iterator[Show]:
-    """Show a line with the task, the success so far, the precision and the time left."""
+    """Show a line with the task and stage, the success so far, the precision and the time left."""
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}{task.fields[stage]}"),
         BarColumn(),
         TextColumn("{task.percentage:3.0f}%"),
         TextColumn("success {task.fields[success]}"),
@@ -26,10 +26,16 @@ def training_line(task: str, total: int, done: int) -> Iterator[Show]:
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, refresh_per_second=2, speed_estimate_period=60) as progress:
-        line = progress.add_task(f"train {task}", total=total, completed=done, success="-", precision="-")
+        line = progress.add_task(f"train {task}", total=total, completed=done, success="-", precision="-", stage="")
 
-        def show(policy_steps: int, outcomes: Sequence[bool], precision_m: float) -> None:
+        def show(policy_steps: int, outcomes: Sequence[bool], precision_m: float, stage: str) -> None:
             success = f"{sum(outcomes) / len(outcomes):4.0%}" if outcomes else "-"
-            progress.update(line, completed=policy_steps, success=success, precision=f"{precision_m:.3g} m")
+            progress.update(
+                line,
+                completed=policy_steps,
+                success=success,
+                precision=f"{precision_m:.3g} m",
+                stage=f" ({stage})" if stage else "",
+            )
 
         yield show

@@ -15,9 +15,8 @@ from hrl_comfort.config.compose import compose, load_config, save_config
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.report.report import report
-from hrl_comfort.training.cell import train_cell
 from hrl_comfort.training.hierarchy_trainer import demo
-from hrl_comfort.training.trainer import Training
+from hrl_comfort.training.trainer import Training, train
 from tests.stopping import stopping
 
 SMALL = [
@@ -41,7 +40,7 @@ def evaluation(*overrides: str) -> EvaluateConfig:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return train_cell(small(tmp_path_factory.mktemp("run") / "pick"))
+    return train(small(tmp_path_factory.mktemp("run") / "pick"))
 
 
 def test_a_run_folder_holds_what_the_contract_says(run: Path) -> None:
@@ -55,17 +54,17 @@ def test_a_run_folder_holds_what_the_contract_says(run: Path) -> None:
 
 def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(run: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pick"
-    with stopping(Training, "decide", lambda training: training.policy_steps >= 480):
-        train_cell(small(folder))
+    with stopping(Training, "step", lambda training: training.policy_steps >= 480):
+        train(small(folder))
     torch.manual_seed(12345)
-    train_cell(small(tmp_path / "unused", f"resume='{folder}'"))
+    train(small(tmp_path / "unused", f"resume='{folder}'"))
     assert (folder / "metrics.csv").read_bytes() == (run / "metrics.csv").read_bytes()
     observation = torch.linspace(-1, 1, 36).repeat(3, 1)
     assert torch.equal(load_policy(folder)(observation), load_policy(run)(observation))
 
 
 def test_two_seeds_train_differently(run: Path, tmp_path: Path) -> None:
-    other = train_cell(small(tmp_path / "other", "train_seed=1"))
+    other = train(small(tmp_path / "other", "train_seed=1"))
     assert (other / "metrics.csv").read_bytes() != (run / "metrics.csv").read_bytes()
 
 
@@ -88,7 +87,7 @@ def test_a_policy_of_another_subtask_is_refused_in_one_line(run: Path) -> None:
 
 
 def test_training_goes_on_from_a_policy(run: Path, tmp_path: Path) -> None:
-    folder = train_cell(small(tmp_path / "on", f"initial_policy='{run}'", "agent.policy_steps=160"))
+    folder = train(small(tmp_path / "on", f"initial_policy='{run}'", "agent.policy_steps=160"))
     assert (folder / "policy.pt").is_file()
 
 
@@ -141,13 +140,13 @@ def test_a_damaged_policy_is_refused_in_one_line(run: Path, tmp_path: Path, dama
     with pytest.raises(ConfigError, match=r"policy\.pt") as in_evaluation:
         evaluate(evaluation(f"policy={file}", "episodes=2", f"output='{tmp_path}/eval'"))
     with pytest.raises(ConfigError, match=r"policy\.pt") as in_training:
-        train_cell(small(tmp_path / "on", f"initial_policy={file}"))
+        train(small(tmp_path / "on", f"initial_policy={file}"))
     assert "\n" not in f"{in_evaluation.value}{in_training.value}"
 
 
 def test_a_training_that_ended_before_its_first_checkpoint_leaves_its_folder_free(tmp_path: Path) -> None:
     save_config(small(tmp_path), tmp_path / "config.yaml")
-    assert (train_cell(small(tmp_path, "agent.policy_steps=160")) / "policy.pt").is_file()
+    assert (train(small(tmp_path, "agent.policy_steps=160")) / "policy.pt").is_file()
 
 
 def test_a_chain_takes_no_policy_and_a_policy_no_chain() -> None:
