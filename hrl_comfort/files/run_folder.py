@@ -81,7 +81,7 @@ def _rows(path: Path) -> list[Row] | None:
 
 def _table(path: Path) -> dict[str, Floats] | None:
     rows = _rows(path)
-    return {name: column(rows, name) for name in rows[0]} if rows else None
+    return {name: column(rows, name) for name in rows[0] if name != "stage"} if rows else None
 
 
 def _logged(folder: Path) -> dict[str, Floats] | None:
