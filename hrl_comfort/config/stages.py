@@ -18,7 +18,8 @@ from hrl_comfort.config.structured import freeze, schema
 SETTABLE = ("agent", "comfort", "curriculum", "human", "reward", "task.precision", "task.resample_start_probability")
 FIXED = (
     "agent.policy_steps", "agent.learning_starts", "agent.batch_size", "agent.buffer_size", "agent.hidden",
-    "agent.critic_layer_norm", "agent.entropy_coefficient", "agent.normalise", "agent.device", "agent.log_every", "agent.checkpoint_every",
+    "agent.critic_layer_norm", "agent.entropy_coefficient", "agent.normalise", "agent.device", "agent.log_every",
+    "agent.checkpoint_every",
     "agent.keep_checkpoints", "comfort.levels", "curriculum.stages",
 )  # fmt: skip
 """Keys that hold for the whole training: sizes, budgets, and what is counted over all stages."""
