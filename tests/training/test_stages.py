@@ -154,8 +154,8 @@ def test_stages_do_not_accumulate_and_the_budget_is_theirs():
     (_, first), (_, second) = stages_of(config)
     assert (first.reward.pick, second.reward.pick) == (7, config.reward.pick)
     assert (config.agent.policy_steps, first.agent.policy_steps) == (100, 30)
-    ((stage, only),) = stages_of(compose("train"))
-    assert stage.name == "train" and only == compose("train")
+    ((stage, only),) = stages_of(config := compose("train"))
+    assert stage.name == "train" and only == config
 
 
 def test_a_budget_asked_for_scales_every_stage():
