@@ -18,7 +18,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
-from hrl_comfort.sweeps.subprocesses import KilledError
+from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 
 VERBS = {
@@ -29,10 +29,6 @@ VERBS = {
     "bench": "measure the environment (env), updates (update), learning (train)",
     "demo": "train, evaluate, chain and report, in minutes",
 }
-
-ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
-"""What gets one line and no traceback: a wrong choice, a training that diverged, a process that was killed, a
-file that is not there."""
 
 
 def train(overrides: list[str]) -> None:

@@ -1,1 +1,1 @@
-"""Multirun: the launcher and its jobs."""
+"""Sweeps (`-m`): the launcher and its jobs."""

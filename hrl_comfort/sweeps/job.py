@@ -1,4 +1,4 @@
-"""One job of a sweep: it is run, what it came to is noted, and the others go on."""
+"""One job of a sweep: it runs, records its outcome and leaves the other jobs alone."""
 
 from __future__ import annotations
 
@@ -14,79 +14,74 @@ from hrl_comfort.analysis.intervals import column
 from hrl_comfort.analysis.job_status import Left, OtherRunError, left
 from hrl_comfort.analysis.learning_curve import curve_of
 from hrl_comfort.analysis.training_end import training_end
-from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
-from hrl_comfort.sweeps.subprocesses import KilledError, run_apart
+from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
 
 Run = Callable[[list[str]], None]
-"""What runs a verb with its overrides."""
-ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
-"""Failures whose message says it all; of others the class is named too."""
-TOLD_TOGETHER = ("basic", "joblib")
-"""Launchers whose jobs are told to stop together: one that is told ends the sweep."""
+"""Runs a verb with overrides."""
+LOCAL_LAUNCHERS = ("basic", "joblib")
+"""Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a job ended; as a number, for a sweeper that searches, its `score`."""
+class JobResult:
+    """Outcome of a job; `float` gives its `score` to a search."""
 
-    what: str
+    status: str
     folder: str = ""
-    problem: str | None = None
+    error: str | None = None
     score: float = math.nan
-    """Of a training that of its `LearningCurve`, of an evaluation success, 0 to 1."""
+    """Training: that of its `LearningCurve`. Evaluation: success, 0 to 1."""
 
     def __float__(self) -> float:
-        """Return the score; raise ValueError where there is none."""
-        if self.problem is not None or math.isnan(self.score):
-            raise ValueError(self.problem or "no episode has ended, so there is no score")
+        """Return the score; raise ValueError if there is none."""
+        if self.error is not None or math.isnan(self.score):
+            raise ValueError(self.error or "no episode has ended, so there is no score")
         return self.score
 
 
-def job(verb: str, run: Run, command: str, _: object) -> Ended:
-    """Run what is left of one job of a sweep; return what was done, or what stopped it: the others go on."""
+def job(verb: str, run: Run, command: str, _: object) -> JobResult:
+    """Run the unfinished part of a job; return its outcome, failures included."""
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     overrides = tuple(str(line) for line in hydra.overrides.task)
     launcher, sweeper = (hydra.runtime.choices[f"hydra/{each}"] for each in ("launcher", "sweeper"))
-    shared = launcher == "joblib" and hydra.launcher.n_jobs != 1  # its processes serve several jobs
+    in_worker = launcher == "joblib" and hydra.launcher.n_jobs != 1
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
-    GlobalHydra.instance().clear()  # the job composes for itself, as a single run does
+    GlobalHydra.instance().clear()  # the job composes its own configuration
+    if in_worker:
+        end_with_parent()  # an orphaned worker would wait for jobs
     try:
         config = compose(root_of(verb), words)
         assert isinstance(config, TrainConfig | MetaControllerTrainConfig | EvaluateConfig)
         rest = left(config)
         record.write(folder)
         if rest is not Left.NOTHING:
-            what = [override("resume", folder)] if rest is Left.REST else words
-            run_apart(verb, what) if shared else run(what)
+            arguments = [override("resume", folder)] if rest is Left.REST else words
+            run_in_subprocess(verb, arguments) if in_worker else run(arguments)
         replace(record, state="done").write(folder)
-        return Ended(rest.value, str(folder), score=math.nan if sweeper == "basic" else _score(folder))
+        return JobResult(rest.value, str(folder), score=math.nan if sweeper == "basic" else _score(folder))
     except Preempted as stopped:
         replace(record, state="stopped", why=str(stopped)).write(folder)
-        if launcher in TOLD_TOGETHER:
+        if launcher in LOCAL_LAUNCHERS:
             raise
-        return Ended("stopped", str(folder), str(stopped))
-    except Exception as error:  # noqa: BLE001  whatever it was, it is reported and the other jobs go on
-        return failed(record, folder, error)
-
-
-def failed(record: Job, folder: Path, error: Exception) -> Ended:
-    """Note in its record, and return, what a job failed of."""
-    kind = "" if isinstance(error, ERRORS) else f"{type(error).__name__}: "
-    why = " ".join(f"{kind}{error}".split())
-    if not isinstance(error, OtherRunError):  # its record is that run's
-        replace(record, state="failed", why=why).write(folder)
-    return Ended("failed", str(folder), why)
+        return JobResult("stopped", str(folder), str(stopped))
+    except Exception as error:  # noqa: BLE001  any failure is reported, and the other jobs continue
+        name = "" if isinstance(error, ERRORS) else f"{type(error).__name__}: "
+        why = " ".join(f"{name}{error}".split())
+        if not isinstance(error, OtherRunError):  # the record in the folder is that of the other run
+            replace(record, state="failed", why=why).write(folder)
+        return JobResult("failed", str(folder), why)
 
 
 def _score(folder: Path) -> float:
-    """Return the score of a finished job: at the end of a training, or of an evaluation."""
+    """Return the score of a finished training or evaluation."""
     found = read_run(folder)
     if found.metrics is not None:
         return training_end(found.metrics).get(curve_of(found.metrics).score, math.nan)

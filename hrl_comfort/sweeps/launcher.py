@@ -1,9 +1,8 @@
-"""`hrl-comfort VERB -m`: every combination of the swept overrides, each in a folder of its own."""
+"""`hrl-comfort VERB -m`: every combination of the swept overrides, each in its own folder."""
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,7 +19,8 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import filled
 from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
 from hrl_comfort.files.sweep_record import find_jobs, planned
-from hrl_comfort.sweeps.job import ERRORS, Ended, Run, job
+from hrl_comfort.sweeps.job import Run, job
+from hrl_comfort.sweeps.subprocesses import ERRORS
 
 EXTRAS = {
     "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
@@ -28,97 +28,94 @@ EXTRAS = {
     "ray": ("ray", "hydra_plugins.hydra_ray_launcher"),
     "optuna": ("optuna", "hydra_plugins.hydra_optuna_sweeper"),
 }
-"""Launchers and sweepers that need an extra: its name, and the module that it brings."""
+"""Extra and module of each launcher and sweeper that needs one."""
 
 
 def multirun(verb: str, run: Run, checked: list[str], outputs: list[str]) -> None:
-    """Run `verb` once for every combination of the swept overrides, each in its own folder.
+    """Run `verb` once for every combination of the swept overrides and print how each job ended.
 
-    `checked` is what `compose.check_overrides` returns, `outputs` what `output=` says. Jobs run in parallel,
-    unless a launcher says otherwise.
+    `checked` are overrides from `check_overrides`, `outputs` the values of `output=`.
 
     Raises:
-      ConfigError: a choice is not allowed, or jobs are not done; the others have gone on.
+      ConfigError: a choice is not allowed, or a job is not done; the other jobs have run.
     """
-    rest = [*checked, *(line for each in outputs for line in _folders(each))]
-    rest += _of_plugins(rest)
+    rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
+    rest += _plugin_overrides(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
-    command, batches, broke = uuid.uuid4().hex, None, ""
+    command, batches, crash = uuid.uuid4().hex, None, ""
     task = partial(job, verb, run, command)
     root = root_of(verb)
     try:
         asked = hydra_app.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
         folder = Path(asked.hydra.sweep.dir)
-        rest.append(override("hydra.sweep.dir", folder))  # it may hold the time, which goes on
+        rest.append(override("hydra.sweep.dir", folder))  # its default holds the time, which must not change
         batches = hydra_app.multirun(root, task, rest, with_log_configuration=False)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     except ERRORS:
         raise
-    except Exception as error:  # noqa: BLE001  of a launcher or sweeper, whose classes only its extra knows
-        broke = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    except Exception as error:  # noqa: BLE001  launchers and sweepers of extras raise classes of their own
+        crash = f"{type(error).__name__}: {' '.join(str(error).split())}"
     finally:
         GlobalHydra.instance().clear()
     if batches is None:
-        _say_from_records(folder, command, broke)
-    else:
-        _say([(each.overrides or (), each.return_value) for batch in batches for each in batch])
+        _report_records(folder, command, crash)
+        return
+    results = [(each.overrides or (), each.return_value) for batch in batches for each in batch]
+    for overrides, result in results:
+        print(f"{result.status}: {' '.join(overrides)}: {result.error or result.folder}")
+    failed = sum(result.error is not None for _, result in results)
+    if failed:
+        raise ConfigError(f"{failed} of {len(results)} jobs failed")
 
 
-def _say(jobs: list[tuple[Sequence[str], Ended]]) -> None:
-    """Print how each job, of these overrides, ended; raise ConfigError if one is not done."""
-    not_done = 0
-    for overrides, ended in jobs:
-        not_done += ended.problem is not None
-        print(f"{ended.what}: {' '.join(overrides)}: {ended.problem or ended.folder}")
-    if not_done:
-        raise ConfigError(f"{not_done} of {len(jobs)} jobs failed")
+def _report_records(folder: Path, command: str, crash: str) -> None:
+    """Print the jobs from their records: Optuna returns none, nor does a launcher that raised `crash`.
 
-
-def _say_from_records(folder: Path, command: str, broke: str) -> None:
-    """Print how the jobs stand where the sweeper returned nothing: Optuna's, or one that an error ended."""
+    A record says `running` if its job was killed. On a cluster, such a job may also still run.
+    """
     jobs = {where: each for where, each in find_jobs(folder).items() if each.command == command}
     for where, each in jobs.items():
-        print(f"{each.state}: {' '.join(each.overrides)}: {each.why or where}")
-    begun = {each.overrides for each in jobs.values()}
-    waiting = [each for each in planned(folder) if each not in begun] if broke else []
+        lost = each.state == "running"
+        why = f"no result in {where}: it was killed, or still runs" if lost else each.why or where
+        print(f"{'failed' if lost else each.state}: {' '.join(each.overrides)}: {why}")
+    started = {each.overrides for each in jobs.values()}
+    waiting = [each for each in planned(folder) if each not in started] if crash else []
     for overrides in waiting:
-        print(f"not begun: {' '.join(overrides)}")
-    not_done = sum(each.state != "done" for each in jobs.values()) + len(waiting)
-    if broke:
+        print(f"not started: {' '.join(overrides)}")
+    not_done, count = sum(each.state != "done" for each in jobs.values()) + len(waiting), len(jobs) + len(waiting)
+    if crash:
         raise ConfigError(
-            f"{not_done} of {len(jobs) + len(waiting)} jobs are not done ({broke}); "
-            "the same command again does what is left"
+            f"{not_done} of {count} jobs are not done ({crash}); run the same command again to finish them"
         )
     if not_done:
-        raise ConfigError(f"{not_done} of {len(jobs)} jobs failed")
+        raise ConfigError(f"{not_done} of {count} jobs failed")
 
 
-def _of_plugins(overrides: list[str]) -> list[str]:
-    """Return what the chosen sweeper has to be told besides; raise ConfigError where an extra is missing."""
+def _plugin_overrides(overrides: list[str]) -> list[str]:
+    """Return further overrides for the chosen sweeper; raise ConfigError if an extra is missing."""
     chosen = dict(line.split("=", 1) for line in overrides if line.startswith("hydra/"))
     for key in ("hydra/launcher", "hydra/sweeper"):
         extra, module = EXTRAS.get(chosen.get(key, ""), ("", ""))
         if extra and find_spec(module) is None:
-            what = f"{key}={chosen[key]}"
-            raise ConfigError(f"{what} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
+            raise ConfigError(f"{key}={chosen[key]} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
     if chosen.get("hydra/sweeper") != "optuna":
         return []
     wanted = {"hydra.sweeper.direction": "maximize"}
-    if chosen.get("hydra/sweeper/sampler") != "grid":  # which draws nothing
-        wanted["hydra.sweeper.sampler.seed"] = "0"  # so that the same command asks for the same trials
+    if chosen.get("hydra/sweeper/sampler") != "grid":  # which has no seed
+        wanted["hydra.sweeper.sampler.seed"] = "0"  # the same command repeats the same trials
     return [
         f"{key}={value}" for key, value in wanted.items() if not any(line.startswith(f"{key}=") for line in overrides)
     ]
 
 
-def _folders(output: str) -> list[str]:
-    """Return what tells Hydra where the jobs write: in `output`, numbered, unless it says `${...}` itself."""
+def _folder_overrides(output: str) -> list[str]:
+    """Return Hydra's overrides for `output`: numbered subfolders, unless it contains `${...}`."""
     output = output.strip("'\"")
     filled("output", output)
     head, sign, tail = output.partition("${")
     if not sign:
         return [f"hydra.sweep.dir='{output}'"]
-    above, _, name = head.rpartition("/")
-    return [f"hydra.sweep.dir='{above or '.'}'", f"hydra.sweep.subdir='{name}{sign}{tail}'"]
+    parent, _, name = head.rpartition("/")
+    return [f"hydra.sweep.dir='{parent or '.'}'", f"hydra.sweep.subdir='{name}{sign}{tail}'"]

@@ -1,11 +1,12 @@
-"""Processes of one's own, which run the same code, and the jobs of a sweep in them.
+"""Runs of the command in a subprocess, for the jobs of a sweep.
 
-A job that is killed, out of memory say, takes no other along: joblib gives up a whole sweep when one of its
-processes is killed, so these only start the job and wait.
+joblib gives up a sweep if one of its workers is killed, for example for want of memory. A worker therefore runs each
+job in a subprocess and waits; a killed job leaves the others alone.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -15,52 +16,57 @@ from types import FrameType
 from hrl_comfort.config import ConfigError
 from hrl_comfort.training.preemption import Preempted
 
-PYTHON = (sys.executable, "-P", "-m")
-"""Runs a module, wherever the command was given: `-P` keeps the modules that lie there out."""
-COMMAND = (*PYTHON, "hrl_comfort")
+COMMAND = (sys.executable, "-P", "-m", "hrl_comfort")
+"""The command; `-P` keeps the working directory off the module path."""
 PREFIX = "hrl-comfort: "
+PR_SET_PDEATHSIG = 1
+"""linux/prctl.h"""
+LIBC = ctypes.CDLL(None)
 
 
 class KilledError(Exception):
-    """A process of one's own was killed, or is over before its time."""
+    """A subprocess was killed by a signal."""
 
 
-def same_paths() -> dict[str, str]:
-    """Return the variables under which another Python finds the modules that this one does."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
+"""Errors that are reported by their message alone."""
 
 
-def ended_by(code: int) -> str:
-    """Return what ended a process with this exit code, negative if it was a signal."""
-    if code >= 0:
-        return f"has ended, with exit code {code}"
-    memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
-    return f"was ended by {signal.Signals(-code).name}{memory}"
+def end_with_parent() -> None:
+    """Let the kernel kill this process when its parent ends (Linux only)."""
+    if sys.platform == "linux":
+        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def run_apart(verb: str, words: list[str]) -> None:
-    """Run `hrl-comfort verb words` in a process of its own; SIGTERM is passed on to it.
+def run_in_subprocess(verb: str, words: list[str]) -> None:
+    """Run `hrl-comfort verb words` in a subprocess, which gets this process's SIGTERM and ends with it.
 
     Raises:
-      ConfigError: it failed; what it said last.
-      KilledError: it was killed.
-      Preempted: it was told to stop, and has.
+      ConfigError: it failed; the message is its last line.
+      KilledError: it was killed by a signal.
+      Preempted: it stopped after SIGTERM.
     """
-    last, told = "", False
+    last, asked = "", False
     children: list[subprocess.Popen[str]] = []
 
-    def pass_on(number: int, _: FrameType | None) -> None:
-        nonlocal told
-        told = True
-        for each in children:
-            each.send_signal(number)
+    def forward(number: int, _: FrameType | None) -> None:
+        nonlocal asked
+        asked = True
+        for child in children:
+            child.send_signal(number)
 
-    before = signal.signal(signal.SIGTERM, pass_on)
+    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    before = signal.signal(signal.SIGTERM, forward)
     try:
-        command = [*COMMAND, *verb.split(), *words]
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=same_paths()) as child:
+        with subprocess.Popen(
+            [*COMMAND, *verb.split(), *words],
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": paths},
+            preexec_fn=end_with_parent,
+        ) as child:
             children.append(child)
-            if told:  # while it was being started
+            if asked:  # during the start
                 child.send_signal(signal.SIGTERM)
             assert child.stderr is not None
             for line in child.stderr:
@@ -70,9 +76,10 @@ def run_apart(verb: str, words: list[str]) -> None:
     finally:
         signal.signal(signal.SIGTERM, before)
     why = last.removeprefix(PREFIX)
-    if code == 128 + signal.SIGTERM or (told and code == -signal.SIGTERM):
+    if code == 128 + signal.SIGTERM or (asked and code == -signal.SIGTERM):
         raise Preempted(why or "stopped by SIGTERM")
     if code < 0:
-        raise KilledError(f"its process {ended_by(code)}")
+        memory = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
+        raise KilledError(f"its process was ended by {signal.Signals(-code).name}{memory}")
     if code:
         raise ConfigError(why or f"exit code {code}")

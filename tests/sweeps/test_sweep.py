@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,12 +19,12 @@ from hydra._internal.hydra import Hydra
 
 from hrl_comfort import __main__ as commands
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.sweep_record import find_jobs
+from hrl_comfort.files.sweep_record import find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
 from hrl_comfort.sweeps import launcher as sweep
-from hrl_comfort.sweeps import subprocesses as own_process
-from hrl_comfort.sweeps.job import Ended
-from hrl_comfort.sweeps.subprocesses import KilledError, run_apart
+from hrl_comfort.sweeps import subprocesses
+from hrl_comfort.sweeps.job import JobResult
+from hrl_comfort.sweeps.subprocesses import KilledError, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
 
 Script = Callable[[str], None]
@@ -32,7 +35,7 @@ def says(monkeypatch: pytest.MonkeyPatch) -> Script:
     """Let a script stand for the command."""
 
     def stand_in(script: str) -> None:
-        monkeypatch.setattr(own_process, "COMMAND", (sys.executable, "-c", script))
+        monkeypatch.setattr(subprocesses, "COMMAND", (sys.executable, "-c", script))
 
     return stand_in
 
@@ -42,25 +45,25 @@ def test_a_job_that_is_told_to_stop_before_it_can_say_so_has_stopped(says: Scrip
     alarm = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
     alarm.start()
     with pytest.raises(Preempted, match="stopped by SIGTERM"):
-        run_apart("train", [])
+        run_in_subprocess("train", [])
     alarm.join()
 
 
-def test_a_job_in_its_own_process_tells_what_went_wrong(says: Script) -> None:
+def test_a_job_in_its_subprocesses_tells_what_went_wrong(says: Script) -> None:
     says("import sys; print('warning', file=sys.stderr); sys.exit('hrl-comfort: no such policy')")
     with pytest.raises(ConfigError, match=r"^no such policy$"):
-        run_apart("train", [])
+        run_in_subprocess("train", [])
     says("import os; os.kill(os.getpid(), 9)")
     with pytest.raises(KilledError, match="ended by SIGKILL, perhaps for want of memory"):
-        run_apart("train", [])
+        run_in_subprocess("train", [])
     says("import sys; print('hrl-comfort: go on with resume=a', file=sys.stderr); sys.exit(143)")
     with pytest.raises(Preempted, match=r"^go on with resume=a$"):
-        run_apart("train", [])
+        run_in_subprocess("train", [])
     says("")
-    run_apart("train", [])
+    run_in_subprocess("train", [])
 
 
-def test_a_job_in_its_own_process_is_told_to_stop_too(says: Script) -> None:
+def test_a_job_in_its_subprocesses_is_told_to_stop_too(says: Script) -> None:
     says(
         "import signal, sys, time\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))\n"
@@ -69,7 +72,7 @@ def test_a_job_in_its_own_process_is_told_to_stop_too(says: Script) -> None:
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(Preempted):
-        run_apart("train", [])
+        run_in_subprocess("train", [])
     assert signal.getsignal(signal.SIGTERM) == before
 
 
@@ -85,7 +88,7 @@ def test_a_job_of_a_cluster_that_is_told_to_stop_leaves_the_others_alone(
     words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 128 + signal.SIGTERM, "joblib's jobs are told together"
     assert [job.state for job in find_jobs(tmp_path).values()] == ["stopped"]
-    monkeypatch.setattr(sweep_job, "TOLD_TOGETHER", ())
+    monkeypatch.setattr(sweep_job, "LOCAL_LAUNCHERS", ())
     assert commands.main(words) == 1
     assert [job.state for job in find_jobs(tmp_path).values()] == ["stopped", "done"]
     assert "stopped: policy=a: stopped by SIGTERM" in capsys.readouterr().out
@@ -106,8 +109,65 @@ def test_a_launcher_that_breaks_leaves_an_account_of_every_job(
     words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 1
     out, error = capsys.readouterr()
-    assert out.splitlines() == [f"done: policy=a: {tmp_path}/0", "not begun: policy=b"]
+    assert out.splitlines() == [f"done: policy=a: {tmp_path}/0", "not started: policy=b"]
     assert "1 of 2 jobs are not done (RuntimeError: a worker died)" in error
+
+
+def test_a_job_that_was_lost_is_reported_as_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = Hydra.multirun
+
+    def losing(*args: object, **choices: object) -> None:
+        whole(*args, **choices)
+        replace(read_job(tmp_path / "1"), state="running").write(tmp_path / "1")  # as after a kill
+        raise RuntimeError("Job 1 has not produced any output")
+
+    monkeypatch.setattr(Hydra, "multirun", losing)
+    monkeypatch.setitem(commands.RUN, "evaluate", lambda _: None)
+    words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
+    assert commands.main(words) == 1
+    out, error = capsys.readouterr()
+    assert out.splitlines()[1] == f"failed: policy=b: no result in {tmp_path}/1: it was killed, or still runs"
+    assert "1 of 2 jobs are not done (RuntimeError: Job 1 has not produced any output)" in error
+
+
+def descendants(pid: int) -> set[int]:
+    """Return the living processes below `pid`."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+            if state != "Z":
+                parents[int(stat.parent.name)] = int(parent)
+    below, found = {pid}, set[int]()
+    while below:
+        below = {child for child, parent in parents.items() if parent in below}
+        found |= below
+    return found
+
+
+def alive(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="PR_SET_PDEATHSIG is Linux's")
+def test_a_sweep_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
+    words = ["train", "-m", "task=reach", "train_seed=0,1", "hydra.launcher.n_jobs=2", f"output={tmp_path}"]
+    command = [sys.executable, "-m", "hrl_comfort", *words]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as sweeping:
+        end = time.monotonic() + 300
+        while not all((tmp_path / str(job) / "config.yaml").is_file() for job in range(2)):
+            assert sweeping.poll() is None and time.monotonic() < end, "the jobs have not started"
+            time.sleep(0.2)
+        below = descendants(sweeping.pid)
+        sweeping.kill()
+    end = time.monotonic() + 5
+    while any(map(alive, below)) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert len(below) >= 4 and not [pid for pid in below if alive(pid)]
 
 
 @pytest.mark.parametrize(
@@ -129,10 +189,10 @@ def test_a_missing_extra_is_named_in_one_line(
 
 
 def test_a_search_is_told_the_success_and_nothing_of_a_failure() -> None:
-    assert float(Ended("done", score=0.75)) == 0.75
-    for ended in (Ended("failed", problem="no policy"), Ended("done", score=math.nan)):
+    assert float(JobResult("done", score=0.75)) == 0.75
+    for result in (JobResult("failed", error="no policy"), JobResult("done", score=math.nan)):
         with pytest.raises(ValueError, match=r"no policy|no episode has ended"):
-            float(ended)
+            float(result)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files.sweep_record import find_jobs
-from hrl_comfort.sweeps.subprocesses import run_apart
+from hrl_comfort.sweeps.subprocesses import run_in_subprocess
 from hrl_comfort.training import controller_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining, train_meta_controller
 from hrl_comfort.training.logger import read_provenance
@@ -136,4 +136,4 @@ def test_a_sweep_of_controllers_goes_on_with_what_was_stopped_and_skips_what_is_
 
 def test_a_job_with_a_controller_in_its_own_process_says_the_same(tmp_path):
     with pytest.raises(ConfigError, match=r"^meta_controller_agent\.gamma=2\.0 is outside its range"):
-        run_apart("train meta_controller", ["meta_controller_agent.gamma=2", f"output='{tmp_path}'"])
+        run_in_subprocess("train meta_controller", ["meta_controller_agent.gamma=2", f"output='{tmp_path}'"])
