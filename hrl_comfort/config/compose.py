@@ -9,7 +9,6 @@ from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -146,5 +145,3 @@ def _evaluation_folder(policy: str | None, task: str) -> str:
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)
-for _root, _cls in ROOTS.items():
-    ConfigStore.instance().store(f"{_root}_schema", schema(_cls))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from hrl_comfort.config.checks import ConfigError, filled
+from hrl_comfort.config.overrides import ROOTS
 
 T = TypeVar("T")
 
@@ -78,3 +80,7 @@ def _check_entries(key: str, value: Any, hint: Any) -> None:
             wanted = getattr(kind, "__name__", kind)
             raise ConfigError(f"{key}={value!r} holds {entry!r}, which is not of type {wanted}")
         _check_entries(f"{key}.{name}" if isinstance(value, dict) else f"{key}[{name}]", entry, kind)
+
+
+for _root, _cls in ROOTS.items():
+    ConfigStore.instance().store(f"{_root}_schema", schema(_cls))
