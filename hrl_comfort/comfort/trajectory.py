@@ -38,29 +38,6 @@ UNCERTAINTY_M = 0.0
 """Z_d + Z_r: positions are exact in simulation."""
 
 
-MEASURES = (
-    "tool_path_m",
-    "waiting_share",
-    "joint_increment_mean_deg",
-    "joint_increment_max_deg",
-    "log_dimensionless_jerk",
-    "human_distance_mean_m",
-    "human_distance_min_m",
-    "human_distance_by_path_m",
-    "arm_distance_mean_m",
-    "arm_distance_min_m",
-    "zone_intimate",
-    "zone_personal",
-    "zone_social",
-    "tool_speed_near_m_s",
-    "time_to_contact_min_s",
-    "time_to_contact_short",
-    "separation_margin_min_m",
-    "separation_margin_observed_min_m",
-)
-"""Names of the values of `metrics`, in order."""
-
-
 @dataclass(frozen=True)
 class Trajectory:
     """One episode of T control steps of 20 ms: T + 1 instants."""
@@ -152,3 +129,8 @@ def log_dimensionless_jerk(tool: Floats) -> float | None:
 
 def _ratio(above: float, below: float) -> float | None:
     return float(above / below) if below > 0 else None
+
+
+_STILL = Trajectory(np.zeros((2, 3)), np.ones((2, 2)), np.zeros((2, 6)), np.ones(2), human_here=True)
+MEASURES = tuple(metrics(_STILL))
+"""Names of the values of `metrics`, in order."""

@@ -164,23 +164,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 
 __all__ = [
-    "MOTIONS",
-    "MOTION_STREAM",
-    "NOISE",
-    "EvaluationSet",
-    "KeepOut",
-    "Walk",
-    "advance",
-    "around",
-    "begin",
-    "gait",
-    "jittered_spawn",
-    "load_evaluation_set",
-    "motion",
-    "moved_spawns",
-    "outside",
-    "seen_position",
-    "training_spawn",
-    "training_spawns",
-    "validation_set",
-]
+    "MOTIONS", "MOTION_STREAM", "NOISE", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin", "gait",
+    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "training_spawn",
+    "training_spawns", "validation_set",
+]  # fmt: skip

@@ -5,18 +5,6 @@ from hrl_comfort.scene.robots import ROBOTS, TOOL_LENGTH_M, UrModel, build_robot
 from hrl_comfort.scene.workcell import CONTROL_SPEC, MOCAP, OBSTACLES, PROPS, Scene, build_scene
 
 __all__ = [
-    "CONTROL_SPEC",
-    "LIMBS",
-    "MOCAP",
-    "OBSTACLES",
-    "PROPS",
-    "ROBOTS",
-    "TOOL_LENGTH_M",
-    "Scene",
-    "UrModel",
-    "build_human",
-    "build_robot",
-    "build_scene",
-    "forward_kinematics",
-    "limb_poses",
-]
+    "CONTROL_SPEC", "LIMBS", "MOCAP", "OBSTACLES", "PROPS", "ROBOTS", "TOOL_LENGTH_M", "Scene", "UrModel",
+    "build_human", "build_robot", "build_scene", "forward_kinematics", "limb_poses",
+]  # fmt: skip
