@@ -1,4 +1,4 @@
-"""What every test runs under: one thread, and the same examples every time."""
+"""Common settings: one thread, and the same generated examples in every run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], Path]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say how many inputs were generated, where that was in this process."""
+    """Print the number of inputs generated in this process."""
     if RAN:
         refused = f"{RAN['refused']} refused in one line, the others finite"
         terminalreporter.write_line(f"{RAN['generated']} generated inputs: {refused}")

@@ -1,4 +1,4 @@
-"""What the tests of generated inputs share: how many, what counts as refused, odd values and damage.
+"""Shared parts of tests with generated inputs: number of inputs, refusals, odd values and damage.
 
 HRL_COMFORT_INPUTS says how many are generated in all. By default they are few, and the same every time;
 where it is set they are drawn anew.
@@ -37,13 +37,13 @@ def inputs(share: float) -> settings:
         derandomize="HRL_COMFORT_INPUTS" not in os.environ,
         deadline=None,
         database=None,
-        phases=[Phase.generate],  # a failure is shown as it came: to make it smaller takes minutes
+        phases=[Phase.generate],  # shrinking takes minutes
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     )
 
 
 def tried(call: Callable[[], T]) -> T | None:
-    """Return what `call` gives; None where it is refused in one line. Whatever else is raised is a crash."""
+    """Return the result of `call`, or None if it raises a one-line ConfigError; other errors propagate."""
     RAN["generated"] += 1
     try:
         with warnings.catch_warnings():
@@ -78,7 +78,7 @@ ODD = [
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """A change of some bytes at a place between 0 and 1 of a file."""
+    """A replacement of some bytes at a relative place (0 to 1) of a file."""
 
     place: float
     removed: int
@@ -119,13 +119,13 @@ SIZES = {
     "human_pos": (2,), "human_seen": (2,), "human_yaw": (), "take": (), "leave": (), "home_tolerance": (),
     "arm_distance": (), "level": (), "balls": (1, 3),
 }  # fmt: skip
-"""Of a row of each field of `State`; the others are points."""
+"""Shape of a row of fields of `State`; the others are points."""
 FLAGS = ("human_collision", "table_collision", "self_collision")
 ROWS = 4
 
 
 def random_state(rng: np.random.Generator, exponents: tuple[int, int]) -> State:
-    """Return a state of finite numbers of such powers of ten, among them some zeros and some the same."""
+    """Return a state of random finite numbers with these exponents of ten, some of them zero or equal."""
 
     def numbers_of(size: tuple[int, ...]) -> torch.Tensor:
         scale = 10.0 ** rng.uniform(*sorted(exponents), (ROWS, *size))

@@ -13,7 +13,7 @@ from tests.point_env import Stopped
 
 @contextmanager
 def stopping(training: type, method: str, when: Callable[[Any], bool]) -> Iterator[None]:
-    """Expect a training to end as it calls its `method`, as soon as `when` says so of it."""
+    """Expect a training to end at a call of its `method` for which `when` returns true."""
     call = getattr(training, method)
 
     def stop(self: Any, *given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What happens when a training is killed, preempted or out of disk: nothing is lost."""
+"""A training that is killed, preempted or out of disk loses nothing."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ OUT_OF_DISK, PREEMPTED = 7, 8
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
-    """An undisturbed training."""
+    """Return the folder of an undisturbed training."""
     return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_points)
 
 
 def go_on(folder: Path) -> None:
-    """Train in `folder` from where it is."""
+    """Start or continue the training in `folder`."""
     resumable = (folder / "checkpoints" / "latest.pt", folder / "checkpoints" / "previous.pt")
     begun = any(path.exists() for path in resumable)
     train(small_config(folder, resume=str(folder) if begun else None), make_points)
 
 
 def child(work: Callable[[], None]) -> int:
-    """Run `work` in a process of its own and return its id."""
+    """Run `work` in a child process; return its id."""
     pid = os.fork()
     if pid:
         return pid
@@ -58,7 +58,7 @@ def child(work: Callable[[], None]) -> int:
 
 
 def stopped(folder: Path) -> float:
-    """Train in `folder` until the first row is written, say to stop; return the seconds that took."""
+    """Train in `folder` until the first row, then stop it by SIGTERM; return the seconds it took to stop."""
     pid = child(lambda: go_on(folder))
     log = folder / "metrics.csv"
     while not log.exists() or len(log.read_text().splitlines()) < 2:
@@ -104,7 +104,7 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: Path, tmp_path: Pa
         round_ += 1
 
 
-def test_who_is_told_to_stop_writes_a_checkpoint_and_goes_on_from_there(whole: Path, tmp_path: Path) -> None:
+def test_a_training_that_gets_sigterm_writes_a_checkpoint_and_continues_from_it(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "told"
     assert stopped(folder) < 5
     assert checkpoint.load(folder / "checkpoints" / "latest.pt")["policy_steps"] >= 200
@@ -128,7 +128,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_good(whole: Path, tmp_path: Path
 
 
 class Evil:
-    """What an attacker puts into a file: unpickling it writes one."""
+    """An object that writes a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""Levels come from where they are said to, and no stream, however bad, stops the robot."""
+"""Sources give their levels, and no bad stream raises an error."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def begun(config: ComfortConfig, rows: int, seed: int = 0):
     return source
 
 
-def test_random_levels_are_all_as_likely_and_hold_for_their_episode() -> None:
+def test_random_levels_are_uniform_and_constant_in_an_episode() -> None:
     source = begun(comfort(), 20_000)
     counts = np.bincount(source.level.astype(int))[1:]
     assert len(counts) == 10 and counts.min() > 1800
@@ -43,7 +43,7 @@ def test_random_levels_are_all_as_likely_and_hold_for_their_episode() -> None:
     assert (source.advance(at(5.0, 20_000)) == before).all()
 
 
-def test_changing_levels_change_as_often_as_said_and_within_range() -> None:
+def test_changing_levels_change_at_their_rate_and_within_range() -> None:
     source = begun(comfort("comfort.source=changing", "comfort.change_s=2"), 2000)
     changes, before = 0, source.level.copy()
     for step in range(1, 101):
@@ -51,10 +51,10 @@ def test_changing_levels_change_as_often_as_said_and_within_range() -> None:
         changes += int((now != before).sum())
         before = now
     assert now.min() >= 1 and now.max() <= 10
-    assert changes / 2000 == pytest.approx(5 * 0.9, rel=0.05)  # one in ten draws is the level that was
+    assert changes / 2000 == pytest.approx(5 * 0.9, rel=0.05)  # one in ten draws repeats the level
 
 
-def test_changing_levels_go_on_changing_however_long_an_episode() -> None:
+def test_changing_levels_keep_changing_in_long_episodes() -> None:
     source = begun(comfort("comfort.source=changing", "comfort.change_s=0.1"), 500)
     seen = np.array([source.advance(at(0.01 * step, 500)) for step in range(1, 1001)])
     changes = seen[1:] != seen[:-1]
@@ -76,7 +76,7 @@ def test_scheduled_levels_are_in_force_from_their_times_on() -> None:
     assert source.advance(at(2.0, 1)).item() == 1
 
 
-def test_a_row_begins_anew_while_the_others_go_on() -> None:
+def test_begin_changes_the_given_rows_only() -> None:
     source = begun(comfort(), 4)
     before = source.level.copy()
     source.draws[1, 0] = 0.999
@@ -84,7 +84,7 @@ def test_a_row_begins_anew_while_the_others_go_on() -> None:
     assert source.level[1] == 10 and (np.delete(source.level, 1) == np.delete(before, 1)).all()
 
 
-def test_simulated_person_grows_uneasy_near_a_fast_robot_and_recovers() -> None:
+def test_simulated_level_falls_near_a_fast_robot_and_recovers() -> None:
     source = begun(comfort("comfort.source=simulated"), 1)
     assert source.level.item() == 10
     for _ in range(20):
@@ -95,7 +95,7 @@ def test_simulated_person_grows_uneasy_near_a_fast_robot_and_recovers() -> None:
     assert source.level.item() == 10
 
 
-def test_a_source_goes_on_where_its_state_was_saved() -> None:
+def test_a_source_continues_from_its_state() -> None:
     for name in ("random", "changing", "simulated"):
         first = begun(comfort(f"comfort.source={name}"), 8)
         first.advance(at(0.5, 8, 0.3, 1.0))
@@ -134,7 +134,7 @@ def test_smoothing_follows_with_its_time_constant() -> None:
     assert smooth.level([0]) == round(1 + 9 * np.exp(-1))
 
 
-def test_of_values_that_arrive_together_the_newest_counts_however_smooth() -> None:
+def test_of_simultaneous_values_the_newest_counts() -> None:
     clock = Clock()
     smooth = signal(clock, "comfort.stream.smoothing_s=1", "comfort.stream.high=9")
     assert smooth.level([0, 9]) == 10
@@ -143,7 +143,7 @@ def test_of_values_that_arrive_together_the_newest_counts_however_smooth() -> No
 
 
 @pytest.mark.parametrize("bad", ["abc", "", "nan", "inf", "1e9", "-50", "1_0", "\x00\ufffd"])
-def test_rubbish_keeps_the_last_good_level_and_warns_once(bad: str) -> None:
+def test_a_bad_value_keeps_the_last_good_level_and_warns_once(bad: str) -> None:
     stream = signal(Clock(), "comfort.stream.high=9")
     assert stream.level([7]) == 8
     with pytest.warns(UserWarning, match="not used"):
@@ -195,7 +195,7 @@ def test_datagrams_on_loopback_set_the_level() -> None:
 
 
 def until(source, level: float):
-    """Read until what was sent has arrived."""
+    """Read until the level arrives."""
     for _ in range(200):
         now = source.advance(at(0.0, len(source.level)))
         if (now == level).all():
@@ -277,7 +277,7 @@ def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, text: str) -> No
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
-def test_a_byte_order_mark_and_blank_lines_at_the_end_are_no_damage(tmp_path: Path) -> None:
+def test_a_byte_order_mark_and_blank_lines_at_the_end_are_accepted(tmp_path: Path) -> None:
     plain, marked = (
         read_recording(recorded(tmp_path, text))
         for text in ("t,value\n0,9\n1,4\n", "\ufefft,value\n0,9\n1,4\n\n \n,\n")

@@ -1,4 +1,4 @@
-"""The comfort terms are the paper's equations, its code's, and ours; both worked examples hold."""
+"""Comfort terms: the equations of the paper, of its code and of this project, and the worked examples."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_worked_example_of_distance_fails_with_the_other_thresholds(threshold: s
     assert terms.distance_term(number(0.45), number(6), config).item() < -0.1
 
 
-def test_an_arm_within_a_body_is_as_near_as_one_that_touches_it() -> None:
+def test_a_negative_distance_counts_as_zero() -> None:
     config = comfort(form="logarithmic")
     inside, touching = (terms.distance_term(number(d), number(3), config).item() for d in (-1.0, 0.0))
     assert inside == touching
@@ -52,7 +52,7 @@ def test_worked_example_of_joint_increments_holds() -> None:
     assert terms.speed_term(number(0.85), number(6), 2.0, config).item() == 0
 
 
-def test_printed_form_pays_for_lingering_beyond_its_threshold_and_the_bounded_one_never_pays() -> None:
+def test_printed_form_is_positive_beyond_its_threshold_and_target_distance_never() -> None:
     distance = torch.linspace(0.0, 3.0, 301, dtype=torch.float64)
     for level in range(1, 11):
         row = torch.full_like(distance, level)
@@ -85,7 +85,7 @@ def test_released_form_matches_a_hand_computed_value() -> None:
     assert terms.distance_term(number(0.6), number(4), config).item() == pytest.approx(expected)
 
 
-def test_the_eased_form_minds_no_robot_too_far_at_level_1_and_else_is_the_bounded_one() -> None:
+def test_the_one_sided_form_costs_nothing_beyond_theta_at_level_1_and_else_is_the_two_sided_one() -> None:
     config = comfort(form="target_distance_one_sided", min_m=0.4, max_m=1.2, power=2, time_penalty=0.1)
     far = terms.distance_term(torch.tensor([1.3, 2.0], dtype=torch.float64), number(1), config)
     assert far.tolist() == [0, 0]
@@ -118,7 +118,7 @@ def test_weights_blend_the_two_terms() -> None:
     assert both.item() == pytest.approx(0.5 * parts[0].item() + parts[1].item())
 
 
-def test_nothing_is_seen_or_paid_without_a_source() -> None:
+def test_without_a_source_there_is_no_observation_and_no_reward() -> None:
     config = compose("train", ["comfort=off"])
     assert isinstance(config, TrainConfig)
     assert with_comfort(SUBTASKS["pick"], config.comfort, 2.0) is SUBTASKS["pick"]
@@ -126,7 +126,7 @@ def test_nothing_is_seen_or_paid_without_a_source() -> None:
     assert list(seen.observations)[-1] == "level" and list(seen.rewards)[-1] == "comfort"
 
 
-def test_time_limit_grows_where_speed_counts_so_that_slow_is_possible() -> None:
+def test_time_limit_grows_at_low_levels_where_speed_counts() -> None:
     level = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
     assert max_episode_steps(level, 500, comfort(beta=1.0)).tolist() == [5000, 1000, 500]
     assert max_episode_steps(level, 500, comfort(beta=0.0)).tolist() == [500, 500, 500]

@@ -1,4 +1,4 @@
-"""Whatever a motion file, recording, stream or schedule holds: one line, or people and levels in range."""
+"""Any motion file, recording, stream or schedule gives one-line errors or values in range."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NUMBERS = st.one_of(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9), st.flo
 
 
 def tables(header: str) -> st.SearchStrategy[bytes]:
-    """Return CSV files that should have this header: good and bad headers, cells, separators and ends."""
+    """Return good and bad CSV files for this header."""
     width = header.count(",") + 1
     rising = (
         st.integers(1, 6)
@@ -57,7 +57,7 @@ def tables(header: str) -> st.SearchStrategy[bytes]:
 
 
 def stroll(file: Path) -> list[np.ndarray]:
-    """Return where a person of this motion file is, in their first steps."""
+    """Return the positions of a human with this motion file in the first steps."""
     config = replace(HUMAN, motion="playback", file=str(file))
     walk, places = humans.begin(config, np.zeros((2, 2))), []
     discs = humans.around(np.zeros((1, 2)), 0.1, 2)

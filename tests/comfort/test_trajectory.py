@@ -1,4 +1,4 @@
-"""What is measured of an episode is what comes out by hand."""
+"""Metrics of an episode against values computed by hand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def along_x(x: list[float] | Floats) -> Floats:
 
 
 def episode(tool: Floats, human: tuple[float, float] = (FAR_M, 0.0)) -> Trajectory:
-    """Return an episode beside somebody who stands at `human`, arm and joints far from telling anything."""
+    """Return an episode with a standing human at `human`, a distant arm and still joints."""
     instants = len(tool)
     return Trajectory(
         tool=tool,
@@ -36,7 +36,7 @@ def episode(tool: Floats, human: tuple[float, float] = (FAR_M, 0.0)) -> Trajecto
 
 
 def straight(steps: int = 50) -> Trajectory:
-    """0.5 m/s towards somebody: 1.455 m away at first, 1 cm nearer at each step."""
+    """Return an approach at 0.5 m/s: 1.455 m away at first, 1 cm nearer at each step."""
     return episode(along_x(-0.5 + 0.01 * np.arange(steps + 1)), human=(0.955, 0.0))
 
 
@@ -115,7 +115,7 @@ def test_a_robot_that_backs_away_or_stands_has_no_time_to_contact() -> None:
         assert found["time_to_contact_short"] == 0
 
 
-def test_contact_is_no_time_away() -> None:
+def test_time_to_contact_is_zero_in_contact() -> None:
     found = metrics(replace(straight(2), arm_distance=np.array([0.02, 0.01, -0.001])))
     assert found["time_to_contact_min_s"] == 0
 
@@ -188,7 +188,7 @@ def test_without_motion_or_jerk_there_is_no_smoothness(tool: Floats) -> None:
 # ---- missing values ------------------------------------------------------------------------------------
 
 
-def test_where_nobody_is_there_nothing_of_them_is_a_number() -> None:
+def test_without_a_human_the_metrics_of_the_human_are_none() -> None:
     instants = len(straight().tool)
     alone = replace(straight(), human=np.full((instants, 2), FAR_AWAY_M), human_here=False)
     found = metrics(alone)

@@ -1,4 +1,4 @@
-"""Every choice composes, every mistake gets one line, what is written loads back."""
+"""Composition of every choice of every command."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ OWN = {
     "report": ["run=runs"],
     "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
 }
-"""What a command without sections must be told."""
+"""Required overrides of commands."""
 NEEDED = {"playback": ["human.file=walk.csv"]}
-"""What a choice cannot do without."""
+"""Required overrides of choices."""
 CHOICES = [
     (root, group, name) for root in ("train", "evaluate") for group, names in groups(root).items() for name in names
 ]
@@ -57,7 +57,7 @@ def test_every_group_on_disk_belongs_to_a_command():
     assert folders == {group for root in ("train", "train_meta_controller", "evaluate") for group in groups(root)}
 
 
-def test_a_group_restates_no_number_that_its_choices_share():
+def test_a_choice_does_not_repeat_a_line_of_the_shared_file():
     for shared in config_dir().glob("*/_shared.yaml"):
         lines = {line for line in shared.read_text().splitlines() if line and line[0] not in "# "}
         for name in choices(shared.parent.name):
@@ -65,7 +65,7 @@ def test_a_group_restates_no_number_that_its_choices_share():
             assert not lines & set(own), f"{shared.parent.name}/{name}.yaml repeats a line of _shared.yaml"
 
 
-def test_values_of_the_user_win_over_the_experiment():
+def test_overrides_win_over_the_experiment():
     config = trained("experiment=paper", "task=pick", "engine.num_envs=3")
     assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
 
@@ -79,7 +79,7 @@ def test_the_paper_experiment_is_the_papers():
     assert config.reward.progress == 0
 
 
-def test_a_sweep_runs_in_processes_of_its_own(tmp_path, capsys):
+def test_a_sweep_runs_in_subprocesses(tmp_path, capsys):
     assert commands.main(["evaluate", "-m", "policy=/no/a,/no/b", f"output={tmp_path}", "hydra.launcher.n_jobs=2"]) == 1
     out = capsys.readouterr().out
     assert [line.split(":")[1].strip() for line in out.splitlines()] == ["policy=/no/a", "policy=/no/b"]

@@ -1,4 +1,4 @@
-"""Whatever is said or written in a configuration is refused in one line or gives finite numbers."""
+"""Any override or configuration file gives a one-line error or finite numbers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def keys(kind: Any, before: str = "") -> Iterator[str]:
 
 
 def lines(root: str) -> st.SearchStrategy[str]:
-    """Return overrides of `root`: of any key, in any form, to anything."""
+    """Return overrides of `root`, valid and invalid."""
     known = st.sampled_from(sorted({*keys(ROOTS[root]), *groups(root), "policies.pick", "hydra.run.dir"}))
     key = st.one_of(known, known, known, known.map(lambda key: f"{key}.a"), st.text(max_size=8))
     choices = st.sampled_from([f"{group}={name}" for group, names in groups(root).items() for name in names])
@@ -117,7 +117,7 @@ def test_a_world_that_is_accepted_makes_a_finite_step(task: str, comfort: str, s
 
 
 def value_changed(text: str, line: int, value: str) -> str:
-    """Return YAML whose line (modulo their number) has another value."""
+    """Return the YAML text with another value in a line (index modulo their number)."""
     rows = text.splitlines()
     rows[line % len(rows)] = f"{rows[line % len(rows)].split(':')[0]}: {value}"
     return "\n".join(rows)
@@ -125,7 +125,7 @@ def value_changed(text: str, line: int, value: str) -> str:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Configurations as runs keep them."""
+    """Return configurations as runs write them."""
     file, texts = tmp_path_factory.mktemp("written") / "config.yaml", []
     for root in ("train", "train_meta_controller", "evaluate"):
         save_config(compose(root), file)

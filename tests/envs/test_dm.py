@@ -1,4 +1,4 @@
-"""Conformance of the dm_control front: every task beside every human."""
+"""Conformance of the dm_control front, for every task and human."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ def test_the_same_seed_gives_the_same_episode(task: str, human: str, motion_file
     first, second = loaded(task, human, motion_file, 4), loaded(task, human, motion_file, 4)
     action = np.full(6, 0.3)
     first.reset()
-    # A step after the last one of an episode would begin the next.
+    # A step after the last one of an episode starts the next.
     if not first.step(action).last():
         first.step(-action)
-    # The second episode, whatever was done in the first.
+    # The second episode does not depend on the first.
     first.reset()
     second.reset()
     second.reset()
@@ -102,7 +102,7 @@ def test_torchrl_takes_the_environment() -> None:
 
 
 def test_a_viewer_can_read_and_reset_the_physics() -> None:
-    # What dm_control.viewer does between frames: read the model, pause, restart the episode.
+    # As dm_control.viewer does between frames: read the model, pause, restart the episode.
     env = hrl_comfort.load("cycle")
     env.reset()
     env.step(np.zeros(6))

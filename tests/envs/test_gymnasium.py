@@ -1,4 +1,4 @@
-"""The Gymnasium fronts keep Gymnasium's contract, and are the episodes of the other fronts."""
+"""Gymnasium fronts: conformance, and the same episodes as the other fronts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_ids_are_named_after_the_subtasks() -> None:
 def test_a_seed_gives_the_episodes_of_the_dm_control_front() -> None:
     env, twin = gymnasium.make(IDS["pick"], human="arc"), hrl_comfort.load("pick", seed=3, human="arc")
     rng = np.random.default_rng(0)
-    for seed in (3, None):  # and the next reset begins the next of them
+    for seed in (3, None):  # the next reset starts the next episode
         observation, _ = env.reset(seed=seed)
         there = twin.reset()
         ended = False
@@ -41,7 +41,7 @@ def test_a_seed_gives_the_episodes_of_the_dm_control_front() -> None:
         assert set(info) >= {"success", "human_collision", "steps", "human_distance"}
 
 
-def test_a_row_of_the_batch_is_the_lone_cell_and_begins_anew_where_it_ended() -> None:
+def test_a_row_of_the_batch_equals_the_single_cell_and_restarts_at_its_end() -> None:
     short = {"task.max_episode_steps": 40}
     cells = gymnasium.make_vec(IDS["pick"], num_envs=3, **short)
     lone = gymnasium.make(IDS["pick"], **short)

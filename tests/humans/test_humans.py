@@ -1,4 +1,4 @@
-"""People: motions, bounds, spawns, what the policy is told, and the committed evaluation set."""
+"""Humans: motions, bounds, spawns, observed position and the committed evaluation set."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def no_discs(rows: int) -> humans.KeepOut:
 
 
 def stroll(config: HumanConfig, spawn: np.ndarray, steps: int, tcp=(0.3, 0.2), keep_out=None) -> list[humans.Walk]:
-    """Return the walks of `steps` control steps, the beginning first."""
+    """Return the initial walk and those after each of `steps` control steps."""
     rng, n = np.random.default_rng(1), len(spawn)
     walks = [humans.begin(config, spawn)]
     for _ in range(steps):
@@ -83,7 +83,7 @@ def test_humans_stay_near_their_spawn_and_out_of_the_discs_and_never_jump(motion
     to_discs = np.linalg.norm(position[:, :, None] - discs(200).centres, axis=-1)
     assert to_discs.min() >= HUMAN.keep_out_m
     assert np.linalg.norm(position - walks[0].spawn, axis=-1).max() <= HUMAN.bound_m + 1e-9
-    # Twice the longest proposal: jitter on both axes, or an arc's turn as well.
+    # Twice the longest proposed step: jitter on both axes, or that and the turn of an arc.
     assert np.linalg.norm(np.diff(position, axis=0), axis=-1).max() < 0.05
 
 
@@ -99,7 +99,7 @@ def test_rows_do_not_influence_each_other(motion: str) -> None:
         np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
 
 
-def test_who_works_walks_to_the_nearest_table_and_stays_there() -> None:
+def test_work_walks_to_the_nearest_station_and_stays_there() -> None:
     config = human("work", bound_m=5.0, jitter_m=0.005)
     spawns = np.array([[-0.9, -0.6], [0.9, 0.3], [0.0, 1.0]])
     walks = stroll(config, spawns, 400)
@@ -108,20 +108,20 @@ def test_who_works_walks_to_the_nearest_table_and_stays_there() -> None:
 
 
 @pytest.mark.parametrize("motion", ["work", "patrol"])
-def test_who_works_needs_a_place_to_work_at(motion: str) -> None:
+def test_work_and_patrol_need_a_station(motion: str) -> None:
     with pytest.raises(ConfigError, match=rf"human\.stations_m=\[\].*motion={motion} needs at least one place"):
         human(motion, stations_m=[])
 
 
-def test_who_goes_rounds_works_at_every_place_for_its_time_and_faces_the_robot_there() -> None:
+def test_patrol_stays_at_every_station_for_its_time_and_faces_the_robot_there() -> None:
     config = human("patrol", bound_m=5.0, stay_s=2.0)
     walks = stroll(config, free_spawns(30), 4000)
     stations = np.array(STATIONS)
     position, yaw = (np.stack([getattr(walk, name) for walk in walks]) for name in ("position", "yaw"))
     still = (np.diff(position, axis=0) == 0).all(axis=-1)
     at = np.linalg.norm(position[:, :, None] - stations, axis=-1) < 1e-9
-    assert at.any(axis=0).all()  # everybody has been everywhere
-    assert not still[0].any()  # and nobody works where they come from
+    assert at.any(axis=0).all()  # everyone visits every station
+    assert not still[0].any()  # and walks at once from the spawn
     working = still[1000:] & at[1000:-1].any(axis=-1)
     stays = working.sum() / (np.diff(working.astype(int), axis=0) == -1).sum() * CONTROL_STEP_S
     assert 1.7 < stays < 2.3
@@ -139,7 +139,7 @@ def test_advance_leaves_its_arguments_alone() -> None:
         np.testing.assert_array_equal(getattr(walk, name), value, err_msg=name)
 
 
-def test_no_human_is_far_away_for_ever() -> None:
+def test_motion_none_stays_far_away() -> None:
     for walk in stroll(human("none"), free_spawns(3), 5):
         np.testing.assert_array_equal(walk.position, [[FAR_AWAY_M, 0.0]] * 3)
 
@@ -199,7 +199,7 @@ def test_the_gait_goes_with_the_ground_covered_and_swings_at_most_25_degrees() -
     assert np.degrees(humans.gait(slow)[1][0]) == pytest.approx(12.5, rel=0.01)
 
 
-def test_putting_rows_changes_those_rows_only() -> None:
+def test_put_changes_the_given_rows_only() -> None:
     old = stroll(HUMAN, free_spawns(4), 30)[-1]
     mixed = old.put(np.array([2]), humans.begin(HUMAN, np.array([[0.9, 0.9]])))
     assert mixed.step.tolist() == [30, 30, 0, 30]
@@ -211,7 +211,7 @@ def test_putting_rows_changes_those_rows_only() -> None:
 # ---- playback --------------------------------------------------------------------------------------------
 
 
-def test_playback_is_interpolated_the_short_way_round_and_held_at_its_end(tmp_path: Path) -> None:
+def test_playback_interpolates_the_shorter_turn_and_holds_its_end(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text("t,x,y,yaw\n0,1,0,3.1\n0.04,2,0,-3.1\n0.08,2,4,-3.1\n")
     walks = stroll(human("playback", file=str(file)), np.array([[0.0, 0.0]]), 6)
@@ -241,7 +241,7 @@ def test_a_bad_motion_file_is_refused_and_its_line_named(tmp_path: Path, text: s
         humans.begin(human("playback", file=str(file)), np.zeros((1, 2)))
 
 
-def test_a_motion_file_may_begin_with_the_mark_that_spreadsheets_write(tmp_path: Path) -> None:
+def test_a_motion_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text("t,x,y,yaw\n0,1,2,0\n", encoding="utf-8-sig")
     walk = humans.begin(human("playback", file=str(file)), np.zeros((1, 2)))
@@ -279,7 +279,7 @@ def test_points_in_overlapping_discs_go_to_the_nearest_free_point() -> None:
         assert np.linalg.norm(moved[i] - points[i]) <= nearest
 
 
-def test_a_point_in_the_very_centre_finds_a_way_out() -> None:
+def test_a_point_in_the_centre_of_a_disc_moves_to_its_rim() -> None:
     keep_out = humans.KeepOut(np.zeros((1, 2, 2)), 0.35)
     assert np.linalg.norm(humans.outside(np.zeros((1, 2)), keep_out)) == pytest.approx(0.35, abs=1e-5)
 
@@ -297,7 +297,7 @@ def test_jitter_fills_its_disc_evenly() -> None:
     np.testing.assert_allclose(offset.mean(axis=0), 0.0, atol=2e-3)
 
 
-def test_a_spawn_anywhere_is_round_the_robot_free_and_clear_of_the_held_out_points() -> None:
+def test_a_spawn_anywhere_is_in_its_ring_and_clear_of_discs_and_held_out_points() -> None:
     rng, spawns = np.random.default_rng(7), humans.moved_spawns(HUMAN, GOALS)
     chosen = replace(HUMAN, spawn="anywhere")
     places = np.stack([humans.training_spawn(chosen, spawns, discs(1), rng)[1] for _ in range(2000)])
@@ -312,7 +312,7 @@ def test_a_spawn_anywhere_is_round_the_robot_free_and_clear_of_the_held_out_poin
 
 
 @pytest.mark.parametrize(("spawn", "share"), [("points", 1.0), ("mixed", 0.5), ("anywhere", 0.0)])
-def test_training_draws_people_at_the_points_it_may_use_and_anywhere(spawn: str, share: float) -> None:
+def test_training_spawns_are_at_training_points_or_anywhere(spawn: str, share: float) -> None:
     rng, spawns, config = (
         np.random.default_rng(9),
         humans.moved_spawns(HUMAN, GOALS),
@@ -333,10 +333,10 @@ def test_a_ring_without_room_is_refused_and_named() -> None:
         humans.training_spawn(config, np.array(SPAWNS), discs(1), np.random.default_rng(8))
 
 
-# ---- what the policy is told -----------------------------------------------------------------------------
+# ---- observed position -----------------------------------------------------------------------------------
 
 
-def test_clipping_off_tells_the_truth() -> None:
+def test_clipping_off_gives_the_true_position() -> None:
     position = np.array([[0.7, 0.1]])
     np.testing.assert_array_equal(humans.seen_position(HUMAN, position, np.array(SPAWNS)), position)
 
@@ -352,7 +352,7 @@ def test_full_clipping_snaps_to_the_nearest_spawn_and_partial_only_to_a_nearer_o
 
 @pytest.mark.parametrize("clipping", ["off", "full", "partial"])
 @pytest.mark.parametrize("changes", [{"masked": True}, {"motion": "none"}])
-def test_a_masked_or_absent_human_is_told_to_be_far_away(clipping: str, changes: dict[str, object]) -> None:
+def test_a_masked_or_absent_human_is_observed_far_away(clipping: str, changes: dict[str, object]) -> None:
     config = replace(HUMAN, clipping=clipping, **changes)
     position = humans.begin(config, np.array([[0.9, 0.3], [0.5, 0.5]])).position
     seen = humans.seen_position(config, position, np.array(SPAWNS))

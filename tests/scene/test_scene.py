@@ -1,4 +1,4 @@
-"""The compiled cell is the robot, the person and the place that the sources describe."""
+"""The compiled cell: kinematics, limits, contacts, sensors and the human."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def scene(name: str = "ur3e", substeps: int = 2) -> Scene:
 
 
 def data_at(cell: Scene, joint_pos: np.ndarray, human: np.ndarray | None = None) -> mujoco.MjData:
-    """Forward the model at joint_pos (6,) rad with limbs at human (5, 7), or nobody there."""
+    """Return the data at joint_pos (6,) rad with limbs at human (5, 7), or without a human."""
     data = mujoco.MjData(cell.model)
     data.qpos[:] = joint_pos
     if human is not None:
@@ -53,7 +53,7 @@ def data_at(cell: Scene, joint_pos: np.ndarray, human: np.ndarray | None = None)
 
 
 def touching(cell: Scene, data: mujoco.MjData) -> dict[str, list[int]]:
-    """Return for each contact sensor group the indices of those that see a contact."""
+    """Return, for each group of contact sensors, the indices of those with a contact."""
     return {k: np.flatnonzero(data.sensordata[cell.sensors[k]]).tolist() for k in ("human", "table", "self")}
 
 
@@ -131,17 +131,17 @@ def test_home_touches_nothing(name: str) -> None:
     cell = scene(name)
     data = data_at(cell, cell.home)
     assert data.ncon == 0
-    # Free with room to spare: a home that is a degree off is free as well.
+    # A home that is one degree off is free too.
     for offset in np.radians(np.vstack([np.eye(6), -np.eye(6)])):
         assert data_at(cell, cell.home + offset).ncon == 0
 
 
-def test_human_overlap_is_seen_by_that_limb_alone() -> None:
+def test_overlap_with_a_limb_is_a_contact_of_that_limb_alone() -> None:
     cell = scene()
     data = data_at(cell, cell.home)
     tool = data.sensordata[cell.sensors["tcp_pos"]]
     for limb, name in enumerate(LIMBS):
-        # Hang this limb alone into the tool, the others stay away.
+        # Only this limb overlaps the tool.
         human = standing(cell, FAR_AWAY_M, 0.0)
         drop = 0.3 if name != "trunk" else -0.2
         human[limb, :3] = tool
@@ -149,7 +149,7 @@ def test_human_overlap_is_seen_by_that_limb_alone() -> None:
         assert touching(cell, data_at(cell, cell.home, human)) == {"human": [limb], "table": [], "self": []}
 
 
-def test_person_beside_the_arm_is_felt_only_where_the_arm_reaches() -> None:
+def test_human_beside_the_arm_has_contact_only_within_reach() -> None:
     cell = scene()
     stretched = np.radians([0, 0, 0, 0, 90, 0])
     for x, expected in ((-0.5, True), (-2.0, False)):
@@ -158,14 +158,14 @@ def test_person_beside_the_arm_is_felt_only_where_the_arm_reaches() -> None:
         assert (seen["table"], seen["self"]) == ([], [])
 
 
-def test_person_may_overlap_the_cell_and_herself_unnoticed() -> None:
+def test_human_has_no_contact_with_the_cell_or_itself() -> None:
     cell = scene()
     for x, y, _ in (CELL.ball_m, CELL.orange_drop_m, CELL.pink_drop_m):
         assert data_at(cell, cell.home, standing(cell, x, y)).ncon == 0
 
 
 @pytest.mark.parametrize("obstacle", OBSTACLES)
-def test_robot_in_an_obstacle_is_seen_by_that_obstacle_alone(obstacle: str) -> None:
+def test_overlap_with_an_obstacle_is_a_contact_of_that_obstacle_alone(obstacle: str) -> None:
     # The long arm reaches everything, down to the floor.
     cell = scene("ur10e")
     rng = np.random.default_rng(3)
@@ -190,7 +190,7 @@ def test_robot_in_an_obstacle_is_seen_by_that_obstacle_alone(obstacle: str) -> N
 
 
 @every_robot
-def test_folded_arm_is_seen_as_self_contact_alone(name: str) -> None:
+def test_folded_arm_has_self_contact_alone(name: str) -> None:
     cell = scene(name)
     folded = np.radians([0, -90, 175, 0, 90, 0])
     assert touching(cell, data_at(cell, folded)) == {"human": [], "table": [], "self": [0]}
@@ -244,7 +244,7 @@ def test_robot_may_stand_on_the_floor() -> None:
     assert touching(cell, data_at(cell, np.radians([0, 60, 0, 0, 90, 0])))["table"][-1] == OBSTACLES.index("floor")
 
 
-def test_cameras_see_the_cell_although_the_absent_stand_far_away() -> None:
+def test_cameras_show_the_cell_although_unused_bodies_are_far_away() -> None:
     model = scene().model
     assert model.vis.map.znear * model.stat.extent < 0.1
     assert {model.camera(i).name for i in range(model.ncam)} == {"top", "side"}
@@ -272,7 +272,7 @@ def test_walking_limbs_keep_unit_quaternions_and_feet_on_the_floor() -> None:
         assert leg * arm <= 0
 
 
-def test_standing_person_faces_her_yaw_with_the_left_arm_to_the_left() -> None:
+def test_standing_human_faces_its_yaw_with_the_left_arm_to_the_left() -> None:
     poses = limb_poses(1.0, 2.0, np.pi / 2, 0.3, 0.0, -0.75)
     np.testing.assert_allclose(poses[0, :3], [1.0, 2.0, HIP_M - 0.75])
     np.testing.assert_allclose(poses[3, :3], [1.0 - 0.18, 2.0, SHOULDER_M - 0.75])
@@ -299,7 +299,7 @@ def test_servos_follow_a_full_speed_ramp_closely_and_settle(name: str, overshoot
         assert np.abs(behind[-10:]).max() < 0.3
 
 
-def test_gravity_is_carried_so_a_still_arm_stays_still() -> None:
+def test_gravity_is_compensated() -> None:
     cell = scene()
     start = np.radians([0, -45, 60, -90, 90, 0])
     data = data_at(cell, start)
@@ -309,7 +309,7 @@ def test_gravity_is_carried_so_a_still_arm_stays_still() -> None:
     np.testing.assert_allclose(data.qpos, start, atol=1e-9)
 
 
-def test_same_state_and_control_give_the_same_step_whatever_came_before() -> None:
+def test_a_step_depends_on_state_and_control_alone() -> None:
     cell = scene()
     fresh, used = mujoco.MjData(cell.model), mujoco.MjData(cell.model)
     used.ctrl[:] = 0.5

@@ -1,4 +1,4 @@
-"""A sweep gets as far as it can: who fails, is killed or told to stop is reported, and the others go on."""
+"""Sweeps: jobs that fail, are killed or stopped are reported, and the others continue."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Script = Callable[[str], None]
 
 @pytest.fixture
 def says(monkeypatch: pytest.MonkeyPatch) -> Script:
-    """Let a script stand for the command."""
+    """Return a function that replaces the command by a script."""
 
     def stand_in(script: str) -> None:
         monkeypatch.setattr(subprocesses, "COMMAND", (sys.executable, "-c", script))
@@ -40,8 +40,8 @@ def says(monkeypatch: pytest.MonkeyPatch) -> Script:
     return stand_in
 
 
-def test_a_job_that_is_told_to_stop_before_it_can_say_so_has_stopped(says: Script) -> None:
-    says("import time; time.sleep(60)")  # as while it imports
+def test_a_job_that_gets_sigterm_during_its_start_has_stopped(says: Script) -> None:
+    says("import time; time.sleep(60)")  # as during the imports
     alarm = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
     alarm.start()
     with pytest.raises(Preempted, match="stopped by SIGTERM"):
@@ -49,7 +49,7 @@ def test_a_job_that_is_told_to_stop_before_it_can_say_so_has_stopped(says: Scrip
     alarm.join()
 
 
-def test_a_job_in_its_subprocesses_tells_what_went_wrong(says: Script) -> None:
+def test_a_job_in_a_subprocess_reports_its_error(says: Script) -> None:
     says("import sys; print('warning', file=sys.stderr); sys.exit('hrl-comfort: no such policy')")
     with pytest.raises(ConfigError, match=r"^no such policy$"):
         run_in_subprocess("train", [])
@@ -63,7 +63,7 @@ def test_a_job_in_its_subprocesses_tells_what_went_wrong(says: Script) -> None:
     run_in_subprocess("train", [])
 
 
-def test_a_job_in_its_subprocesses_is_told_to_stop_too(says: Script) -> None:
+def test_sigterm_is_forwarded_to_the_subprocess(says: Script) -> None:
     says(
         "import signal, sys, time\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))\n"
@@ -81,7 +81,7 @@ def stop_at_a(overrides: list[str]) -> None:
         raise Preempted("stopped by SIGTERM")
 
 
-def test_a_job_of_a_cluster_that_is_told_to_stop_leaves_the_others_alone(
+def test_a_stopped_job_of_a_cluster_leaves_the_others_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(commands.RUN, "evaluate", stop_at_a)
@@ -94,7 +94,7 @@ def test_a_job_of_a_cluster_that_is_told_to_stop_leaves_the_others_alone(
     assert "stopped: policy=a: stopped by SIGTERM" in capsys.readouterr().out
 
 
-def test_a_launcher_that_breaks_leaves_an_account_of_every_job(
+def test_every_job_is_reported_after_a_crash_of_the_launcher(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = Hydra.multirun
@@ -188,7 +188,7 @@ def test_a_missing_extra_is_named_in_one_line(
     assert capsys.readouterr().err == says
 
 
-def test_a_search_is_told_the_success_and_nothing_of_a_failure() -> None:
+def test_a_search_gets_the_score_and_an_error_for_a_failure() -> None:
     assert float(JobResult("done", score=0.75)) == 0.75
     for result in (JobResult("failed", error="no policy"), JobResult("done", score=math.nan)):
         with pytest.raises(ValueError, match=r"no policy|no episode has ended"):
@@ -203,7 +203,7 @@ def test_a_search_is_told_the_success_and_nothing_of_a_failure() -> None:
         ("ray", ["hydra/launcher=ray", "policy=expert,/no/policy", "+hydra.launcher.ray.init.num_cpus=1"]),
     ],
 )
-def test_an_extra_runs_a_sweep_and_reports_who_fails(module: str, choices: list[str], tmp_path: Path) -> None:
+def test_an_extra_runs_a_sweep_and_reports_failures(module: str, choices: list[str], tmp_path: Path) -> None:
     pytest.importorskip(module)
     words = ["evaluate", "-m", *choices, "task=reach", "episodes=1", f"output={tmp_path}"]
     command = [sys.executable, "-m", "hrl_comfort", *words]
