@@ -1,4 +1,4 @@
-# make setup | make test | make fuzz | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make test | make test-docs | make fuzz | make demo. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 # One thread a process: more of them on a busy machine are slower, not faster.
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup test lint fuzz demo clean
+.PHONY: setup test test-docs lint fuzz demo clean
 
 setup: $(STAMP)
 
@@ -22,6 +22,10 @@ lint: setup
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term --cov-fail-under=85
+
+# Every command of docs/*.md, with small budgets. Some minutes.
+test-docs: setup
+	$(BIN)/python -m pytest -n 2 -m docs tests/test_readme.py
 
 # 10,000 generated inputs, drawn anew each time: what is said, files, streams, states. Some minutes.
 fuzz: setup

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from hrl_comfort.config import EnvConfig
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # dm_control warns on import without a display; rendering off-screen is intended.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")

@@ -1,0 +1,72 @@
+"""Commands of the documentation: read from ```sh blocks and run in order with small budgets."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+from hrl_comfort.__main__ import main
+
+ROOT = Path(__file__).resolve().parent.parent
+NOT_RUN = ("git ", "cd ", "apt-get ", "sudo ", "pip ", "source ", "tensorboard ", "make", "docs/")
+"""Commands that install, fetch or take hours. The rest must run."""
+TRAINING = (
+    "agent.policy_steps=640", "agent.learning_starts=64", "agent.hidden=[16]", "agent.batch_size=32",
+    "agent.log_every=320", "agent.checkpoint_every=320",
+)  # fmt: skip
+BUDGETS = {
+    "train": TRAINING,
+    "train hierarchy": (*TRAINING, "episodes=2"),
+    "train meta_controller": (
+        "meta_controller_agent.options=40", "meta_controller_agent.warmup_options=8",
+        "meta_controller_agent.log_every=20", "engine.num_envs=4",
+    ),
+    "evaluate": ("episodes=2",),
+    "evaluate handover": ("episodes=2",),
+    "bench": TRAINING,
+}  # fmt: skip
+"""Overrides that are appended to a verb's commands; the last value of a key counts."""
+
+
+def commands(page: Path) -> list[str]:
+    """Return the commands of the page's ```sh blocks in order, continued lines joined and comments left out."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+def run(line: str) -> None:
+    """Run one command in the working directory; raise AssertionError if it fails."""
+    if line.startswith(NOT_RUN):
+        return
+    words = shlex.split(line, comments=True)
+    if words[0] == "make":
+        words = ["hrl-comfort", *shlex.split(_recipe(words[1]))]
+    if words[0] == "hrl-comfort":
+        words = [*words, *budget(words[1:])]
+        if "-m" not in words:
+            assert main(words[1:]) == 0, line
+            return
+        words[:1] = ["python", "-m", "hrl_comfort"]  # a sweep's jobs are processes
+    words[0] = {"python": sys.executable}.get(words[0], words[0])
+    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+
+
+def budget(words: list[str]) -> tuple[str, ...]:
+    """Return the overrides that make a command of hrl-comfort short."""
+    verb = " ".join(words[:2])
+    if any(word.startswith(("resume=", "-h", "--")) for word in words):
+        return ()
+    return BUDGETS.get(verb, BUDGETS.get(words[0], ()) if words else ())
+
+
+def _recipe(target: str) -> str:
+    """Return the arguments of hrl-comfort in the recipe of `make target`."""
+    found = re.search(rf"^{target}:.*\n\t\S*/hrl-comfort (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert found is not None, f"make {target} runs no hrl-comfort"
+    return found[1]

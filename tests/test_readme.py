@@ -1,0 +1,27 @@
+"""Every command of README.md and of the other pages runs as written, in order, in one folder a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.commands import ROOT, commands, run
+
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+
+
+def check(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    for line in commands(page):
+        run(line)
+
+
+def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check(ROOT / "README.md", tmp_path, monkeypatch)
+
+
+@pytest.mark.docs
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check(page, tmp_path, monkeypatch)
