@@ -11,7 +11,7 @@ from hrl_comfort.comfort.metrics import human_distance, present
 from hrl_comfort.comfort.terms import comfort
 from hrl_comfort.config import ComfortConfig
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.subtask import Change, Quantity
+from hrl_comfort.tasks.subtask import StateFunction, TransitionFunction
 
 TERM = "comfort"
 """Name of the reward term; its weight is `comfort.scale`."""
@@ -30,7 +30,7 @@ def with_level(task: Subtask, levels: int) -> Subtask:
     return replace(task, observations={**task.observations, "level": level_seen(levels)})
 
 
-def level_seen(levels: int) -> Quantity:
+def level_seen(levels: int) -> StateFunction:
     """Return the observation (N, 1): the current level, scaled from 0 (level 1) to 1 (level N_c)."""
 
     def term(state: State) -> Tensor:
@@ -39,7 +39,7 @@ def level_seen(levels: int) -> Quantity:
     return term
 
 
-def comfort_reward(config: ComfortConfig, max_step_deg: float) -> Change:
+def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunction:
     """Return the reward term (N,) of one control step: F_comfort (Eq. 4), 0 without a human."""
 
     def term(before: State, after: State) -> Tensor:

@@ -30,10 +30,10 @@ from hrl_comfort.config.constants import (
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
-from hrl_comfort.config.task import PrecisionConfig, RewardConfig, TaskConfig
+from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [
-    "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
+    "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
     "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError",
     "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HumanConfig",
     "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",

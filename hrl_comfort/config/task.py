@@ -7,6 +7,8 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, coordinates, each, within
 
+COLOURS = ("orange", "pink")
+"""By number in `State.colour`."""
 OBSERVATIONS = ("default", "paper")
 
 
@@ -31,7 +33,7 @@ class TaskConfig:
 
     name: str
     """A key of `tasks.SUBTASKS`, checked there."""
-    colour: Annotated[str, choice("random", "orange", "pink")]
+    colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""
     balls: int
     """Number of balls on the pick table; above 1 for `sort` only."""

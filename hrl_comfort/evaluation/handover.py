@@ -1,8 +1,8 @@
-"""Handover diagnostics: what becomes of a subtask that takes over where another one left the arm.
+"""Handover diagnostics: success of a subtask from the terminal states of the one before.
 
-Skills that work alone can fail when chained: the policy before leaves the arm where the next one never
-began. Three tables say where: how often the next subtask succeeds from each kind of start, how far chains
-get, and which observations at the seams the next policy has hardly seen.
+Skills that succeed alone can fail in a chain, because the policy before leaves the arm in states that the
+next one was not trained from. Three tables: success of each subtask by kind of start, how many options
+chains complete, and observations at the handover that were rare in training.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder
 from hrl_comfort.evaluation.rollout import rollout, split, write_table
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.plots.options import chain_lengths
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import SCRIPTED
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 
-TERMINATIONS = 2000
-"""Episodes, drawn as in training, whose endings are recorded."""
+RECORDED_EPISODES = 2000
+"""Episodes, drawn as in training, of which terminal states are recorded."""
 FAR = 3.0
-"""An observation this many standard deviations from its mean in training counts as far."""
+"""Standard deviations from the mean in training beyond which an observation counts as far."""
 LONE = MetaControllerConfig(name="none", options=[], time_limit_steps=1, retries=0, level_override=[])
 
 
@@ -49,9 +50,7 @@ def handover(config: EvaluateConfig) -> Path:
             f"meta_controller={config.meta_controller.name} chains nothing: "
             "give meta_controller=scripted task=cycle policies.*"
         )
-    missing = [name for name in names if name not in config.policies]
-    if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; meta_controller={config.meta_controller.name} needs it")
+    check_given(config)
     scripted = [name for name in names if config.policies[name] in SCRIPTED]
     if scripted:
         name = scripted[0]
@@ -63,7 +62,7 @@ def handover(config: EvaluateConfig) -> Path:
     output = Path(config.output)
     matrix: list[list[Any]] = []
     single: list[list[Any]] = []
-    seams: list[list[Any]] = []
+    far_rows: list[list[Any]] = []
     upstream = dict.fromkeys(("previous", "expert"), "ik")
     for before, after in pairwise(names):
         upstream = {
@@ -76,13 +75,13 @@ def handover(config: EvaluateConfig) -> Path:
             single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran]
             low, high = wilson_interval(sum(wins), len(wins))
             matrix.append([after, kind, len(wins), np.mean(wins), low, high])
-            seams += [[after, kind, *row] for row in far_observations(part)]
+            far_rows += [[after, kind, *row] for row in far_observations(part)]
     write_table(output / "handover.csv", HANDOVER, matrix)
     write_table(output / "handover_episodes.csv", SINGLE, single)
-    write_table(output / "seams.csv", SEAMS, seams)
+    write_table(output / "seams.csv", FAR_OBSERVATIONS, far_rows)
     whole = rollout(config)
-    far = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
-    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in far))
+    lengths = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
+    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in lengths))
     for after, kind, episodes, success, low, high in matrix:
         what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
         Console().print(what, soft_wrap=True)
@@ -92,7 +91,7 @@ def handover(config: EvaluateConfig) -> Path:
 HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]
 SINGLE = ["subtask", "start", "episode", "spawn_id", "success"]
 CHAIN = ["options", "success", "success_low", "success_high"]
-SEAMS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
+FAR_OBSERVATIONS = ["subtask", "start", "observation", "component", "largest_deviation", "share_far"]
 
 
 def alone(config: EvaluateConfig, name: str, start: str, policy: str) -> EvaluateConfig:
@@ -109,10 +108,10 @@ def own_start(config: EvaluateConfig, name: str) -> str:
 
 
 def _terminal_states(config: EvaluateConfig, output: Path, name: str, kind: str, start: str) -> str:
-    """Record how a subtask's policy, or the expert, leaves the arm; return the .npz."""
+    """Record the terminal states of a subtask's policy, or of the expert; return the .npz."""
     path = str(output / f"{name}_{kind}.npz")
     part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
-    record_terminal_states(replace(part, terminal_states=path, episodes=TERMINATIONS))
+    record_terminal_states(replace(part, terminal_states=path, episodes=RECORDED_EPISODES))
     return path
 
 

@@ -1,4 +1,4 @@
-"""Runs episodes of the evaluation set and says what happened in each."""
+"""Episodes of an evaluation split, run side by side under one policy or chain."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from hrl_comfort.analysis.intervals import write_summary
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
-from hrl_comfort.config import EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.evaluation.controllers import make_controller
 from hrl_comfort.files.atomic import write_text
-from hrl_comfort.hierarchy.controllers import OptionRun
-from hrl_comfort.hierarchy.play import play
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.executor import OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, load_evaluation_set, validation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
@@ -31,9 +30,8 @@ from hrl_comfort.tasks import State
 
 Floats = NDArray[np.float64]
 
-CHUNK = 250
+BATCH = 250
 """Episodes simulated side by side."""
-COLOURS = ("orange", "pink")
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
 
 @dataclass
 class Result:
-    """What an evaluation saw."""
+    """Rows of episodes.csv, options.csv and paths.csv."""
 
     episodes: list[Episode]
     options: list[dict[str, Any]]
@@ -90,11 +88,11 @@ class Result:
 
     @property
     def success(self) -> float:
-        """Share of episodes that succeeded."""
+        """Fraction of episodes that succeeded."""
         return float(np.mean([episode.success for episode in self.episodes]))
 
     def write(self, output: Path, config: EvaluateConfig) -> None:
-        """Write the tables, config.yaml and summary.json; what earlier episodes left goes."""
+        """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
         for stale in ("summary.json", "options.csv", "paths.csv", "video.mp4"):
             (output / stale).unlink(missing_ok=True)
         write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
@@ -129,9 +127,9 @@ def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
         total = config.episodes * max(1, len(config.levels))
         bar = progress.add_task(f"evaluate {config.task.name}", total=total, success="")
         for at_level in at_each_level(config):
-            for start in range(0, config.episodes, CHUNK):
-                part = entries.part(start, min(start + CHUNK, config.episodes))
-                EvaluationBatch(at_level, policy, part, result).run(lambda done: progress.advance(bar, done))
+            for start in range(0, config.episodes, BATCH):
+                batch = EvaluationBatch(at_level, policy, entries.part(start, start + BATCH), result)
+                batch.run(lambda done: progress.advance(bar, done))
                 progress.update(bar, success=f"success {result.success:.1%}")
     return result
 
@@ -144,14 +142,14 @@ def split(config: EvaluateConfig) -> EvaluationSet:
 
 
 def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
-    """Return the configuration once for each of `config.levels`, fixed at it; as it is if there are none."""
+    """Return the configuration fixed at each of `config.levels`; itself if there are none."""
     if not config.levels:
         return [config]
     return [replace(config, comfort=replace(config.comfort, source="fixed", level=level)) for level in config.levels]
 
 
 class EvaluationBatch:
-    """Episodes that run side by side, one a row."""
+    """Episodes that run side by side, one a row; they are appended to a `Result`."""
 
     def __init__(self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result) -> None:
         self.config, self.entries, self.result = config, entries, result
@@ -159,7 +157,7 @@ class EvaluationBatch:
         rows = len(entries.episode)
         env = environment(config)
         self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-        self.controller = make_controller(config, policy, self.engine, int(entries.episode_seed[0]))
+        self.executor, self.choose = make_executor(config, policy, self.engine, int(entries.episode_seed[0]))
         acting = policy or config.policy or config.policies.get("meta_controller")
         self.train_seed = train_seed(acting or next(iter(config.policies.values()), None))
 
@@ -172,31 +170,31 @@ class EvaluationBatch:
         found: dict[int, Episode] = {}
         if self.config.record:
             self._record(state, torch.ones(rows, dtype=torch.bool))
-        for moment in play(self.engine, self.controller):
-            self._add(moment.outcome, moment.active)
-            for row in torch.nonzero(moment.ended).squeeze(-1).tolist():
-                found[row] = self._episode(row, moment.outcome)
-            advance(int(moment.ended.sum()))
+        runs: list[OptionRun] = []
+        for executed in execute(self.engine, self.executor, self.choose):
+            self._add(executed.result, executed.active)
+            for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
+                found[row] = self._episode(row, executed.result)
+            runs += executed.runs
+            advance(int(executed.ended.sum()))
         self.engine.close()
         measured = self._measure()
         self.result.episodes += [replace(found[row], measures=measured[row]) for row in range(rows)]
-        self.result.options += [
-            self._option(run) for run in sorted(self.controller.runs, key=lambda r: (r.row, r.start_step))
-        ]
+        self.result.options += [self._option(run) for run in sorted(runs, key=lambda r: (r.row, r.start_step))]
 
-    def _add(self, outcome: StepResult, active: torch.Tensor) -> None:
-        valid = (outcome.valid & active[:, None]).numpy()
+    def _add(self, step: StepResult, active: torch.Tensor) -> None:
+        valid = (step.valid & active[:, None]).numpy()
         self.totals["policy_steps"] += active.numpy()
-        self.totals["return"] += np.where(active.numpy(), outcome.reward.numpy(), 0.0)
+        self.totals["return"] += np.where(active.numpy(), step.reward.numpy(), 0.0)
         self.totals["steps"] += valid.sum(axis=1)
-        self.totals["level"] += outcome.level.numpy() * valid.sum(axis=1)
-        self.seen.append((outcome.instants, outcome.valid & active[:, None]))
+        self.totals["level"] += step.level.numpy() * valid.sum(axis=1)
+        self.seen.append((step.instants, step.valid & active[:, None]))
         if self.config.record:
-            for k, instant in enumerate(outcome.steps):
-                self._record(instant, outcome.valid[:, k] & active)
+            for k, instant in enumerate(step.steps):
+                self._record(instant, step.valid[:, k] & active)
 
     def _measure(self) -> list[dict[str, float | None]]:
-        """Return what `comfort.trajectory` measures of each row."""
+        """Return the measures of `comfort.trajectory` of each row."""
         rows = len(self.entries.episode)
         valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
 
@@ -231,9 +229,9 @@ class EvaluationBatch:
                 ]
             )
 
-    def _episode(self, row: int, outcome: StepResult) -> Episode:
-        config, state, entries = self.config, outcome.state, self.entries
-        success = bool(outcome.success[row])
+    def _episode(self, row: int, step: StepResult) -> Episode:
+        config, state, entries = self.config, step.state, self.entries
+        success = bool(step.success[row])
         hit = bool(state.human_collision[row])
         colour = COLOURS[int(state.colours[row, 0])]
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
@@ -257,31 +255,31 @@ class EvaluationBatch:
             policy_steps=int(self.totals["policy_steps"][row]),
             return_=rounded(self.totals["return"][row]),
             human_collision=hit,
-            robot_moving_at_collision=bool(outcome.robot_moving[row]) if hit else None,
+            robot_moving_at_collision=bool(step.robot_moving[row]) if hit else None,
             other_collision="table" if table else "self" if itself else "none",
             truncated=not success and not (hit or table or itself),
             balls_placed=int(state.placed[row].sum()),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             measures={},
-            max_episode_steps=self._limit(row, outcome),
+            max_episode_steps=self._limit(row, step),
         )
 
     def _mean_level(self, row: int) -> float:
         return float(self.totals["level"][row] / self.totals["steps"][row])
 
     def _level(self, row: int, config: EvaluateConfig) -> int | None:
-        """Return the level of the row's whole episode; None where there is none, or not one alone."""
+        """Return the level of the row's whole episode; None without one, or if it may change."""
         if config.comfort.source not in ("fixed", "random"):
             return None
         return round(self._mean_level(row))
 
-    def _limit(self, row: int, outcome: StepResult) -> int:
+    def _limit(self, row: int, step: StepResult) -> int:
         """Return the time limit in force at the end of the row's episode, control steps.
 
-        A level that rises may bring a limit that is over by then: the steps there were are the limit.
+        A level that rises may lower the limit below the steps already taken; these are then the limit.
         """
-        limit = max_episode_steps(outcome.level[row], self.config.task.max_episode_steps, self.config.comfort)
-        return max(int(limit), int(outcome.state.steps[row]))
+        limit = max_episode_steps(step.level[row], self.config.task.max_episode_steps, self.config.comfort)
+        return max(int(limit), int(step.state.steps[row]))
 
     def _option(self, run: OptionRun) -> dict[str, Any]:
         line = asdict(run)
@@ -297,12 +295,12 @@ PATH_COLUMNS = [
 
 
 def rounded(value: float) -> float:
-    """Return a number as tables hold it: to a micrometre, or the like."""
+    """Return a number as the tables hold it, to six decimals."""
     return round(float(value), 6)
 
 
 def train_seed(source: str | None) -> int | None:
-    """Return the training seed of the run that a policy belongs to; None for one that was not trained."""
+    """Return the training seed of the run that a policy belongs to; None if it was not trained."""
     folder = run_folder(source) if source else None
     if folder is None:
         return None

@@ -1,128 +1,75 @@
-"""Meta-controllers: which option runs in which cell."""
+"""From the configuration of an evaluation to its options and meta-controller."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
-
-import torch
-from torch import Tensor
-
-from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.config import ComfortConfig, ConfigError, MetaControllerConfig
-from hrl_comfort.hierarchy.options import Option, Termination, act
-from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
+from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
+from hrl_comfort.hierarchy.options import Option, chain
+from hrl_comfort.hierarchy.q_learning import load_choice
+from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.policies.load import SCRIPTED, make_policy
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import Subtask, subtask
 
 
-@dataclass(frozen=True)
-class OptionRun:
-    """One run of an option in one cell; steps are control steps of the episode."""
+def make_executor(
+    config: EvaluateConfig, policy: str | None, engine: Engine, seed: int
+) -> tuple[OptionExecutor, Choose]:
+    """Return the options of a lone policy, a chain or `sort`, and what chooses among them; `seed` is for random ones.
 
-    row: int
-    option: str
-    attempt: int
-    start_step: int
-    end_step: int
-    termination: str
-
-
-class Controller(Protocol):
-    """Says what every row does, decision by decision (`meta_controller.play`)."""
-
-    runs: list[OptionRun]
-
-    def begin(self, rows: int) -> None:
-        """Start afresh with N rows."""
-
-    def act(self, state: State) -> Tensor:
-        """Return actions (N, 6)."""
-
-    def observe(self, outcome: StepResult) -> Tensor:
-        """Note what a decision led to and return (N,) bool: rows whose episode is given up."""
-
-
-class Scripted:
-    """Runs options in their fixed order: the next one when one succeeds, the same again when its time is up.
-
-    An option that has been preempted once more than `retries` allows ends the episode. Where `comfort` lets
-    an episode last longer at lower levels, an option may too.
+    Raises:
+      ConfigError: a policy is missing or does not fit, or the meta-controller does not go with the task.
     """
-
-    def __init__(
-        self, config: MetaControllerConfig, task: Subtask, options: list[Option], comfort: ComfortConfig
-    ) -> None:
-        names = [stage.name for option in options for stage in option.subtask.stages]
-        expected = [stage.name for stage in task.stages]
-        if names != expected:
-            raise ConfigError(
-                f"meta_controller.options={[o.name for o in options]} do the stages {names}; "
-                f"task.name={task.name} needs {expected}"
-            )
-        self.config, self.options, self.comfort = config, options, comfort
-        self.runs: list[OptionRun] = []
-
-    def begin(self, rows: int) -> None:
-        """Start afresh with N rows, each at its first option."""
-        self._option = torch.zeros(rows, dtype=torch.int64)
-        self._started = torch.zeros(rows, dtype=torch.int64)
-        self._attempt = torch.zeros(rows, dtype=torch.int64)
-        self._over = torch.zeros(rows, dtype=torch.bool)
-        self.runs = []
-
-    def act(self, state: State) -> Tensor:
-        """Return actions (N, 6): in each row those of the option in force; rows that are over stand still."""
-        return act(self.options, self._option, state, ~self._over)
-
-    def observe(self, outcome: StepResult) -> Tensor:
-        """Note what a decision led to and return (N,) bool: rows whose episode the controller gives up."""
-        state = outcome.state
-        failed = outcome.done & ~outcome.success
-        given_up = torch.zeros_like(self._over)
-        limit = max_episode_steps(outcome.level, self.config.time_limit_steps, self.comfort)
-        for row in torch.nonzero(~self._over).squeeze(-1).tolist():
-            option = self.options[int(self._option[row])]
-            now = int(state.steps[row])
-            if bool(failed[row]):
-                termination = Termination.PREEMPTED if bool(outcome.truncated[row]) else Termination.FAILURE
-                self._end(row, now, termination)
-                self._over[row] = True
-            elif int(state.stage[row]) >= option.last:
-                self._end(row, now, Termination.SUCCESS)
-                self._option[row] += 1
-                self._attempt[row] = 0
-                self._over[row] = bool(outcome.done[row])
-            elif int(state.stage[row]) < option.first:
-                self._end(row, now, Termination.PREEMPTED)  # the ball is lost: back to whoever takes it
-                stages = [o.last for o in self.options]
-                self._option[row] = next(i for i, last in enumerate(stages) if int(state.stage[row]) < last)
-                self._attempt[row] = 0
-            elif now - int(self._started[row]) >= int(limit[row]):
-                self._end(row, now, Termination.PREEMPTED)
-                self._attempt[row] += 1
-                if self._attempt[row] > self.config.retries:
-                    self._over[row] = given_up[row] = True
-        return given_up
-
-    def _end(self, row: int, now: int, termination: Termination) -> None:
-        name = self.options[int(self._option[row])].name
-        start = int(self._started[row])
-        self.runs.append(OptionRun(row, name, int(self._attempt[row]) + 1, start, now, termination.value))
-        self._started[row] = now
+    env, episodes, meta_controller = engine.episodes.config, engine.episodes, config.meta_controller
+    task = episodes.subtask
+    if meta_controller.name == "none":
+        source = policy or config.policy
+        if source is None:
+            raise ConfigError(f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}")
+        alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed))
+        return OptionExecutor([alone], config.task.max_episode_steps, episodes, retries=0), in_order
+    limit = meta_controller.time_limit_steps
+    if task.name == "sort":
+        options = sorting_options(meta_controller, config.policies, engine.scene, env, seed)
+        return OptionExecutor(options, limit, episodes), _sorter(config, [option.name for option in options], seed)
+    check_given(config)
+    if meta_controller.name != "scripted":
+        raise ConfigError(
+            f"meta_controller={meta_controller.name} is for task=sort; task={task.name} takes meta_controller=scripted"
+        )
+    if meta_controller.level_override:
+        raise ConfigError(
+            f"meta_controller.level_override={list(meta_controller.level_override)} is for task=sort; "
+            "choose meta_controller.level_override=[]"
+        )
+    parts = [subtask(name) for name in meta_controller.options]
+    check_stages(parts, task)
+    skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
+    return OptionExecutor(chain(skills), limit, episodes, meta_controller.retries), in_order
 
 
-def chain(options: list[Option]) -> list[Option]:
-    """Return the options with `first` set so that each takes over where the one before it ends."""
-    placed, first = [], 0
-    for option in options:
-        placed.append(Option(option.name, option.subtask, option.policy, first))
-        first = placed[-1].last
-    return placed
+def check_given(config: EvaluateConfig) -> None:
+    """Raise ConfigError unless every option of the chain has a policy."""
+    missing = [name for name in config.meta_controller.options if name not in config.policies]
+    if missing:
+        raise ConfigError(f"policies.{missing[0]} is not given; meta_controller={config.meta_controller.name} needs it")
 
 
-def single(task: Subtask, option: Option, limit: int, comfort: ComfortConfig) -> Scripted:
-    """Return the controller of a lone policy: its one option has the episode's limit, control steps."""
-    config = MetaControllerConfig(
-        name="none", options=[option.name], time_limit_steps=limit, retries=0, level_override=[]
-    )
-    return Scripted(config, task, [option], comfort)
+def check_stages(parts: list[Subtask], task: Subtask) -> None:
+    """Raise ConfigError unless the stages of the parts are those of the task."""
+    stages = [stage for part in parts for stage in part.stages]
+    if stages != list(task.stages):
+        raise ConfigError(
+            f"meta_controller.options={[part.name for part in parts]} do the stages {[s.name for s in stages]}; "
+            f"task.name={task.name} needs {[stage.name for stage in task.stages]}"
+        )
+
+
+def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
+    """Return the meta-controller of `sort` that `config` names."""
+    if config.meta_controller.name != "learned":
+        return make_choice(config.meta_controller.name, seed)
+    if "meta_controller" not in config.policies:
+        raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
+    return load_choice(config.policies["meta_controller"], config.comfort.levels, options)

@@ -1,46 +1,33 @@
-"""What a controller of `sort` may choose by: pure functions of state, mask and how long it has waited.
+"""Meta-controllers: pure functions that choose the next option from a `Decision`.
 
-Options are those of `sorting_options`: for each level a skill may be told, the one in force first, a pick for
-each of B balls, place and return; then wait and retreat.
+Those of `sort` rely on the order of `sorting_options`: for each level a skill may be told, the one in force
+first, a pick for each of B balls, place and return; then wait and retreat.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import ConfigError
-from hrl_comfort.tasks import State
+from hrl_comfort.hierarchy.executor import Choose, Decision
 
 WAIT, RETREAT = -2, -1
-"""Where these options stand in the list, from its end."""
+"""Positions of these options, from the end of the list."""
 NEAR_M = 0.55
-"""`cautious` waits while the person is within this of where the tool has to go next, m."""
+"""`cautious` waits while the person is within this distance of the tool's next goal, m."""
 PATIENCE = 6
-"""Waits in a row after which `cautious` goes on."""
+"""Consecutive waits after which `cautious` goes on."""
 
 
-@dataclass(frozen=True)
-class Decision:
-    """What a controller knows when an option of some of N rows has ended."""
-
-    state: State
-    mask: Tensor
-    """(N, K) bool, the options that can start."""
-    waits: Tensor
-    """(N,) int64, waits in a row until now."""
+def in_order(decision: Decision) -> Tensor:
+    """Choose the first option that can start: in a chain, the one whose stage is in force."""
+    return decision.mask.int().argmax(dim=1)
 
 
-Choose = Callable[[Decision], Tensor]
-"""A decision -> the option (N,) int64 that begins, in the rows that decide."""
-
-
-def next_of(decision: Decision, score: Tensor) -> Tensor:
-    """Return the option (N,) that takes the task on; of the picks that can start, the one of highest score.
+def next_option(decision: Decision, score: Tensor) -> Tensor:
+    """Return the option (N,) that advances the task; of the picks that can start, the one of highest score.
 
     Where none of these can start, an option was preempted, and the arm retreats. `score` is (N, B), one for
     each ball.
@@ -53,17 +40,17 @@ def next_of(decision: Decision, score: Tensor) -> Tensor:
 
 
 def nearest(decision: Decision) -> Tensor:
-    """Choose the nearest ball first."""
+    """Choose the ball nearest to the tool."""
     state = decision.state
-    return next_of(decision, -(state.balls - state.tcp_pos[:, None]).norm(dim=-1))
+    return next_option(decision, -(state.balls - state.tcp_pos[:, None]).norm(dim=-1))
 
 
 def cautious(decision: Decision) -> Tensor:
-    """Choose the ball whose way is farthest from the person; wait, a while, where they stand at the goal."""
+    """Choose the ball farthest from the person, and wait, a while, for a person near the goal."""
     state = decision.state
     person = state.human_pos[:, None]
     score = torch.minimum(human_distance(state.balls, person), human_distance(state.drops, person))
-    chosen = next_of(decision, score)
+    chosen = next_option(decision, score)
     balls, count = score.shape[1], decision.mask.shape[1]
     ball = chosen.clamp(max=balls - 1)
     goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
@@ -73,7 +60,7 @@ def cautious(decision: Decision) -> Tensor:
 
 
 def at_random(seed: int) -> Choose:
-    """Choose any option that can start, each as likely."""
+    """Return a meta-controller that chooses uniformly among the options that can start."""
     generator = torch.Generator().manual_seed(seed)
 
     def choose(decision: Decision) -> Tensor:
@@ -83,7 +70,7 @@ def at_random(seed: int) -> Choose:
 
 
 def make_choice(name: str, seed: int) -> Choose:
-    """Return how the controller `name` chooses.
+    """Return the meta-controller `name` of `sort`; `learned` is loaded by `q_learning.load_choice`.
 
     Raises:
       ConfigError: there is no such controller.

@@ -1,4 +1,4 @@
-"""What a learned controller of `sort` sees: a pure function of State, lengths in metres."""
+"""Observation of the learned meta-controller of `sort`: a pure function of State, lengths in metres."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from torch import Tensor
 
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.tasks import State
-from hrl_comfort.tasks.cycle import STAGES
+from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import human, joint_error, tool
 
-ROUND = len(STAGES)
+ROUND = len(CYCLE.stages)
 """Stages of one ball's round: pick, place, return."""
 OTHERS, BALL = 18, 9
-"""Numbers that are of no ball, and those of each ball."""
+"""Sizes of the part that is of no ball, and of the part of each ball."""
 
 
 def meta_observation(state: State, levels: int) -> Tensor:
     """Return (N, OTHERS + BALL * B).
 
-    Person (2) and the way they face (2, zero where they are not seen as they are), tool (3), joints from
-    home (6), stage of the round (3), level and whether there is one (2); of each ball where it lies (3),
-    where it belongs (2), how far the person is from both (2), whether it is placed and whether it is the one
-    aimed at (2).
+    Person (2) and their facing direction (2, zero where the policy is not shown their true position), tool (3),
+    joints from home (6), stage of the round (3), level and whether there is one (2); of each ball its position
+    (3), its drop point (2), the person's distance from both (2), whether it is placed and whether it is the
+    target (2).
     """
     drop = state.drops
     person = human(state)[:, None]

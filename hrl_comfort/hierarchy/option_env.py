@@ -1,8 +1,7 @@
-"""The semi-MDP above the options: a TorchRL environment whose action runs one frozen policy until it ends.
+"""The semi-MDP of options as a TorchRL environment: an action starts an option (Sutton, Precup, Singh 1999).
 
-Options end after different times in different rows, so a step runs until the first of them ends, and only
-the rows that `deciding` marks choose anew; the others go on with what they have (Sutton, Precup, Singh,
-Between MDPs and semi-MDPs, 1999).
+Options end at different times in different rows. A step runs until the first of them ends; only the rows
+marked `deciding` then choose, the others continue.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
-from hrl_comfort.tasks.subtask import Quantity
+from hrl_comfort.tasks.subtask import StateFunction
 
 MakeOptions = Callable[[Engine], list[Option | IdleOption]]
 
@@ -32,12 +31,11 @@ MakeOptions = Callable[[Engine], list[Option | IdleOption]]
 class OptionEnv(EnvBase):
     """N cells in which K options are run, batch size (N,).
 
-    Action (N,) int64 in [0, K): the option that begins in the rows that decide; elsewhere it is ignored.
-    A step reports, beside `observation` (N, D) float32 and `action_mask` (N, K) bool (options that can
-    start now): `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards
-    discounted by gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, the
-    control steps it took, and `ending` (N, 1) int64, an index of `running.TERMINATIONS`. `success` (N, 1) bool
-    is the whole episode's.
+    Action (N,) int64 in [0, K): the option to start in the rows that decide; elsewhere it is ignored.
+    A step returns `observation` (N, D) float32; `action_mask` (N, K) bool, options that can start now;
+    `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards discounted by
+    gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, its control steps, and
+    `termination` (N, 1) int64, an index into `executor.TERMINATIONS`; `success` (N, 1) bool of the episode.
     """
 
     batch_locked = True
@@ -46,30 +44,30 @@ class OptionEnv(EnvBase):
         self,
         config: EnvConfig,
         make_options: MakeOptions,
-        max_episode_steps: int,
+        time_limit: int,
         rows: int,
         seed: int,
         gamma: float,
         evaluation: EvaluationSet | None = None,
-        observe: Quantity | None = None,
+        observe: StateFunction | None = None,
         disturbance: str = "none",
     ) -> None:
-        """Skills run for `max_episode_steps` control steps at most; gamma discounts a control step.
+        """Limit skills to `time_limit` control steps; gamma discounts a control step.
 
-        `observe` is what the controller sees, the task's own observation by default.
+        `observe` is the meta-controller's observation, the task's own by default.
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = Engine(config, rows, seed, evaluation, disturbance=disturbance)
-        self.executor = OptionExecutor(make_options(self.engine), max_episode_steps, self.engine.episodes)
+        self.executor = OptionExecutor(make_options(self.engine), time_limit, self.engine.episodes)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe
         self._begin_rows = torch.ones(rows, dtype=torch.bool)
         state = self.engine.reset()
         self._return = torch.zeros(rows, dtype=torch.float64)
         self.earned = torch.zeros(rows, dtype=torch.float64)
-        """(N,) rewards of the last step, not discounted, of options that have ended and of others."""
+        """(N,) rewards of the last step, undiscounted, of every row."""
         self.last_state: State = state
-        """What the last step led to, before any row began anew."""
+        """State after the last step, before any row was reset."""
         self._origin = self._observe(state)
         self._origin_mask = self.executor.available(state)
         self._make_specs()
@@ -124,20 +122,20 @@ class OptionEnv(EnvBase):
         state = self.executor.begin(rows, tensordict["action"].reshape(-1))
         self.earned = torch.zeros_like(self.earned)
         while True:
-            outcome = self.engine.step(self.executor.act(state).numpy())
-            self._earn(outcome)
-            state = outcome.state
-            over = self.executor.ended(outcome)
-            ended = over.rows
+            result = self.engine.step(self.executor.act(state).numpy())
+            self._earn(result)
+            state = result.state
+            options = self.executor.ended(result)
+            ended = options.rows
             if bool(ended.any()):
                 break
         self._begin_rows, self.last_state = ended, state
         flags = {
             "deciding": ended,
-            "success": outcome.success,
-            "done": outcome.done,
-            "terminated": outcome.terminated,
-            "truncated": outcome.truncated,
+            "success": result.success,
+            "done": result.done,
+            "terminated": result.terminated,
+            "truncated": result.truncated,
         }
         return TensorDict(
             {
@@ -145,25 +143,25 @@ class OptionEnv(EnvBase):
                 "action_mask": self.executor.available(state),
                 "reward": torch.where(ended, self._return, 0.0)[:, None].float(),
                 "steps_to_next_obs": torch.where(ended, state.steps - self.executor.started, 0)[:, None],
-                "termination": over.termination[:, None],
+                "termination": options.termination[:, None],
                 **{name: flag[:, None] for name, flag in flags.items()},
             },
             batch_size=self.batch_size,
         )
 
-    def _earn(self, outcome: StepResult) -> None:
-        """Add a decision's rewards, each discounted from the start of its row's option."""
-        count = outcome.valid.shape[1]
-        passed = (outcome.state.steps - outcome.decision_steps - self.executor.started)[:, None] + torch.arange(count)
-        weight = torch.where(outcome.valid, self.gamma ** passed.double(), 0.0)
-        self._return = self._return + (weight * outcome.step_rewards).sum(dim=1)
-        self.earned = self.earned + outcome.step_rewards.sum(dim=1)
+    def _earn(self, result: StepResult) -> None:
+        """Add the rewards of a decision, discounted from the start of each row's option."""
+        count = result.valid.shape[1]
+        passed = (result.state.steps - result.decision_steps - self.executor.started)[:, None] + torch.arange(count)
+        weight = torch.where(result.valid, self.gamma ** passed.double(), 0.0)
+        self._return = self._return + (weight * result.step_rewards).sum(dim=1)
+        self.earned = self.earned + result.step_rewards.sum(dim=1)
 
     def transitions(self, after: TensorDictBase) -> TensorDict:
         """Return the options that ended in a step as transitions (F,) of the semi-MDP.
 
-        `after` is the step's `next`. `steps_to_next_obs` lies at the root, where TorchRL's TD0 takes gamma to
-        its power; so the value of the next observation is discounted by the option's length.
+        `after` is the step's `next`. TorchRL's TD0 raises gamma to `steps_to_next_obs`, at the root, and so
+        discounts the value of the next observation by the option's length.
         """
         rows = torch.nonzero(after["deciding"].reshape(-1)).squeeze(-1)
         names = ("observation", "action_mask", "reward", "done", "terminated", "truncated")
@@ -184,14 +182,14 @@ class OptionEnv(EnvBase):
         """Return everything a bit-for-bit continuation needs, between two steps."""
         return {
             "engine": self.engine.state_dict(),
-            "running": self.executor.state_dict(),
+            "executor": self.executor.state_dict(),
             **{name: getattr(self, name) for name in self._TENSORS},
         }
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Continue from `state_dict`."""
         self.engine.load_state_dict(state_dict["engine"])
-        self.executor.load_state_dict(state_dict["running"])
+        self.executor.load_state_dict(state_dict["executor"])
         for name in self._TENSORS:
             setattr(self, name, state_dict[name])
 

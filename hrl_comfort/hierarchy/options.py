@@ -14,13 +14,13 @@ from torch import Tensor
 
 from hrl_comfort.policies.load import Act
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.subtask import Quantity
+from hrl_comfort.tasks.subtask import StateFunction
 
 NEVER = 2**62
 
 
 class Termination(Enum):
-    """How an option ended."""
+    """Ways in which an option ends."""
 
     SUCCESS = "success"
     FAILURE = "failure"
@@ -29,39 +29,38 @@ class Termination(Enum):
 
 @dataclass(frozen=True)
 class Option:
-    """A subtask with a frozen policy for it.
-
-    `first` is the stage of the longer task at which the option starts; it is responsible for as many stages
-    as its subtask has, and sees their index counted from its own. Of a task that goes round several times
-    (`sort`), `round_stages` says how many stages a round has, and `ball` which ball a pick is for. Where
-    there is a `level`, the policy is told it, instead of the level in force.
-    """
+    """A subtask with a frozen policy for it, the skill of some stages of a longer task."""
 
     name: str
     subtask: Subtask
     policy: Act
     first: int = 0
+    """First of its stages in the longer task; the policy sees stages counted from here."""
     round_stages: int = 0
+    """Stages of a round, in a task of several rounds (`sort`)."""
     ball: int | None = None
+    """Ball that a pick is for."""
     level: float | None = None
+    """Comfort level that the policy is told instead of the one in force."""
 
     @property
     def last(self) -> int:
-        """One past the last stage the option is responsible for, in the first round."""
+        """One past its last stage, in the first round."""
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: its stage is in force, and its ball is not placed."""
+        """Return (N,) bool: one of its stages is in force, and its ball is not placed."""
         stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
         return able if self.ball is None else able & ~state.placed[:, self.ball]
 
-    def ends(self, state: State) -> Tensor:
-        """Return (N,) int64: the stage at which the option is done if it starts now."""
-        return self._round(state.stage) + self.last
+    def stages(self, stage: Tensor) -> tuple[Tensor, Tensor]:
+        """Return its first stage and one past its last, in the round of the stages (N,) in force."""
+        start = self._round(stage)
+        return start + self.first, start + self.last
 
     def own_stage(self, stage: Tensor) -> Tensor:
-        """Return the stages (N,) int64 counted from the option's own, of this round."""
+        """Return the stages (N,) int64 counted from the option's first, in this round."""
         return (stage - self._round(stage) - self.first).clamp(min=0)
 
     def _round(self, stage: Tensor) -> Tensor:
@@ -70,32 +69,45 @@ class Option:
 
 @dataclass(frozen=True)
 class IdleOption:
-    """An option that takes the task no further: it lasts `max_episode_steps`, or until `done`.
+    """An option that does not advance the task: it lasts `max_steps` control steps, or until `done`.
 
-    It can be chosen where `fits` says so. One with a `done` takes the arm home: it also follows whatever was
-    preempted (`OptionExecutor.available`).
+    One with a `done` takes the arm home; it follows every preempted skill (`OptionExecutor.available`).
     """
 
     name: str
     policy: Act
-    fits: Quantity
-    max_episode_steps: int = NEVER
-    done: Quantity | None = None
+    fits: StateFunction
+    """(N,) bool, where it can be chosen."""
+    max_steps: int = NEVER
+    done: StateFunction | None = None
     ball: None = None
     level: None = None
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: where it fits, and is not done already."""
+        """Return (N,) bool: it fits, and is not done already."""
         fits = self.fits(state)
         return fits if self.done is None else fits & ~self.done(state)
 
-    def ends(self, state: State) -> Tensor:
-        """Return (N,) int64, a stage that is never reached."""
-        return torch.full_like(state.stage, NEVER)
+    def is_over(self, state: State, lasted: Tensor) -> Tensor:
+        """Return (N,) bool: it is done, or has lasted (N,) its control steps."""
+        over = lasted >= self.max_steps
+        return over if self.done is None else over | self.done(state)
+
+    def stages(self, stage: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the stage in force and one that is never reached, (N,) each."""
+        return stage, torch.full_like(stage, NEVER)
 
     def own_stage(self, stage: Tensor) -> Tensor:
         """Return zeros (N,) int64: it has no stages."""
         return torch.zeros_like(stage)
+
+
+def chain(skills: Sequence[tuple[Subtask, Act]]) -> list[Option]:
+    """Return an option a skill, each with the stages after those of the one before."""
+    options: list[Option] = []
+    for subtask, policy in skills:
+        options.append(Option(subtask.name, subtask, policy, options[-1].last if options else 0))
+    return options
 
 
 def act(options: Sequence[Option | IdleOption], option: Tensor, state: State, acting: Tensor) -> Tensor:

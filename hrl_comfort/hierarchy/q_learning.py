@@ -1,4 +1,4 @@
-"""A controller that learns which option to run: double DQN over the semi-MDP of options (TorchRL's DQNLoss).
+"""The learned meta-controller: double DQN over the semi-MDP of options (TorchRL's DQNLoss).
 
 An option of k control steps is discounted by gamma**k, which TorchRL takes from `steps_to_next_obs`.
 """
@@ -20,16 +20,16 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig
-from hrl_comfort.hierarchy.meta_controllers import Choose, Decision
+from hrl_comfort.hierarchy.executor import Choose, Decision
 from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
 from hrl_comfort.policies.actor import WIDEST
 
 SPEC: dict[str, type] = {"names": list, "levels": int, "balls": int, "observation_dim": int, "hidden": list}
-"""What a controller's file says of it."""
+"""Fields of the `spec` in a meta-controller's file, and their types."""
 
 
 def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
-    """Return the network of option values; options that the mask rules out are never the best."""
+    """Return the network of option values; masked options are never chosen."""
     return QValueActor(
         MLP(observation_dim, options, num_cells=hidden, activation_class=torch.nn.ReLU),
         in_keys=["observation"],
@@ -68,7 +68,7 @@ class QLearner:
         return torch.where(torch.rand(len(best)) < exploration, anything, best)
 
     def remember(self, transitions: TensorDictBase) -> None:
-        """Keep transitions (F,) of `OptionEnv.transitions`."""
+        """Store transitions (F,) of `OptionEnv.transitions`."""
         if len(transitions):
             self.buffer.extend(transitions)
 
@@ -84,7 +84,7 @@ class QLearner:
         return float(found.detach())
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that is needed to continue, as plain data; of the buffer the filled part."""
+        """Return what an exact continuation needs, as plain data."""
         return {
             "loss": self.loss.state_dict(),
             "average": self.average.state_dict(),
@@ -94,7 +94,7 @@ class QLearner:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`, in a learner that has stored nothing yet."""
+        """Continue from `state_dict`; the buffer must be empty."""
         self.loss.load_state_dict(state["loss"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -102,7 +102,7 @@ class QLearner:
         torch.set_rng_state(state["generator"])
 
     def save(self, path: Path, spec: dict[str, Any]) -> None:
-        """Write the mean of networks and what is needed to use it."""
+        """Write the averaged network and its spec."""
         shape = {
             "observation_dim": self.observation_dim,
             "options": self.count,
@@ -119,15 +119,15 @@ def greedy(network: QValueActor, observation: Tensor, mask: Tensor) -> Tensor:
 
 
 def choice_file(source: Path) -> Path:
-    """Return the file of the trained controller at `source`, its run folder or the file itself."""
+    """Return the file of the trained meta-controller at `source`, a run folder or the file itself."""
     return source / "meta_controller.pt" if source.is_dir() else source
 
 
 def load_choice(source: str, levels: int, options: list[str]) -> Choose:
-    """Return how a trained controller chooses among `options`; `source` is its run folder or meta_controller.pt.
+    """Return the trained meta-controller in `source`, a run folder or a meta_controller.pt.
 
     Raises:
-      ConfigError: there is none, it is damaged, or it was trained for other options.
+      ConfigError: the file is missing or damaged, or it was trained for other options.
     """
     state = checkpoint.load(choice_file(Path(source)))
     spec, weights = state.get("spec"), state.get("network")
@@ -149,7 +149,7 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
     seen = OTHERS + BALL * spec["balls"]
     if spec["observation_dim"] != seen:
         raise ConfigError(
-            f"policies.meta_controller={source!r} was taught by {spec['observation_dim']} observations; "
+            f"policies.meta_controller={source!r} was trained on {spec['observation_dim']} observations; "
             f"here there are {seen}: train it again"
         )
     if not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):

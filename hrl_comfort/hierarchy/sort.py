@@ -1,4 +1,4 @@
-"""The options of `sort`, and the controller that lets a choice decide whenever one of them has ended."""
+"""The options of `sort`."""
 
 from __future__ import annotations
 
@@ -8,23 +8,22 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.config import ComfortConfig, ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
-from hrl_comfort.hierarchy.controllers import OptionRun
-from hrl_comfort.hierarchy.executor import TERMINATIONS, OptionExecutor
-from hrl_comfort.hierarchy.meta_controllers import WAIT, Choose, Decision
 from hrl_comfort.hierarchy.observation import ROUND
 from hrl_comfort.hierarchy.options import IdleOption, Option
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.tasks import State, subtask
-from hrl_comfort.tasks.return_home import GO_HOME
+from hrl_comfort.tasks import State
+from hrl_comfort.tasks.cycle import CYCLE
+from hrl_comfort.tasks.pick import PICK
+from hrl_comfort.tasks.place import PLACE
+from hrl_comfort.tasks.return_home import RETURN, RETURN_STAGE
 
-SKILLS = ("pick", "place", "return")
+SKILLS = (PICK, PLACE, RETURN)
 WAIT_STEPS = 25
-"""Control steps that a wait lasts: half a second."""
+"""Duration of a wait, control steps (0.5 s)."""
 REST_RAD_S = 0.1
-"""A joint that is slower than this is at rest."""
+"""Joint speed below which a joint is at rest."""
 
 
 def sorting_options(
@@ -36,47 +35,44 @@ def sorting_options(
     `meta_controller.level_override`.
 
     Raises:
-      ConfigError: the division is another, or a policy is missing or does not fit.
+      ConfigError: the division is not three, or a policy is missing or does not fit.
     """
-    if tuple(meta_controller.options) != SKILLS:
+    names = [skill.name for skill in SKILLS]
+    if list(meta_controller.options) != names:
         raise ConfigError(f"meta_controller.options={list(meta_controller.options)} do not sort; choose division=three")
-    missing = [name for name in SKILLS if name not in policies]
+    missing = [name for name in names if name not in policies]
     if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(SKILLS)}")
+        raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(names)}")
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
-    for known in meta_controller.level_override:
-        check_told(known, config.comfort)
-    act = {name: make_policy(policies[name], subtask(name), scene, config, seed) for name in SKILLS}
+    for told in meta_controller.level_override:
+        check_told(told, config.comfort)
+    pick, place, back = (make_policy(policies[skill.name], skill, scene, config, seed) for skill in SKILLS)
     skills: list[Option | IdleOption] = []
     for level in (None, *meta_controller.level_override):
         suffix = "" if level is None else f"_as_{level}"
+        skills += [Option(f"pick_{k + 1}{suffix}", PICK, pick, 0, ROUND, k, level) for k in range(config.task.balls)]
         skills += [
-            Option(f"pick_{k + 1}{suffix}", subtask("pick"), act["pick"], 0, ROUND, k, level)
-            for k in range(config.task.balls)
+            Option(f"place{suffix}", PLACE, place, 1, ROUND, level=level),
+            Option(f"return{suffix}", RETURN, back, 2, ROUND, level=level),
         ]
-        skills += [
-            Option(f"{name}{suffix}", subtask(name), act[name], first, ROUND, level=level)
-            for first, name in enumerate(SKILLS)
-            if name != "pick"
-        ]
-    home = Expert(scene, config, subtask("return"))
+    home = Expert(scene, config, RETURN)
     return [
         *skills,
-        # Where a ball has just been placed the arm may be fast, close above a table. A ball just taken is not
-        # carried home, for a place is trained to begin where a pick ends.
+        # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
+        # does not retreat, for a place is trained to begin where a pick ends.
         IdleOption("wait", stop(config.task), lambda state: ~has_placed(state), WAIT_STEPS),
-        IdleOption("retreat", home.act, has_placed, done=GO_HOME.done),
+        IdleOption("retreat", home.act, has_placed, done=RETURN_STAGE.done),
     ]
 
 
 def has_placed(state: State) -> Tensor:
-    """Return (N,) bool: a ball has just been placed, and the arm is to return."""
-    return state.stage % ROUND == SKILLS.index("return")
+    """Return (N,) bool: a ball has just been placed; the arm is to return."""
+    return state.stage % ROUND == CYCLE.stages.index(RETURN_STAGE)
 
 
 def check_told(level: int, comfort: ComfortConfig) -> None:
-    """Raise ConfigError if there is no such level to tell a skill, or none in force."""
+    """Raise ConfigError unless `level` is one of the levels of a comfort source."""
     if comfort.source == "none" or level > comfort.levels:
         raise ConfigError(
             f"meta_controller.level_override={level} with comfort.source={comfort.source} and "
@@ -86,9 +82,9 @@ def check_told(level: int, comfort: ComfortConfig) -> None:
 
 
 def stop(task: TaskConfig) -> Act:
-    """Return what brings the arm to rest: while a joint moves, the servos' targets go back to the joints.
+    """Return a policy that brings the arm to rest: while a joint moves, the servo targets go to the joint angles.
 
-    At rest they stay as they are, for a servo holds the arm up by how far it is from its target.
+    At rest they stay, for a servo's position error holds the arm up.
     """
     reach = task.action_repeat * math.radians(task.max_step_deg)
 
@@ -98,53 +94,3 @@ def stop(task: TaskConfig) -> Act:
         return torch.where(moving, back, 0.0)
 
     return act
-
-
-class SortController:
-    """Runs options until they end, and lets `choose` say what comes next."""
-
-    def __init__(self, executor: OptionExecutor, choose: Choose) -> None:
-        self.executor, self._choose = executor, choose
-        self.runs: list[OptionRun] = []
-
-    def begin(self, rows: int) -> None:
-        """Start afresh with N rows."""
-        self._deciding = torch.ones(rows, dtype=torch.bool)
-        self._over = torch.zeros(rows, dtype=torch.bool)
-        self._last = torch.full((rows,), -1, dtype=torch.int64)
-        self._waits = torch.zeros(rows, dtype=torch.int64)
-        self._attempt = torch.zeros(rows, dtype=torch.int64)
-        self.runs = []
-
-    def act(self, state: State) -> Tensor:
-        """Return actions (N, 6); rows whose option has ended choose anew, those that are over stand still."""
-        rows = self._deciding & ~self._over
-        if bool(rows.any()):
-            decision = Decision(state, self.executor.available(state), self._waits)
-            chosen = torch.where(rows, self._choose(decision), self.executor.option)
-            self._attempt = torch.where(rows, torch.where(chosen == self._last, self._attempt + 1, 1), self._attempt)
-            state = self.executor.begin(rows, chosen)
-        return self.executor.act(state, ~self._over)
-
-    def observe(self, outcome: StepResult) -> Tensor:
-        """Note what a decision led to and return (N,) bool: rows given up, none."""
-        ended = self.executor.ended(outcome)
-        rows = ended.rows & ~self._over
-        wait = len(self.executor.options) + WAIT
-        for row in torch.nonzero(rows).squeeze(-1).tolist():
-            index = int(self.executor.option[row])
-            self.runs.append(
-                OptionRun(
-                    row,
-                    self.executor.options[index].name,
-                    int(self._attempt[row]),
-                    int(self.executor.started[row]),
-                    int(outcome.state.steps[row]),
-                    TERMINATIONS[int(ended.termination[row])].value,
-                )
-            )
-        self._waits = torch.where(rows, torch.where(self.executor.option == wait, self._waits + 1, 0), self._waits)
-        self._last = torch.where(rows, self.executor.option, self._last)
-        self._deciding = rows
-        self._over = self._over | outcome.done
-        return torch.zeros_like(self._over)

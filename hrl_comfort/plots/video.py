@@ -17,7 +17,7 @@ from hrl_comfort.analysis.intervals import Floats
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
 from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
 from hrl_comfort.scene.robots import JOINTS
-from hrl_comfort.tasks import SUBTASKS
+from hrl_comfort.tasks import SUBTASKS, Ball
 
 WIDTH, HEIGHT = 480, 360
 FRAMES_PER_S = 25
@@ -79,16 +79,6 @@ def gait(x: Floats, y: Floats, frames_per_s: int = FRAMES_PER_S) -> tuple[Floats
     return phase, _SWING_RAD * np.clip(walked * frames_per_s / 0.8, 0, 1)
 
 
-def _ball_place(task: str, stage: int) -> str:
-    """Return where the ball is: table, tool, drop, or nowhere in a subtask without one."""
-    names = [item.name for item in SUBTASKS[task].stages]
-    if not {"pick", "place", "return"} & set(names):
-        return "nowhere"
-    if stage < len(names):
-        return {"pick": "table", "place": "tool"}.get(names[stage], "drop")
-    return "tool" if names[-1] == "pick" else "drop"
-
-
 def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
     """Return the human's columns (steps,) with nobody there put where absent things stand."""
     far = {"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
@@ -140,7 +130,7 @@ def frames(
         rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         shown = resample({**path, **_absent_is_away(path)})
         limbs = _poses(scene, shown)
-        goals = {"table": cell.ball_m, "drop": cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
         joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
         ball = scene.mocap.index(f"{colour}_ball")
         picture = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -148,8 +138,8 @@ def frames(
             data.qpos[joints] = [shown[f"q{j}"][i] for j in range(6)]
             data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
             tool = [shown[f"tcp_{axis}"][i] for axis in "xyz"]
-            where = _ball_place(task, int(shown["stage"][i]))
-            if where != "nowhere":
+            where = SUBTASKS[task].ball(int(shown["stage"][i]))
+            if where != Ball.NOWHERE:
                 data.mocap_pos[ball] = goals.get(where, tool)
             mujoco.mj_forward(model, data)
             mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, view)

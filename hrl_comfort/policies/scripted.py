@@ -24,7 +24,7 @@ class StageGoals:
                 f"task.action={config.task.action!r} is not allowed with policy={policy}; choose task.action=joint"
             )
         self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
-        self._homeward = torch.tensor([stage.name == "return" for stage in subtask.stages])
+        self._homeward = torch.tensor([stage.joint_space for stage in subtask.stages])
 
     def __call__(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return where the tool should go (N, 3) m, and whether (N,) the goal is the home posture instead."""

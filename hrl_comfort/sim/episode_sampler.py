@@ -64,7 +64,7 @@ class EpisodeSampler:
         self.seed = seed
         self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
-        self._on_points = len(task.stages) if task.stages[0].name == "reach" else 0
+        self._on_points = task.points
         cell = config.cell
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])

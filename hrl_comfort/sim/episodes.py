@@ -27,7 +27,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.arm_distance import ArmDistance
-from hrl_comfort.sim.balls import aimed, drawn, in_stage, noted
+from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
@@ -185,7 +185,7 @@ class Episodes:
             "limbs": limbs,
         }
         assert self.state is not None
-        return self._pack(targets, limbs, drawn(self.state, self.subtask))
+        return self._pack(targets, limbs, rendered_positions(self.state, self.subtask))
 
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Judge a decision from its sensor readings (N, K * substeps, nsensor).
@@ -201,7 +201,7 @@ class Episodes:
         limit = max_episode_steps(self.state.level, self.config.task.max_episode_steps, self.config.comfort)
         outcome = compute_step(self.subtask, self._weights, limit, self.state, moving)
         before, level = self.state.stage, self._next_level(outcome)
-        state = noted(outcome.state.with_(level=level), before, self.subtask)
+        state = update_placed(outcome.state.with_(level=level), before, self.subtask)
         self.state = self._disturbed(state)
         outcome = replace(outcome, state=self.state)
         steps = self.state.steps.numpy().copy()
@@ -218,7 +218,7 @@ class Episodes:
           ValueError: a row is not to pick now, or the ball has been placed.
         """
         assert self.state is not None
-        self.state = aimed(self.state, rows, ball, self.subtask)
+        self.state = target_ball(self.state, rows, ball, self.subtask)
 
     # ---- pieces ----------------------------------------------------------------------------------------
 
@@ -260,8 +260,7 @@ class Episodes:
         position[..., : len(LIMBS), :], quaternion[..., : len(LIMBS), :] = limbs[..., :3], limbs[..., 3:]
         props = position[..., len(LIMBS) :, :]
         props[...], quaternion[..., len(LIMBS) :, :] = (FAR_AWAY_M, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-        if self.subtask.stages[0].name == "reach":
-            count = len(self.subtask.stages)
+        if count := self.subtask.points:
             props[..., 2 : 2 + count, :] = self.points[rows][:, None, None, :count]
         else:
             for index in range(self.config.task.balls):
@@ -273,7 +272,7 @@ class Episodes:
         """Return the state in which balls are lost that are to be: they have to be picked again."""
         if self._disturbance.kind != "drop":
             return state
-        held = in_stage("place", state.stage, self.subtask)
+        held = self.subtask.releasing(state.stage)
         lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
         return state.with_(stage=state.stage - lost.long())
 
@@ -360,8 +359,8 @@ class Episodes:
             target=torch.zeros(n, dtype=torch.int64),
             level=torch.from_numpy(self.source.level[rows].copy()),
             stage=torch.zeros(n, dtype=torch.int64),
-            take=torch.from_numpy(self.precision[rows].copy()),
-            leave=torch.from_numpy(scale * task.precision.place_tolerance_m),
+            grasp_tolerance=torch.from_numpy(self.precision[rows].copy()),
+            place_tolerance=torch.from_numpy(scale * task.precision.place_tolerance_m),
             home_tolerance=torch.from_numpy(scale * np.radians(task.precision.home_tolerance_deg)),
         )
 

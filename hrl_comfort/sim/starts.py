@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import COLOURS, ConfigError, EnvConfig
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.tasks import Start
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
 """Standard deviation of the posture from which each solution is sought: policies leave the wrist anywhere."""
 
 
-def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
+def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
     """Return the starts (M, 18 or 21) of a subtask: one array, or one a colour where the goal depends on it.
 
     `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
@@ -44,12 +45,12 @@ def start_states(scene: Scene, config: EnvConfig, start: str) -> list[Array]:
     Raises:
       ConfigError: the file is missing or of another form, or of more levels than there are.
     """
-    if start == "home":
+    if start == Start.HOME:
         return [at_rest(scene.home[None])]
     if config.task.start != "ik":
         return recorded(config.task.start, config.comfort.levels)
     precision, cell = config.task.precision, config.cell
-    if start == "at_ball":
+    if start == Start.AT_BALL:
         goals = [(cell.ball_m, precision.grasp_tolerance_m)]
     else:
         goals = [(drop, precision.place_tolerance_m) for drop in (cell.orange_drop_m, cell.pink_drop_m)]
@@ -68,12 +69,12 @@ def recorded(path: str, levels: int) -> list[Array]:
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
         file = np.load(path)
-        banks = [np.asarray(file[colour], dtype=np.float64) for colour in ("orange", "pink")]
+        banks = [np.asarray(file[colour], dtype=np.float64) for colour in COLOURS]
     except (LookupError, ValueError, OSError, EOFError, BadZipFile) as error:
         raise ConfigError(
             f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {ARM}) or (M, {WHOLE})"
         ) from error
-    for colour, bank in zip(("orange", "pink"), banks, strict=True):
+    for colour, bank in zip(COLOURS, banks, strict=True):
         shaped = bank.ndim == 2 and bank.shape[1] in (ARM, WHOLE) and len(bank)
         if not shaped or not (np.abs(bank[:, : WHOLE - 1]) < MOST).all():
             raise ConfigError(

@@ -15,7 +15,7 @@ from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
 from hrl_comfort.tasks.sort import sort
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Stage, Subtask
+from hrl_comfort.tasks.subtask import Ball, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
     task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1))
@@ -40,4 +40,4 @@ def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
     return replace(chosen, observations=LAYOUTS[observation](chosen.stages))
 
 
-__all__ = ["SUBTASKS", "Stage", "State", "Subtask", "subtask"]
+__all__ = ["SUBTASKS", "Ball", "Stage", "Start", "State", "Subtask", "subtask"]

@@ -1,19 +1,10 @@
-"""Cycle: pick, place and return. Trained, it is one network for all; chained, the meta-controller's task."""
+"""Cycle: pick, place and return, by one network or by a chain of options."""
 
 from __future__ import annotations
 
-from hrl_comfort.tasks import observations, rewards
-from hrl_comfort.tasks.pick import TAKE
-from hrl_comfort.tasks.place import LEAVE
-from hrl_comfort.tasks.return_home import GO_HOME
-from hrl_comfort.tasks.subtask import Subtask
+from hrl_comfort.tasks.pick import PICK_STAGE
+from hrl_comfort.tasks.place import PLACE_STAGE
+from hrl_comfort.tasks.return_home import RETURN_STAGE
+from hrl_comfort.tasks.standard import standard_subtask
 
-STAGES = (TAKE, LEAVE, GO_HOME)
-
-CYCLE = Subtask(
-    name="cycle",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="home",
-)
+CYCLE = standard_subtask("cycle", (PICK_STAGE, PLACE_STAGE, RETURN_STAGE))

@@ -1,4 +1,4 @@
-"""Observation terms: pure functions of `State`, each of the order of one.
+"""Observation terms: pure functions of `State`, of order one.
 
 Lengths are metres, angles are scaled by pi, velocities by the servo's speed. Positions of the human are
 clamped to `HORIZON_M`, so that an absent person is a bounded number.
@@ -12,46 +12,46 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Quantity, Stage, by_stage
+from hrl_comfort.tasks.subtask import Ball, Stage, StateFunction, by_stage
 
 HORIZON_M = 2.0
-"""Beyond this the policy is not told how far the human is; the arm reaches about 0.7 m."""
+"""Largest coordinate of the human that is observed; the arm reaches about 0.7 m."""
 SERVO_SPEED = math.radians(100.0)
 """rad/s: 2 degrees every 20 ms."""
 
 
 def joint_angles(state: State) -> Tensor:
-    """(N, 12) sine and cosine of the joints."""
+    """Return (N, 12): sine and cosine of the joints."""
     return torch.cat([state.joint_pos.sin(), state.joint_pos.cos()], dim=-1)
 
 
 def joint_error(state: State) -> Tensor:
-    """(N, 6) joint angles from home, unwrapped, in units of pi: a full turn is not home."""
+    """Return (N, 6): joint angles from home, unwrapped, in units of pi: a full turn is not home."""
     return (state.joint_pos - state.joint_home) / math.pi
 
 
 def joint_velocity(state: State) -> Tensor:
-    """(N, 6) joint velocity over the servo's speed."""
+    """Return (N, 6): joint velocity over the servo's speed."""
     return state.joint_vel / SERVO_SPEED
 
 
 def tool(state: State) -> Tensor:
-    """(N, 3) m, tool centre point."""
+    """Return (N, 3): m, tool centre point."""
     return state.tcp_pos
 
 
 def human(state: State) -> Tensor:
-    """(N, 2) m, the human as seen, from the robot's base."""
+    """Return (N, 2): m, the human as seen, from the robot's base."""
     return state.human_seen.clamp(-HORIZON_M, HORIZON_M)
 
 
 def human_from_tool(state: State) -> Tensor:
-    """(N, 3) m, the human as seen from the tool (x, y), and the horizontal distance."""
+    """Return (N, 3): m, the human as seen from the tool (x, y), and the horizontal distance."""
     offset = human(state) - state.tcp_pos[:, :2]
     return torch.cat([offset, offset.norm(dim=-1, keepdim=True)], dim=-1)
 
 
-def goal_offset(stages: tuple[Stage, ...]) -> Quantity:
+def goal_offset(stages: tuple[Stage, ...]) -> StateFunction:
     """Return the term (N, 4) m: from the tool to the goal of the stage in force, and its length."""
     goal = by_stage(stages, lambda stage: stage.goal)
 
@@ -62,7 +62,7 @@ def goal_offset(stages: tuple[Stage, ...]) -> Quantity:
     return term
 
 
-def stage_in_force(stages: tuple[Stage, ...]) -> Quantity:
+def stage_in_force(stages: tuple[Stage, ...]) -> StateFunction:
     """Return the term (N, stages): one-hot of the stage in force."""
 
     def term(state: State) -> Tensor:
@@ -72,9 +72,9 @@ def stage_in_force(stages: tuple[Stage, ...]) -> Quantity:
     return term
 
 
-def standard(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
+def standard(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     """Return the project's observation: joints, tool, human, goal, and the stage where there are several."""
-    terms: dict[str, Quantity] = {
+    terms: dict[str, StateFunction] = {
         "joint_angles": joint_angles,
         "joint_error": joint_error,
         "joint_velocity": joint_velocity,
@@ -88,18 +88,19 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
     return terms
 
 
-def paper(stages: tuple[Stage, ...]) -> dict[str, Quantity]:
+def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     """Return the 18 numbers of the paper's released code.
 
     Joint angles (6); human relative to the robot (2); then, while the ball is concerned, tool to ball (3,
     zero once held), robot to orange and to pink drop (3 each, height zero) and the colour; while returning,
     joint errors in degrees (6), tool to its home (3) and a zero.
     """
+    hidden = torch.tensor([stage.ball != Ball.TABLE for stage in stages])
+    joint_space = torch.tensor([stage.joint_space for stage in stages])
 
     def term(state: State) -> Tensor:
-        names = [stage.name for stage in stages]
-        held = torch.tensor([name != "pick" for name in [*names, names[-1]]])[state.stage]
-        homeward = torch.tensor([name == "return" for name in [*names, names[-1]]])[state.stage]
+        index = state.stage.clamp(max=len(stages) - 1)
+        held, homeward = hidden[index], joint_space[index]
         flat = torch.tensor([1.0, 1.0, 0.0], dtype=state.tcp_pos.dtype)
         ball = torch.where(held[:, None], 0.0, state.ball_pos - state.tcp_pos)
         carrying = torch.cat([ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from torch import Tensor
-from torch.linalg import vector_norm
 
-from hrl_comfort.tasks import observations, rewards
+from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Stage, Subtask
+from hrl_comfort.tasks.subtask import Ball, Stage, Start, tool_distance
 
 
 def goal(state: State) -> Tensor:
@@ -15,23 +14,15 @@ def goal(state: State) -> Tensor:
     return state.ball_pos
 
 
-def distance(state: State) -> Tensor:
-    """Return the distance (N,) from tool centre point to ball, m."""
-    return vector_norm(state.ball_pos - state.tcp_pos, dim=-1)
+distance = tool_distance(goal)
 
 
 def done(state: State) -> Tensor:
-    """Return (N,) bool: the tool is within `take` of the ball, which then rides on the gripper."""
-    return distance(state) < state.take
+    """Return (N,) bool: the tool is within its tolerance of the ball, which then rides on the gripper."""
+    return distance(state) < state.grasp_tolerance
 
 
-TAKE = Stage("pick", goal, distance, done)
-STAGES = (TAKE,)
-
-PICK = Subtask(
-    name="pick",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="home",
+PICK_STAGE = Stage(
+    "pick", goal, distance, done, bonus="pick", ball=Ball.TABLE, ball_after=Ball.TOOL, next_start=Start.AT_BALL
 )
+PICK = standard_subtask("pick", (PICK_STAGE,))

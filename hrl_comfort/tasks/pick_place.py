@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from hrl_comfort.tasks import observations, rewards
-from hrl_comfort.tasks.pick import TAKE
-from hrl_comfort.tasks.place import LEAVE
-from hrl_comfort.tasks.subtask import Subtask
+from hrl_comfort.tasks.pick import PICK_STAGE
+from hrl_comfort.tasks.place import PLACE_STAGE
+from hrl_comfort.tasks.standard import standard_subtask
 
-STAGES = (TAKE, LEAVE)
-
-PICK_PLACE = Subtask(
-    name="pick_place",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="home",
-)
+PICK_PLACE = standard_subtask("pick_place", (PICK_STAGE, PLACE_STAGE))

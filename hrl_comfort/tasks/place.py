@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from torch import Tensor
-from torch.linalg import vector_norm
 
-from hrl_comfort.tasks import observations, rewards
+from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Stage, Subtask
+from hrl_comfort.tasks.subtask import Ball, Stage, Start, tool_distance
 
 
 def goal(state: State) -> Tensor:
@@ -15,23 +14,15 @@ def goal(state: State) -> Tensor:
     return state.drop_pos
 
 
-def distance(state: State) -> Tensor:
-    """Return the distance (N,) from tool centre point to drop point, m."""
-    return vector_norm(state.drop_pos - state.tcp_pos, dim=-1)
+distance = tool_distance(goal)
 
 
 def done(state: State) -> Tensor:
-    """Return (N,) bool: the tool, and so the ball, is within `leave` of the drop point."""
-    return distance(state) < state.leave
+    """Return (N,) bool: the tool, and with it the ball, is within its tolerance of the drop point."""
+    return distance(state) < state.place_tolerance
 
 
-LEAVE = Stage("place", goal, distance, done)
-STAGES = (LEAVE,)
-
-PLACE = Subtask(
-    name="place",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="at_ball",
+PLACE_STAGE = Stage(
+    "place", goal, distance, done, bonus="place", ball=Ball.TOOL, ball_after=Ball.DROP, next_start=Start.AT_DROP
 )
+PLACE = standard_subtask("place", (PLACE_STAGE,), Start.AT_BALL)

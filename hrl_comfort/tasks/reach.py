@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 from torch import Tensor
-from torch.linalg import vector_norm
 
-from hrl_comfort.tasks import observations, rewards
+from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Stage, Subtask
+from hrl_comfort.tasks.subtask import Stage, tool_distance
 
 
 def reach_point(index: int) -> Stage:
-    """Return the stage that brings the tool within `take` of the episode's point `index` (0 or 1)."""
+    """Return the stage that brings the tool within its tolerance of the episode's point `index` (0 or 1)."""
 
     def goal(state: State) -> Tensor:
         return state.points[:, index]
 
-    def distance(state: State) -> Tensor:
-        return vector_norm(state.points[:, index] - state.tcp_pos, dim=-1)
+    distance = tool_distance(goal)
 
     def done(state: State) -> Tensor:
-        return distance(state) < state.take
+        return distance(state) < state.grasp_tolerance
 
-    return Stage("reach", goal, distance, done)
+    return Stage("reach", goal, distance, done, bonus="reach", at_point=True)
 
 
-STAGES = (reach_point(0),)
-
-REACH = Subtask(
-    name="reach",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="home",
-)
+REACH = standard_subtask("reach", (reach_point(0),))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from hrl_comfort.tasks import observations, rewards
+from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Stage, Subtask
+from hrl_comfort.tasks.subtask import Ball, Stage, Start
 
 
 def goal(state: State) -> Tensor:
@@ -25,13 +25,15 @@ def done(state: State) -> Tensor:
     return error < state.home_tolerance
 
 
-GO_HOME = Stage("return", goal, distance, done)
-STAGES = (GO_HOME,)
-
-RETURN = Subtask(
-    name="return",
-    stages=STAGES,
-    observations=observations.standard(STAGES),
-    rewards=rewards.standard(STAGES),
-    start="at_drop",
+RETURN_STAGE = Stage(
+    "return",
+    goal,
+    distance,
+    done,
+    bonus="home",
+    joint_space=True,
+    ball=Ball.DROP,
+    ball_after=Ball.DROP,
+    next_start=Start.HOME,
 )
+RETURN = standard_subtask("return", (RETURN_STAGE,), Start.AT_DROP)

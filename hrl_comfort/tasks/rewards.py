@@ -11,24 +11,19 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Change, Stage
+from hrl_comfort.tasks.subtask import Stage, TransitionFunction
 
-HOMEWARD = "return"
 LATE_STEPS = 150
-BONUS_NAMES = {"pick": "pick", "place": "place", "return": "home", "reach": "reach"}
-"""Stage name to the weight that its completion is paid with (the paper: +50, +100, +150)."""
+"""Control steps (3 s) that no episode needs on its way to a goal."""
 
 
-def progress(stages: tuple[Stage, ...], homeward: bool) -> Change:
-    """Return the decrease, over the step, of the distance of the stage in force.
-
-    Metres for stages that move the tool; rad, summed over joints, for the `return` stage (`homeward`).
-    """
+def progress(stages: tuple[Stage, ...], joint_space: bool) -> TransitionFunction:
+    """Return the decrease of the distance over the step, m or rad, in the stages (not) in joint space."""
 
     def term(before: State, after: State) -> Tensor:
         gain = torch.zeros_like(before.tcp_pos[:, 0])
         for index, stage in enumerate(stages):
-            if (stage.name == HOMEWARD) is homeward:
+            if stage.joint_space is joint_space:
                 shrunk = stage.distance(before) - stage.distance(after)
                 gain = gain + torch.where(before.stage == index, shrunk, 0.0)
         return gain
@@ -36,7 +31,7 @@ def progress(stages: tuple[Stage, ...], homeward: bool) -> Change:
     return term
 
 
-def completion(index: int) -> Change:
+def completion(index: int) -> TransitionFunction:
     """Return 1 at the step that completes stage `index`, else 0."""
 
     def term(before: State, after: State) -> Tensor:
@@ -45,7 +40,7 @@ def completion(index: int) -> Change:
     return term
 
 
-def total(terms: list[Change]) -> Change:
+def total(terms: list[TransitionFunction]) -> TransitionFunction:
     """Return the sum of terms that share one weight."""
     return lambda before, after: torch.stack([term(before, after) for term in terms]).sum(0)
 
@@ -53,54 +48,49 @@ def total(terms: list[Change]) -> Change:
 def arrival_speed(before: State, after: State) -> Tensor:
     """Return the Euclidean norm of the joint velocities, rad/s, at the step that completes a stage, else 0.
 
-    Whoever acts next takes over the arm in motion, beside a table: fast arrivals end in it.
+    The next policy takes over an arm in motion beside a table; after a fast arrival it often hits it.
     """
     return torch.where(after.stage > before.stage, vector_norm(after.joint_vel, dim=-1), 0.0)
 
 
 def human_collision(before: State, after: State) -> Tensor:
-    """1 where the robot touches the human."""
+    """Return 1 where the robot touches the human."""
     return after.human_collision.to(after.tcp_pos.dtype)
 
 
 def other_collision(before: State, after: State) -> Tensor:
-    """1 where the robot touches the workcell or itself."""
+    """Return 1 where the robot touches the workcell or itself."""
     return (after.table_collision | after.self_collision).to(after.tcp_pos.dtype)
 
 
 def step(before: State, after: State) -> Tensor:
-    """1 at every control step (the paper's optional -0.1 a step)."""
+    """Return 1 at every control step (the paper's optional -0.1 a step)."""
     return torch.ones_like(after.tcp_pos[:, 0])
 
 
 def overtime(before: State, after: State) -> Tensor:
-    """1 at every control step after the first LATE_STEPS, 3 s: nobody on the way to a goal is so long.
+    """Return 1 at every control step after the first LATE_STEPS.
 
-    Policies do not see the time; so what it costs falls on where episodes dwell, not on the way round.
+    Policies do not observe the time, so the cost falls on states in which episodes dwell.
     """
     return (after.steps > LATE_STEPS).to(after.tcp_pos.dtype)
 
 
 def return_shaping(before: State, after: State) -> Tensor:
-    """-ln(d + 1) / 10, d the distance in metres of the tool from its home: the released code's shaping."""
+    """Return -ln(d + 1) / 10, d the distance of the tool from its home, m: the released code's shaping."""
     return -torch.log1p(vector_norm(after.tcp_pos - after.tcp_home, dim=-1)) / 10.0
 
 
-def standard(stages: tuple[Stage, ...]) -> dict[str, Change]:
+def standard(stages: tuple[Stage, ...]) -> dict[str, TransitionFunction]:
     """Return every term that can pay a subtask of these stages, by the name of its weight."""
-    names = [stage.name for stage in stages]
-    terms: dict[str, Change] = {}
-    if any(name != HOMEWARD for name in names):
-        terms["progress"] = progress(stages, homeward=False)
-    if HOMEWARD in names:
-        terms["home_progress"] = progress(stages, homeward=True)
+    terms: dict[str, TransitionFunction] = {}
+    if any(not stage.joint_space for stage in stages):
+        terms["progress"] = progress(stages, joint_space=False)
+    if any(stage.joint_space for stage in stages):
+        terms["home_progress"] = progress(stages, joint_space=True)
         terms["return_shaping"] = return_shaping
-    for name in dict.fromkeys(names):
-        bonuses = [completion(index) for index, other in enumerate(names) if other == name]
-        terms[BONUS_NAMES[name]] = bonuses[0] if len(bonuses) == 1 else total(bonuses)
-    terms["arrival_speed"] = arrival_speed
-    terms["human_collision"] = human_collision
-    terms["other_collision"] = other_collision
-    terms["step"] = step
-    terms["overtime"] = overtime
-    return terms
+    for bonus in dict.fromkeys(stage.bonus for stage in stages):
+        paid = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
+        terms[bonus] = paid[0] if len(paid) == 1 else total(paid)
+    common = (arrival_speed, human_collision, other_collision, step, overtime)
+    return {**terms, **{term.__name__: term for term in common}}

@@ -56,12 +56,12 @@ class State:
     """(N,) int64, the ball aimed at."""
     stage: Tensor
     """(N,) int64, index of the stage in force in the subtask's `stages`."""
-    take: Tensor
-    """(N,) m, precision of taking and of reaching a point."""
-    leave: Tensor
-    """(N,) m, precision of leaving."""
+    grasp_tolerance: Tensor
+    """(N,) m, for reaching the ball or a point."""
+    place_tolerance: Tensor
+    """(N,) m, for reaching the drop point."""
     home_tolerance: Tensor
-    """(N,) rad, how near every joint must come to home."""
+    """(N,) rad, of each joint, for being home."""
     level: Tensor
     """(N,) comfort level in force, constant over a decision; NaN without one (`comfort.source=none`)."""
     arm_distance: Tensor

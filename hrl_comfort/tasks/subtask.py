@@ -1,47 +1,94 @@
-"""What a subtask is: a value made of stages, observations, rewards and a start."""
+"""Stages and subtasks as values."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.tasks.state import State
 
-Quantity = Callable[[State], Tensor]
-"""A pure function of one instant."""
-Change = Callable[[State, State], Tensor]
-"""A pure function of two instants, one control step apart: (before, after) -> (N,)."""
+StateFunction = Callable[[State], Tensor]
+"""Pure function of one instant."""
+TransitionFunction = Callable[[State, State], Tensor]
+"""Pure function of two instants, one control step apart: (before, after) -> (N,)."""
+
+
+class Ball(StrEnum):
+    """Location of the ball of the stage in force."""
+
+    NOWHERE = "nowhere"
+    TABLE = "table"
+    TOOL = "tool"
+    DROP = "drop"
+
+
+class Start(StrEnum):
+    """Posture in which a subtask begins: joints at home, or the tool at the ball or at the drop point."""
+
+    HOME = "home"
+    AT_BALL = "at_ball"
+    AT_DROP = "at_drop"
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One thing to be done. A subtask is done when its stages are, in order."""
+    """One goal of a subtask, which succeeds once its stages are done in order."""
 
     name: str
-    goal: Quantity
+    goal: StateFunction
     """(N, 3) m, where the tool centre point should go."""
-    distance: Quantity
-    """(N,) what has to shrink: metres, or the sum of joint errors in rad for home."""
-    done: Quantity
+    distance: StateFunction
+    """(N,) m, or rad summed over the joints if `joint_space`; progress is its decrease."""
+    done: StateFunction
     """(N,) bool."""
+    bonus: str
+    """Reward weight paid for completion."""
+    joint_space: bool = False
+    """The goal is a posture; progress has the weight `home_progress` instead of `progress`."""
+    ball: Ball = Ball.NOWHERE
+    """Location of the ball during the stage."""
+    ball_after: Ball = Ball.NOWHERE
+    """Location of the ball once the stage is done."""
+    next_start: Start | None = None
+    """Start of a subtask that follows this stage."""
+    at_point: bool = False
+    """The goal is one of the episode's points (`State.points`)."""
+
+    @property
+    def grasps(self) -> bool:
+        """Whether completion fixes the ball to the tool."""
+        return self.ball == Ball.TABLE and self.ball_after == Ball.TOOL
+
+    @property
+    def releases(self) -> bool:
+        """Whether completion leaves the ball at its drop point."""
+        return self.ball == Ball.TOOL and self.ball_after == Ball.DROP
+
+
+def tool_distance(goal: StateFunction) -> StateFunction:
+    """Return the distance (N,) m from the tool centre point to a goal (N, 3)."""
+    return lambda state: vector_norm(goal(state) - state.tcp_pos, dim=-1)
 
 
 @dataclass(frozen=True)
 class Subtask:
-    """A subtask: what the policy sees, is paid for, and when it has succeeded.
-
-    `start` names where its episodes begin: `home`, `taken` (tool at the ball) or `left` (tool at
-    the drop point of the ball's colour).
-    """
+    """What a policy observes, what it is paid for, when it has succeeded and where it starts."""
 
     name: str
     stages: tuple[Stage, ...]
-    observations: dict[str, Quantity]
-    rewards: dict[str, Change]
-    start: str = "home"
+    observations: dict[str, StateFunction]
+    rewards: dict[str, TransitionFunction]
+    start: Start = Start.HOME
+
+    @property
+    def points(self) -> int:
+        """Number of the episode's points that are goals."""
+        return sum(stage.at_point for stage in self.stages)
 
     def observe(self, state: State) -> Tensor:
         """Return the observation (N, D), the concatenation of the named terms in their order."""
@@ -62,9 +109,21 @@ class Subtask:
         """Return (N,) bool: the robot touches the human, the workcell or itself."""
         return state.human_collision | state.table_collision | state.self_collision
 
+    def ball(self, stage: int) -> Ball:
+        """Return the location of the ball in a stage, or after the last one."""
+        return self.stages[stage].ball if stage < len(self.stages) else self.stages[-1].ball_after
 
-def by_stage(stages: tuple[Stage, ...], quantity: Callable[[Stage], Quantity]) -> Quantity:
-    """Return the quantity of whichever stage is in force (of the last one when all are done)."""
+    def grasping(self, stage: Tensor) -> Tensor:
+        """Return (N,) bool: a ball is to be picked in the stage (N,)."""
+        return torch.tensor([*(item.grasps for item in self.stages), False])[stage]
+
+    def releasing(self, stage: Tensor) -> Tensor:
+        """Return (N,) bool: a ball is carried in the stage (N,)."""
+        return torch.tensor([*(item.releases for item in self.stages), False])[stage]
+
+
+def by_stage(stages: tuple[Stage, ...], quantity: Callable[[Stage], StateFunction]) -> StateFunction:
+    """Return the quantity of the stage in force, of the last one once all are done."""
     if len(stages) == 1:
         return quantity(stages[0])
 

@@ -23,8 +23,6 @@ Demonstrator = Callable[[], Tensor]
 """() -> actions (demonstrator_envs, A) in [-1, 1] for the first environments."""
 NextSkillValue = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
-STARTS = {"pick": "at_ball", "place": "at_drop"}
-"""A subtask's last stage -> the start of the subtask after it (`Subtask.start`)."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
     except ConfigError as error:
         raise ConfigError(f"agent.next_skill={source}: {error}") from error
     own = subtask(config.task.name, config.task.observation, config.task.balls)
-    if task.start != STARTS.get(own.stages[-1].name):
+    if task.start != own.stages[-1].next_start:
         raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
 
     def next_skill(success: Tensor) -> Tensor:

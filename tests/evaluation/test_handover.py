@@ -22,7 +22,7 @@ def table(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hrl_comfort.evaluation.handover.TERMINATIONS", 30)
+        patch.setattr("hrl_comfort.evaluation.handover.RECORDED_EPISODES", 30)
         output = tmp_path_factory.mktemp("handover")
         words = ["task=cycle", "meta_controller=scripted", *POLICIES, "episodes=12", f"output={output}"]
         assert main(["evaluate", "handover", *words]) == 0

@@ -12,10 +12,9 @@ from torchrl.objectives.value import TD0Estimator
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.config.compose import compose, environment
-from hrl_comfort.hierarchy.controllers import chain
 from hrl_comfort.hierarchy.executor import TERMINATIONS
 from hrl_comfort.hierarchy.option_env import OptionEnv
-from hrl_comfort.hierarchy.options import Option, Termination
+from hrl_comfort.hierarchy.options import Option, Termination, chain
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
@@ -30,11 +29,11 @@ def config(*overrides: str) -> EnvConfig:
 def experts(engine: Engine) -> list[Option]:
     parts = [subtask(name) for name in ("pick", "place", "return")]
     env = engine.episodes.config
-    return chain([Option(part.name, part, Expert(engine.scene, env, part).act) for part in parts])
+    return chain([(part, Expert(engine.scene, env, part).act) for part in parts])
 
 
 def still(engine: Engine) -> list[Option]:
-    return chain([Option(n, subtask(n), lambda s: torch.zeros_like(s.joint_pos)) for n in ("pick", "place", "return")])
+    return chain([(subtask(n), lambda s: torch.zeros_like(s.joint_pos)) for n in ("pick", "place", "return")])
 
 
 def choose(env: OptionEnv, td: TensorDict) -> Tensor:

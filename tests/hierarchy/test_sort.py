@@ -16,14 +16,13 @@ from hrl_comfort.config.compose import compose, environment, save_config
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy import sort as sorting_module
-from hrl_comfort.hierarchy.executor import TERMINATIONS, OptionExecutor
-from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, Decision, at_random, cautious, nearest
+from hrl_comfort.hierarchy.executor import TERMINATIONS, Decision, OptionExecutor, execute
+from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, nearest
 from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import Termination, act
-from hrl_comfort.hierarchy.play import play
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
-from hrl_comfort.hierarchy.sort import SortController, sorting_options, stop
+from hrl_comfort.hierarchy.sort import sorting_options, stop
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.training.controller_trainer import train_meta_controller
 
@@ -34,11 +33,6 @@ STILL = {"pick": "random", "place": "random", "return": "random"}
 
 def config(*overrides: str) -> EnvConfig:
     return environment(compose("train", ["task=sort", *overrides]))
-
-
-def sorting(engine: Engine, choose, policies=EXPERTS, limit: int = 500) -> SortController:
-    options = sorting_options(META, policies, engine.scene, engine.episodes.config, 0)
-    return SortController(OptionExecutor(options, limit, engine.episodes), choose)
 
 
 @pytest.mark.parametrize("balls", [2, 4, 6])
@@ -83,12 +77,12 @@ def test_aiming_moves_the_goal_and_is_refused_while_a_ball_is_held() -> None:
 @pytest.mark.parametrize("choose", [nearest, cautious])
 def test_experts_sort_every_ball_once(choose) -> None:
     engine = Engine(config("task.balls=3", "human=none"), 2, 0)
-    controller = sorting(engine, choose)
+    options = sorting_options(META, EXPERTS, engine.scene, engine.episodes.config, 0)
     engine.reset()
-    moments = list(play(engine, controller))
-    assert moments[-1].outcome.state.placed.all() and moments[-1].outcome.success.all()
+    steps = list(execute(engine, OptionExecutor(options, 500, engine.episodes), choose))
+    assert steps[-1].result.state.placed.all() and steps[-1].result.success.all()
     for row in range(2):
-        runs = [run for run in controller.runs if run.row == row]
+        runs = [run for step in steps for run in step.runs if run.row == row]
         assert sorted(run.option for run in runs if run.option.startswith("pick")) == [
             "pick_1",
             "pick_2",
@@ -99,9 +93,7 @@ def test_experts_sort_every_ball_once(choose) -> None:
 
 
 def decision(engine: Engine, executor: OptionExecutor, **changes) -> Decision:
-    state, n = engine.episodes.state, engine.num_envs
-    plain = Decision(state, executor.available(state), torch.zeros(n, dtype=torch.int64))
-    return replace(plain, **changes)
+    return replace(executor.decision(engine.episodes.state), waits=torch.zeros(8, dtype=torch.int64), **changes)
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +277,7 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     names = old["spec"]["names"]
     checkpoint.save(tmp_path / "old.pt", {**old, "spec": {**old["spec"], "observation_dim": 38}})
     with pytest.raises(
-        ConfigError, match=r"^policies.meta_controller=\S+ was taught by 38 observations; here there are 36"
+        ConfigError, match=r"^policies.meta_controller=\S+ was trained on 38 observations; here there are 36"
     ):
         load_choice(str(tmp_path / "old.pt"), 10, names)
     broken = {name: torch.full_like(value, torch.nan) for name, value in old["network"].items()}

@@ -290,19 +290,6 @@ def test_jitter_on_the_spot_is_no_walk_but_a_walk_swings_the_legs():
     assert video.gait(jitter, -jitter)[1].mean() < 0.5 * video.gait(walk, np.zeros(200))[1].mean()
 
 
-@pytest.mark.parametrize(
-    ("task", "places"),
-    [
-        ("cycle", ["table", "tool", "drop", "drop"]),
-        ("pick", ["table", "tool"]),
-        ("place", ["tool", "drop"]),
-        ("reach", ["nowhere"]),
-    ],
-)
-def test_the_ball_is_where_the_stage_says(task, places):
-    assert [video._ball_place(task, stage) for stage in range(len(places))] == places
-
-
 def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)

@@ -62,8 +62,8 @@ def test_pick_is_done_just_inside_take_and_not_just_outside() -> None:
     state = beginning("pick")
     pick = subtask("pick")
     offset = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    inside = state.with_(tcp_pos=state.ball_pos + offset * (state.take[:, None] - 1e-6))
-    outside = state.with_(tcp_pos=state.ball_pos + offset * (state.take[:, None] + 1e-6))
+    inside = state.with_(tcp_pos=state.ball_pos + offset * (state.grasp_tolerance[:, None] - 1e-6))
+    outside = state.with_(tcp_pos=state.ball_pos + offset * (state.grasp_tolerance[:, None] + 1e-6))
     assert (pick.next_stage(inside) == 1).all()
     assert (pick.next_stage(outside) == 0).all()
 
@@ -182,3 +182,16 @@ def test_only_what_takes_longer_than_any_way_round_is_late() -> None:
     state = beginning("pick")
     at = [state.with_(steps=torch.full_like(state.steps, steps)) for steps in (150, 151)]
     assert [float(overtime(state, now).mean()) for now in at] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("task", "places"),
+    [
+        ("cycle", ["table", "tool", "drop", "drop"]),
+        ("pick", ["table", "tool"]),
+        ("place", ["tool", "drop"]),
+        ("reach", ["nowhere"]),
+    ],
+)
+def test_the_ball_is_where_the_stage_says(task: str, places: list[str]) -> None:
+    assert [subtask(task).ball(stage) for stage in range(len(places))] == places

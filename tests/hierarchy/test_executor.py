@@ -1,37 +1,29 @@
-"""Options and the scripted meta-controller."""
+"""Options, their chain and the one executor."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, MetaControllerConfig
+from hrl_comfort.config import ComfortConfig, ConfigError
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.evaluation.rollout import rollout
-from hrl_comfort.hierarchy.controllers import Scripted, chain, single
-from hrl_comfort.hierarchy.options import Option, act
-from hrl_comfort.hierarchy.play import play
+from hrl_comfort.hierarchy.controllers import check_stages
+from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
+from hrl_comfort.hierarchy.meta_controllers import in_order
+from hrl_comfort.hierarchy.options import Option, act, chain
 from hrl_comfort.policies.load import make_policy
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.engine import Array, Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, subtask
 
 COMFORT = environment(compose("train", ["task=cycle"])).comfort
-
-
-def meta(**changes: Any) -> MetaControllerConfig:
-    config = MetaControllerConfig(
-        name="scripted",
-        options=["pick", "place", "return"],
-        time_limit_steps=10,
-        retries=1,
-        level_override=[],
-    )
-    return replace(config, **changes)
 
 
 def constant(value: float):
@@ -39,7 +31,7 @@ def constant(value: float):
 
 
 def three() -> list[Option]:
-    return chain([Option(n, subtask(n), constant(v)) for n, v in (("pick", 0.1), ("place", 0.2), ("return", 0.3))])
+    return chain([(subtask(n), constant(v)) for n, v in (("pick", 0.1), ("place", 0.2), ("return", 0.3))])
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +63,13 @@ NO = torch.zeros(3, dtype=torch.bool)
 def test_options_take_over_where_the_one_before_ends() -> None:
     spans = [(option.name, option.first, option.last) for option in three()]
     assert spans == [("pick", 0, 1), ("place", 1, 2), ("return", 2, 3)]
-    two = chain([Option("pick_place", subtask("pick_place"), constant(0)), three()[2]])
+    two = chain([(subtask("pick_place"), constant(0)), (subtask("return"), constant(0))])
     assert [(o.first, o.last) for o in two] == [(0, 2), (2, 3)]
 
 
 def test_options_that_do_not_cover_the_task_are_refused() -> None:
     with pytest.raises(ConfigError, match="needs"):
-        Scripted(meta(), subtask("cycle"), three()[:2], COMFORT)
+        check_stages([subtask("pick"), subtask("place")], subtask("cycle"))
 
 
 def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
@@ -87,61 +79,74 @@ def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
     assert seen == [[0, 0, 0]]
 
 
+def played(
+    results: list[StepResult],
+    options: list[Option],
+    limit: int = 10,
+    retries: int = 1,
+    comfort: ComfortConfig = COMFORT,
+) -> tuple[list[Array], list[ExecutedStep]]:
+    """Execute the options where decisions lead to `results`; return the actions and what was executed."""
+    episodes = SimpleNamespace(rows=3, state=at(results[0].state, [0] * 3, [0] * 3))
+    episodes.config = SimpleNamespace(comfort=comfort)
+    actions, ahead = [], iter(results)
+
+    def step(action: Array, rows: Array) -> StepResult:
+        actions.append(action)
+        result = next(ahead)
+        episodes.state = result.state
+        return result
+
+    executor = OptionExecutor(options, limit, episodes, retries)  # type: ignore[arg-type]
+    engine = SimpleNamespace(episodes=episodes, num_envs=3, step=step)
+    return actions, list(islice(execute(engine, executor, in_order), len(results)))  # type: ignore[arg-type]
+
+
 def test_rows_run_different_options_and_report_how_each_ended(state: State) -> None:
-    controller = Scripted(meta(), subtask("cycle"), three(), COMFORT)
-    controller.begin(3)
-    assert torch.equal(controller.act(state), torch.full((3, 6), 0.1, dtype=torch.float64))
     # Row 0 has picked, row 1 is under way, row 2 has collided.
     first = outcome(at(state, [5, 5, 4], [1, 0, 0]), torch.tensor([False, False, True]), NO, NO)
-    assert not controller.observe(first).any()
-    action = controller.act(first.state)
-    assert action[:, 0].tolist() == [0.2, 0.1, 0.0]
-    assert [(r.row, r.option, r.termination) for r in controller.runs] == [
-        (0, "pick", "success"),
-        (2, "pick", "failure"),
-    ]
-    assert [(r.start_step, r.end_step) for r in controller.runs] == [(0, 5), (0, 4)]
+    actions, steps = played([first, outcome(first.state, NO, NO, NO)], three())
+    assert (actions[0] == 0.1).all() and actions[1][:, 0].tolist() == [0.2, 0.1, 0.0]
+    runs = steps[0].runs
+    assert [(r.row, r.option, r.termination) for r in runs] == [(0, "pick", "success"), (2, "pick", "failure")]
+    assert [(r.start_step, r.end_step) for r in runs] == [(0, 5), (0, 4)]
+    assert [step.ended.tolist() for step in steps] == [[False, False, True], [False] * 3]
 
 
 def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) -> None:
-    controller = Scripted(meta(), subtask("cycle"), three(), COMFORT)
-    controller.begin(3)
-    assert not controller.observe(outcome(at(state, [10, 10, 10], [0, 0, 0]), NO, NO, NO)).any()
-    assert controller.observe(outcome(at(state, [20, 20, 20], [0, 0, 0]), NO, NO, NO)).all()
-    row = [(r.attempt, r.termination) for r in controller.runs if r.row == 0]
+    _, steps = played([outcome(at(state, [k] * 3, [0] * 3), NO, NO, NO) for k in (10, 20)], three())
+    assert [step.ended.all() for step in steps] == [False, True]
+    row = [(r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]
     assert row == [(1, "preempted"), (2, "preempted")]
+
+
+def test_a_lost_ball_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
+    path = [([5, 5, 5], [1, 1, 1]), ([9, 9, 9], [0, 0, 0]), ([18, 18, 18], [1, 1, 1])]
+    _, steps = played([outcome(at(state, *where), NO, NO, NO) for where in path], three(), retries=0)
+    row = [(r.option, r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]
+    assert row == [("pick", 1, "success"), ("place", 1, "preempted"), ("pick", 1, "success")]
+    assert not any(step.ended.any() for step in steps)
 
 
 def test_an_options_time_grows_with_the_episodes_where_speed_counts(state: State) -> None:
     paid = replace(COMFORT, source="random", beta=1.0)
-    controller = Scripted(meta(retries=0), subtask("cycle"), three(), paid)
-    controller.begin(3)
     levels = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
-    given_up = {}
-    for steps in (10, 19, 20, 99, 100):
-        now = at(state, [steps] * 3, [0] * 3).with_(level=levels)
-        for row in torch.nonzero(controller.observe(outcome(now, NO, NO, NO))).flatten().tolist():
-            given_up[row] = steps
+    decisions = (10, 19, 20, 99, 100)
+    results = [outcome(at(state, [k] * 3, [0] * 3).with_(level=levels), NO, NO, NO) for k in decisions]
+    _, steps = played(results, three(), retries=0, comfort=paid)
+    given_up = {
+        row: k for k, step in zip(decisions, steps, strict=True) for row in step.ended.nonzero().flatten().tolist()
+    }
     assert given_up == {0: 100, 1: 20, 2: 10}
 
 
 def test_a_finished_cycle_ends_with_success(state: State) -> None:
-    controller = Scripted(meta(time_limit_steps=500), subtask("cycle"), three(), COMFORT)
-    controller.begin(3)
     yes = ~NO
-    for stage in (1, 2):
-        controller.observe(outcome(at(state, [5 * stage] * 3, [stage] * 3), NO, NO, NO))
-    controller.observe(outcome(at(state, [15] * 3, [3] * 3), yes, yes, NO))
-    terminal_states = [(r.option, r.termination) for r in controller.runs if r.row == 1]
-    assert terminal_states == [("pick", "success"), ("place", "success"), ("return", "success")]
-    assert (controller.act(state) == 0).all()
-
-
-def test_a_lone_policy_is_one_option_for_the_whole_task(state: State) -> None:
-    task = subtask("cycle")
-    controller = single(task, Option("cycle", task, constant(0.5)), 1500, COMFORT)
-    controller.begin(3)
-    assert torch.equal(controller.act(state), torch.full((3, 6), 0.5, dtype=torch.float64))
+    results = [outcome(at(state, [5 * stage] * 3, [stage] * 3), NO, NO, NO) for stage in (1, 2)]
+    _, steps = played([*results, outcome(at(state, [15] * 3, [3] * 3), yes, yes, NO)], three(), limit=500)
+    ends = [(r.option, r.termination) for step in steps for r in step.runs if r.row == 1]
+    assert ends == [("pick", "success"), ("place", "success"), ("return", "success")]
+    assert steps[-1].ended.all()
 
 
 def test_random_policy_is_seeded_and_bounded(state: State) -> None:
@@ -172,7 +177,7 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
     config, task = environment(compose("train", ["task=cycle"])), subtask("cycle")
     engine = Engine(config, 6, 0)
     expert = make_policy("expert", task, engine.scene, config, 0)
-    controller = single(task, Option(task.name, task, expert), config.task.max_episode_steps, config.comfort)
+    executor = OptionExecutor([Option(task.name, task, expert)], config.task.max_episode_steps, engine.episodes)
     engine.reset()
     run, stepped = engine._run, []
 
@@ -181,5 +186,5 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
         return run(physics, control)
 
     monkeypatch.setattr(engine, "_run", counted)
-    active = [int(moment.active.sum()) for moment in play(engine, controller)]
+    active = [int(step.active.sum()) for step in execute(engine, executor, in_order)]
     assert stepped == active and 0 < active[-1] < active[0] == 6
