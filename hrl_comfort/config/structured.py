@@ -31,6 +31,8 @@ def schema(cls: Any) -> Any:
 def _twin(hint: Any) -> Any:
     if listed := _listed_class(hint):
         return list[schema(listed)]  # type: ignore[misc]
+    if get_origin(hint) is list and get_origin(get_args(hint)[0]) is list:
+        return list[Any]  # OmegaConf refuses whole numbers in list[list[float]]; `_check_entries` has the types
     return schema(hint) if dataclasses.is_dataclass(hint) else hint
 
 
@@ -76,10 +78,16 @@ def _check_entries(key: str, value: Any, hint: Any) -> None:
     if kind is Any:
         return
     for name, entry in value.items() if isinstance(value, dict) else enumerate(value):
-        if isinstance(entry, dict) or isinstance(entry, list) is not (get_origin(kind) is list):
+        if not _fits(entry, kind):
             wanted = getattr(kind, "__name__", kind)
             raise ConfigError(f"{key}={value!r} holds {entry!r}, which is not of type {wanted}")
         _check_entries(f"{key}.{name}" if isinstance(value, dict) else f"{key}[{name}]", entry, kind)
+
+
+def _fits(entry: Any, kind: Any) -> bool:
+    if kind is float:
+        return isinstance(entry, (int, float)) and not isinstance(entry, bool)
+    return not isinstance(entry, dict) and isinstance(entry, list) is (get_origin(kind) is list)
 
 
 for _root, _cls in ROOTS.items():

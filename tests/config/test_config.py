@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from hrl_comfort import __main__ as commands
-from hrl_comfort.config import TrainConfig
+from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups
 
@@ -68,6 +68,13 @@ def test_a_choice_does_not_repeat_a_line_of_the_shared_file():
 def test_overrides_win_over_the_experiment():
     config = trained("experiment=paper", "task=pick", "engine.num_envs=3")
     assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
+
+
+def test_whole_numbers_are_coordinates_too_and_texts_are_not():
+    assert trained("human.spawns_m=[[1,1],[0,-2]]", "human.held_out=[]").human.spawns_m == [[1, 1], [0, -2]]
+    for value in ("[[1,a]]", "[[1,true]]", "[[1]]", "[1,1]", "[[[1,1]]]", "[[1,nan]]"):
+        with pytest.raises(ConfigError, match=r"human\.spawns_m"):
+            trained(f"human.spawns_m={value}", "human.held_out=[]")
 
 
 def test_the_paper_experiment_is_the_papers():
