@@ -64,15 +64,6 @@ class Source:
         self.draws, self.level = saved["draws"].numpy().copy(), saved["level"].numpy().copy()
 
 
-class Fixed(Source):
-    """The constant level `comfort.level`."""
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        assert self.config.level is not None
-        return np.full(len(time_s), float(self.config.level))
-
-
 class Random(Source):
     """One uniformly random level an episode."""
 
@@ -93,22 +84,12 @@ class Changing(Source):
         return 1.0 + np.floor(self.draws[np.arange(len(which)), which] * self.config.levels)
 
 
-class Schedule(Source):
-    """Levels `comfort.schedule_levels` from times `comfort.schedule_s` on."""
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        times, levels = np.array(self.config.schedule_s), np.array(self.config.schedule_levels)
-        # 1e-9 s: a decision that starts at a listed time, up to rounding, has the level of that time.
-        return np.asarray(levels.astype(np.float64)[np.searchsorted(times, time_s + 1e-9, side="right") - 1])
-
-
-class File(Source):
-    """The recording `comfort.file`, restarted every episode."""
+class Recorded(Source):
+    """Levels known in advance, restarted every episode: fixed, a schedule or a recording."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         super().__init__(config, rows)
-        self._recording: Recording = read_recording(config)
+        self._recording = RECORDINGS[config.source](config)
 
     def at(self, time_s: Floats) -> Floats:
         """See `Source`."""
@@ -120,8 +101,7 @@ class Live(Source):
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         super().__init__(config, rows)
-        make: dict[str, Callable[[ComfortConfig], Stream]] = {"udp": Udp, "lsl": Lsl}
-        self.stream = make[config.source](config)
+        self.stream = STREAMS[config.source](config)
         self._signal = Signal(config, config.source)
 
     def at(self, time_s: Floats) -> Floats:
@@ -165,13 +145,21 @@ class Simulated(Source):
         self._exact = saved["exact"].numpy().copy()
 
 
+RECORDINGS: dict[str, Callable[[ComfortConfig], Recording]] = {
+    "fixed": lambda config: Recording(np.zeros(1), np.array([config.level], dtype=np.float64)),
+    "schedule": lambda config: Recording(
+        np.array(config.schedule_s), np.array(config.schedule_levels, dtype=np.float64)
+    ),
+    "file": read_recording,
+}
+STREAMS: dict[str, Callable[[ComfortConfig], Stream]] = {"udp": Udp, "lsl": Lsl}
 SOURCES: dict[str, type[Source]] = {
     "none": Source,
-    "fixed": Fixed,
+    "fixed": Recorded,
     "random": Random,
     "changing": Changing,
-    "schedule": Schedule,
-    "file": File,
+    "schedule": Recorded,
+    "file": Recorded,
     "udp": Live,
     "lsl": Live,
     "simulated": Simulated,

@@ -167,6 +167,7 @@ class Recording:
 
     def level(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the levels (N,) at times (N,) s; CAUTIOUS before the first value."""
+        # 1e-9 s: a decision that starts at a listed time, up to rounding, has the level of that time.
         at = np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1
         return np.where(at < 0, float(CAUTIOUS), self.levels[np.maximum(at, 0)])
 
