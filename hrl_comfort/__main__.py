@@ -14,6 +14,7 @@ from hrl_comfort.config import (
     ConfigError,
     EvaluateConfig,
     FigureConfig,
+    HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     TrainConfig,
@@ -22,12 +23,11 @@ from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 
 VERBS = {
-    "train": "teach one subtask to one policy, or a controller above them (train meta_controller)",
+    "train": "train a policy, a cycle's policies (train hierarchy), or a controller above them (train meta_controller)",
     "evaluate": "measure a policy or a chain (meta_controller=scripted), or how policies hand over (evaluate handover)",
     "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
     "bench": "measure the environment (env), updates (update), learning (train)",
-    "demo": "train, evaluate, chain and report, in minutes",
 }
 
 
@@ -53,6 +53,29 @@ def train_meta_controller(overrides: list[str]) -> None:
     from hrl_comfort.training.controller_trainer import train_meta_controller as run
 
     run(config)
+
+
+def train_hierarchy(overrides: list[str]) -> None:
+    """Run `hrl-comfort train hierarchy`; write its report once."""
+    from hrl_comfort.config.compose import compose
+
+    config = compose("train_hierarchy", overrides)
+    assert isinstance(config, HierarchyTrainConfig)
+    _check_resumed_alone(config, overrides)
+    from hrl_comfort.training.hierarchy_trainer import is_finished, print_table
+    from hrl_comfort.training.hierarchy_trainer import train_hierarchy as run
+
+    folder = Path(config.resume or config.output)
+    if is_finished(folder):
+        print(f"{folder} is finished")
+    run(config)
+    page = folder / "report.html"
+    if not page.is_file():
+        from hrl_comfort.report.report import report as write
+
+        write(ReportConfig(run=str(folder), output=None, video=True))
+    print_table(folder)
+    print(f"report: {page}")
 
 
 def _check_resumed_alone(config: TrainConfig | MetaControllerTrainConfig, overrides: list[str]) -> None:
@@ -131,25 +154,18 @@ def bench(words: list[str]) -> None:
     getattr(import_module(module), name)(config)
 
 
-def demo(overrides: list[str]) -> None:
-    """Run `hrl-comfort demo`."""
-    from hrl_comfort.training.hierarchy_trainer import demo as run
-
-    run(overrides)
-
-
 RUN: dict[str, Callable[[list[str]], None]] = {
     "train": train,
+    "train hierarchy": train_hierarchy,
     "train meta_controller": train_meta_controller,
     "evaluate": evaluate,
     "evaluate handover": handover,
     "report": report,
     "figure": figure,
     "bench": bench,
-    "demo": demo,
 }
 """What each verb runs, alone or with the word after it."""
-SWEPT = ("train", "train meta_controller", "evaluate")
+SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
 
 def sweep(verb: str, overrides: list[str]) -> None:

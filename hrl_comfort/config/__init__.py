@@ -27,6 +27,7 @@ from hrl_comfort.config.constants import (
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
+from hrl_comfort.config.hierarchy import HierarchyConfig, HierarchyTrainConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
@@ -35,7 +36,8 @@ from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, Task
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
     "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError",
-    "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HumanConfig",
+    "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HierarchyConfig",
+    "HierarchyTrainConfig", "HumanConfig",
     "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",
     "ReportConfig", "RewardConfig", "RobotConfig", "StageConfig", "TaskConfig", "TrainConfig",
 ]  # fmt: skip

@@ -17,7 +17,7 @@ from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
-from hrl_comfort.config.stages import settle_budget, stages_of
+from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze, schema
 from hrl_comfort.files.atomic import write_text
 
@@ -51,14 +51,19 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
 
 
 def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
-    """Return the configuration `cls` of a composed `node`, with the budgets of its stages settled and checked."""
-    if cls is not TrainConfig:
+    """Return the configuration `cls` of a composed `node`, with its stages checked and their budget settled.
+
+    A budget among the `overrides` scales the stages; else it is their sum.
+    """
+    if not issubclass(cls, TrainConfig):
         return freeze(cls, node)
     asked = any(line.startswith("agent.policy_steps=") for line in overrides)
-    settle_budget(node, node.agent.policy_steps if asked else None)
-    config = freeze(TrainConfig, node)
+    total, stages = node.agent.policy_steps, node.curriculum.stages
+    if stages and not OmegaConf.missing_keys(stages):
+        node.agent.policy_steps = sum(stage.policy_steps for stage in stages)
+    config = freeze(cls, node)
     stages_of(config)
-    return config
+    return with_budget(config, total) if asked else config
 
 
 def environment(config: EnvConfig) -> EnvConfig:

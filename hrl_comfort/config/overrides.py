@@ -21,14 +21,16 @@ from hrl_comfort.config import (
     ConfigError,
     EvaluateConfig,
     FigureConfig,
+    HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     TrainConfig,
 )
 
-Config = TrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
+Config = TrainConfig | HierarchyTrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
 ROOTS: dict[str, type[Config]] = {
     "train": TrainConfig,
+    "train_hierarchy": HierarchyTrainConfig,
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -15,6 +15,7 @@ from hrl_comfort.config.learning import StageConfig
 from hrl_comfort.config.overrides import one_line
 from hrl_comfort.config.structured import freeze, schema
 
+T = TypeVar("T", bound=TrainConfig)
 SETTABLE = ("agent", "comfort", "curriculum", "human", "reward", "task.precision", "task.resample_start_probability")
 FIXED = (
     "agent.policy_steps", "agent.learning_starts", "agent.batch_size", "agent.buffer_size", "agent.hidden",
@@ -25,6 +26,12 @@ FIXED = (
 """Keys that hold for the whole training: sizes, budgets, and what is counted over all stages."""
 EPISODE_SEEDS = 10_000
 """Stage k draws its episodes from `episode_seed` + k times this."""
+
+
+def train_config(config: TrainConfig, **changes: Any) -> TrainConfig:
+    """Return the fields of `config` that a training of one policy has, with `changes`."""
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(TrainConfig)}
+    return TrainConfig(**{**fields, **changes})
 
 
 def stages_of(config: TrainConfig) -> list[tuple[StageConfig, TrainConfig]]:
@@ -50,7 +57,7 @@ def stages_of(config: TrainConfig) -> list[tuple[StageConfig, TrainConfig]]:
 
 
 def _in_stage(config: TrainConfig, stage: StageConfig, number: int) -> TrainConfig:
-    node = OmegaConf.merge(OmegaConf.structured(schema(TrainConfig)), dataclasses.asdict(config))
+    node = OmegaConf.merge(OmegaConf.structured(schema(TrainConfig)), dataclasses.asdict(train_config(config)))
     node.curriculum.stages = []
     node.agent.policy_steps = stage.policy_steps
     node.episode_seed += number * EPISODE_SEEDS
@@ -73,14 +80,16 @@ def flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any
             yield before + key, value
 
 
-def settle_budget(node: Any, total: int | None) -> None:
-    """Set `agent.policy_steps` to the sum of the stages, or scale the stages to the `total` asked for."""
-    stages = node.curriculum.stages
-    if not stages or OmegaConf.missing_keys(stages):
-        return
-    asked = [stage.policy_steps for stage in stages]
-    if total is not None and sum(asked) > 0:
-        ends = [round(total * sum(asked[: i + 1]) / sum(asked)) for i in range(len(asked))]
-        for stage, begin, end in zip(stages, [0, *ends], ends, strict=False):
-            stage.policy_steps = end - begin
-    node.agent.policy_steps = sum(stage.policy_steps for stage in stages)
+def with_budget(config: T, policy_steps: int) -> T:
+    """Return `config` with another budget, which its stages share as before."""
+    steps = [stage.policy_steps for stage in config.curriculum.stages]
+    ends = [round(policy_steps * sum(steps[: i + 1]) / sum(steps)) for i in range(len(steps))]
+    stages = [
+        dataclasses.replace(stage, policy_steps=end - begin)
+        for stage, begin, end in zip(config.curriculum.stages, [0, *ends], ends, strict=False)
+    ]
+    return dataclasses.replace(
+        config,
+        curriculum=dataclasses.replace(config.curriculum, stages=stages),
+        agent=dataclasses.replace(config.agent, policy_steps=policy_steps),
+    )

@@ -1,9 +1,6 @@
-"""`hrl-comfort demo`: the whole line of work in minutes, from nothing to a report.
+"""`hrl-comfort train hierarchy`: train the options of a cycle in order, evaluate them and the cycle.
 
-Each subtask is trained from where the one before it ended: pick from home, place from recorded endings of
-pick, return from recorded endings of place. Then every policy and their chain are evaluated.
-
-What trains and evaluates takes seconds to import: it is imported once every choice has been checked.
+Every part leaves a file by which a later call knows that it is done, so the same command goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -12,135 +9,213 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config.compose import compose, load_config, save_config
+from hrl_comfort.config.overrides import override
+from hrl_comfort.config.stages import stages_of, train_config, with_budget
+from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.training.controller_trainer import train_meta_controller
+from hrl_comfort.training.logger import claim, read_provenance, write_provenance
+from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.trainer import train
 
-LINE = ("pick", "place", "return")
-SHARE = {"pick": 0.25, "place": 1.0, "return": 0.8}
-"""How much of `agent.policy_steps` each subtask is given: pick is learnt soonest, place last."""
-TERMINAL_STATES_EPISODES = 1000
+CONFIG = "hierarchy.yaml"
+"""Configuration of the hierarchy, in its folder."""
+EPISODE_LENGTH = {"cycle": 3}
+"""`task.max_episode_steps` of an option, as a multiple of the hierarchy's; 1 where it is not named."""
 
 
-def demo(overrides: list[str]) -> Path:
-    """Train, evaluate, chain and report; return the report's path.
+def train_hierarchy(config: HierarchyTrainConfig) -> Path:
+    """Train as `config` says, or go on with it; return the folder.
 
-    `overrides` go to every training, on top of `experiment=demo` unless they name another; `output=DIR` says
-    where (runs/demo), `episodes=N` how many each evaluation runs (200).
+    Raises:
+        ConfigError: a choice is not allowed, or the folder holds another training.
+        Preempted: SIGTERM came during a training; a checkpoint has been written.
     """
-    begin = time.perf_counter()
-    for word in overrides:
-        if "=" not in word:
-            raise ConfigError(f"{word} is not an override; say key=value")
-    chosen = dict(word.split("=", 1) for word in overrides)
-    output, episodes = Path(chosen.pop("output", "runs/demo")), chosen.pop("episodes", "200")
-    for key in ("task", "task.start", "resume"):
-        if key in chosen:
-            raise ConfigError(f"{key}={chosen[key]} is not the demo's to choose: it trains {', '.join(LINE)}")
-    compose("evaluate", [f"episodes={episodes}"])  # a bad value is named before the training, not after
-    trainings = compose_line(output, {"experiment": "demo", **chosen})
-    from hrl_comfort.report.report import report
-
-    policies = train_line(trainings)
-    evaluate_line(output, policies, episodes)
-    page = report(ReportConfig(run=str(output), output=None, video=True))
-    print_table(output, time.perf_counter() - begin)
-    Console().print(f"report: {page}", soft_wrap=True)
-    return page
-
-
-def compose_line(output: Path, chosen: dict[str, str]) -> dict[str, TrainConfig]:
-    """Return what each subtask's training will be, starts aside."""
-    trainings: dict[str, TrainConfig] = {}
-    for name in LINE:
-        words = [f"task={name}", f"output='{output}/{name}'", *(f"{k}={v}" for k, v in chosen.items())]
-        config = compose("train", words)
-        assert isinstance(config, TrainConfig)
-        agent = replace(config.agent, policy_steps=round(config.agent.policy_steps * SHARE[name]))
-        trainings[name] = replace(config, agent=agent)
-    return trainings
+    folder = Path(config.resume or config.output)
+    config = _config_in(folder, config)
+    if is_finished(folder):
+        return folder
+    _check(config, folder)
+    with claim(folder, resume=(folder / CONFIG).is_file()):
+        save_config(config, folder / CONFIG)
+        begin = time.monotonic()
+        try:
+            policies = train_options(config, folder)
+            if config.hierarchy.controller:
+                policies["meta_controller"] = train_controller(config, folder, policies)
+        except Preempted as stopped:
+            raise Preempted(f"stopped by SIGTERM; go on with train hierarchy resume={folder}") from stopped
+        evaluate_all(config, folder, policies)
+        seeds = {"train_seed": config.train_seed, "episode_seed": config.episode_seed}
+        write_provenance(folder, seeds, finished=True, wall_seconds=round(time.monotonic() - begin, 1))
+    return folder
 
 
-def train_line(trainings: dict[str, TrainConfig]) -> dict[str, Path]:
-    """Train the subtasks in order, each from recorded endings of the one before; return their folders."""
-    from hrl_comfort.training.trainer import train
-
-    folders: dict[str, Path] = {}
-    start = "ik"
-    for name, config in trainings.items():
-        folder = folders[name] = train(replace(config, task=replace(config.task, start=start)))
-        if name != LINE[-1]:
-            start = str(terminal_states_of(folder))
-    return folders
+def is_finished(folder: Path) -> bool:
+    """Return whether a hierarchy, or a run, is there and complete."""
+    return (folder / "provenance.json").is_file() and bool(read_provenance(folder)["finished"])
 
 
-def terminal_states_of(folder: Path) -> Path:
-    """Record how the trained policy of `folder` leaves the arm; return the file."""
-    from hrl_comfort.evaluation.terminal_states import record_terminal_states
+def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfig:
+    """Return the configuration in force in `folder`: the one there, or `asked`."""
+    if not (folder / CONFIG).is_file():
+        if asked.resume is not None:
+            raise ConfigError(f"resume={folder} is not the folder of a hierarchy: it has no {CONFIG}")
+        return asked
+    there = load_config(folder / CONFIG)
+    assert isinstance(there, HierarchyTrainConfig)
+    if asked.resume is None and replace(there, output=asked.output) != asked:
+        raise ConfigError(f"output={folder} already holds another hierarchy; choose another, or say resume={folder}")
+    return there
 
+
+def _check(config: HierarchyTrainConfig, folder: Path) -> None:
+    """Raise ConfigError at a choice that a later part would refuse."""
+    for name in config.meta_controller.options:
+        stages_of(option_config(config, name, folder, "ik"))
+        if config.hierarchy.refinement:
+            stages_of(refined_config(config, name, folder, "ik", folder, None))
+    compose("train_meta_controller", config.hierarchy.controller)
+
+
+def train_options(config: HierarchyTrainConfig, folder: Path) -> dict[str, Path]:
+    """Train every option, then refine them from the last to the first; return their run folders."""
+    options, refined = list(config.meta_controller.options), bool(config.hierarchy.refinement)
+    first = {name: folder / (f"{name}_first" if refined else name) for name in options}
+    starts, start = {}, "ik"
+    for name in options:
+        starts[name] = start
+        _train(option_config(config, name, first[name], start))
+        if name != options[-1]:
+            start = terminal_states_of(first[name], config.hierarchy.terminal_states_episodes)
+    final = {name: folder / name for name in options}
+    following = None
+    for name in reversed(options) if refined else ():
+        _train(refined_config(config, name, final[name], starts[name], first[name], following))
+        following = final[name]
+    return final
+
+
+def option_config(config: HierarchyTrainConfig, name: str, folder: Path, start: str) -> TrainConfig:
+    """Return the configuration of an option's training in `folder` from `start`."""
+    length = config.task.max_episode_steps * EPISODE_LENGTH.get(name, 1)
+    task = replace(config.task, name=name, start=start, max_episode_steps=length)
+    own = train_config(config, task=task, output=str(folder), resume=None)
+    return with_budget(own, max(1, round(config.agent.policy_steps * config.hierarchy.shares[name])))
+
+
+def refined_config(
+    config: HierarchyTrainConfig, name: str, folder: Path, start: str, first: Path, following: Path | None
+) -> TrainConfig:
+    """Return the configuration of an option's second training, from the policy of `first`."""
+    own = option_config(config, name, folder, start)
+    stages = config.hierarchy.refinement
+    budget = sum(stage.policy_steps for stage in stages)
+    agent = replace(own.agent, policy_steps=budget, next_skill=None if following is None else str(following))
+    curriculum = replace(own.curriculum, stages=stages)
+    again = replace(own, agent=agent, curriculum=curriculum, initial_policy=str(first))
+    return with_budget(again, max(len(stages), round(budget * config.hierarchy.shares[name])))
+
+
+def _train(config: TrainConfig) -> None:
+    """Train in the folder that `config` names, unless that is done; go on where it was stopped."""
+    folder = Path(config.output)
+    if is_finished(folder):
+        return
+    train(replace(config, resume=str(folder)) if _is_resumable(folder) else config)
+
+
+def _is_resumable(folder: Path) -> bool:
+    return any((folder / "checkpoints" / name).exists() for name in ("latest.pt", "previous.pt"))
+
+
+def terminal_states_of(folder: Path, episodes: int) -> str:
+    """Return the file of a run's recorded terminal states; `ik`, with a warning, where no episode succeeds."""
     path = folder / "terminal_states.npz"
-    config = compose(
-        "evaluate",
-        [f"policy='{folder}'", f"episodes={TERMINAL_STATES_EPISODES}", f"terminal_states='{path}'"],
-    )
+    words = [override("policy", folder), f"episodes={episodes}", override("terminal_states", path)]
+    try:
+        if not path.is_file():
+            record_terminal_states(_evaluation(words))
+    except ConfigError as error:
+        Console(stderr=True).print(f"{error}; the next option starts from inverse kinematics", soft_wrap=True)
+        return "ik"
+    return str(path)
+
+
+def train_controller(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> Path:
+    """Train a meta-controller of `sort` above the options; return its folder."""
+    output = folder / "controller"
+    if is_finished(output):
+        return output
+    seeds = [f"train_seed={config.train_seed}", f"episode_seed={config.episode_seed}"]
+    words = [*config.hierarchy.controller, *_policies(policies), *seeds, override("output", output)]
+    own = compose("train_meta_controller", words)
+    assert isinstance(own, MetaControllerTrainConfig)
+    return train_meta_controller(replace(own, resume=str(output)) if _is_resumable(output) else own)
+
+
+def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> None:
+    """Evaluate every option, their chain in `cycle`, and the controllers of `sort` in `sort`."""
+    options = {name: path for name, path in policies.items() if name != "meta_controller"}
+    common = [f"episodes={config.hierarchy.episodes}", "record=true", "group_by=[seen]"]
+    levels = [override("levels", config.hierarchy.levels)]
+    for path in options.values():
+        _evaluate([override("policy", path), *common, *levels], path / "eval")
+    division = [override("meta_controller.options", list(options))]
+    if "cycle" not in options:
+        chain = ["task=cycle", "meta_controller=scripted", *division, *_policies(options)]
+        _evaluate([*chain, *common, *levels], folder / "cycle" / "eval")
+    if "meta_controller" in policies:
+        people = [line for line in config.hierarchy.controller if line.split("=")[0].split(".")[0] == "human"]
+        sort = ["task=sort", "comfort=sort", "reward=sort", *people, *_policies(options), *common]
+        _evaluate([*sort, "meta_controller=scripted"], folder / "sort_scripted" / "eval")
+        learned = override("policies.meta_controller", policies["meta_controller"])
+        _evaluate([*sort, "meta_controller=learned", learned], folder / "sort_learned" / "eval")
+
+
+def _policies(policies: dict[str, Path]) -> list[str]:
+    return [override(f"policies.{name}", path) for name, path in policies.items()]
+
+
+def _evaluation(words: list[str]) -> EvaluateConfig:
+    config = compose("evaluate", words)
     assert isinstance(config, EvaluateConfig)
-    return record_terminal_states(config)
+    return config
 
 
-def evaluate_line(output: Path, policies: dict[str, Path], episodes: str) -> None:
-    """Evaluate every policy, its checkpoints, and their chain."""
-    for folder in policies.values():
-        choices = [f"policy='{folder}'"]
-        run_evaluation([*choices, f"episodes={episodes}", "record=true", "group_by=[seen]"])
-        run_evaluation([*choices, "episodes=100", "checkpoints=all"])
-    chained = [f"policies.{name}='{folder}'" for name, folder in policies.items()]
-    where = f"output='{output}/cycle/eval'"
-    run_evaluation(
-        [
-            "task=cycle",
-            "meta_controller=scripted",
-            *chained,
-            f"episodes={episodes}",
-            "record=true",
-            "group_by=[seen]",
-            where,
-        ]
-    )
+def _evaluate(words: list[str], output: Path) -> None:
+    """Evaluate into `output`, unless that is done."""
+    if not (output / "summary.json").is_file():
+        evaluate(_evaluation([*words, override("output", output)]))
 
 
-def run_evaluation(overrides: list[str]) -> None:
-    """Compose and run one evaluation."""
-    from hrl_comfort.evaluation.evaluate import evaluate
-
-    config = compose("evaluate", overrides)
-    assert isinstance(config, EvaluateConfig)
-    evaluate(config)
-
-
-def print_table(output: Path, seconds: float) -> None:
-    """Print what was reached."""
-    table = Table(title=f"{output}: {seconds / 60:.1f} minutes")
-    for name in ("task", "spawns", "episodes", "success [95 % interval]", "steps", "human distance, m"):
+def print_table(folder: Path) -> None:
+    """Print the evaluations in a hierarchy's folder."""
+    table = Table(title=str(folder))
+    for name in ("task", "level", "spawns", "episodes", "success [95 % interval]", "steps", "human distance, m"):
         table.add_column(name, justify="left" if name in ("task", "spawns") else "right")
-    for name in (*LINE, "cycle"):
-        summary = json.loads((output / name / "eval" / "summary.json").read_text(encoding="utf-8"))
-        for group in summary["groups"]:
-            metrics = group["metrics"]
+    for file in sorted(folder.glob("*/eval/summary.json")):
+        for group in json.loads(file.read_text(encoding="utf-8"))["groups"]:
+            metrics, level = group["metrics"], group.get("comfort_level")
             low, high = metrics["success"]["ci95"]
             table.add_row(
-                name,
+                file.parent.parent.name,
+                "-" if level is None else str(level),
                 "seen" if group["seen"] else "unseen",
                 str(group["episodes"]),
                 f"{metrics['success']['mean']:.1%} [{low:.1%}, {high:.1%}]",
-                cell(metrics, "steps", "{:.0f}"),
-                cell(metrics, "human_distance_mean_m", "{:.3f}"),
+                _mean(metrics, "steps", "{:.0f}"),
+                _mean(metrics, "human_distance_mean_m", "{:.3f}"),
             )
     Console().print(table)
 
 
-def cell(metrics: dict, name: str, form: str) -> str:
-    """Return a metric's mean as text; a dash where there was nothing to measure."""
+def _mean(metrics: dict[str, Any], name: str, form: str) -> str:
     return form.format(metrics[name]["mean"]) if name in metrics else "-"

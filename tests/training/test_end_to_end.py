@@ -15,7 +15,6 @@ from hrl_comfort.config.compose import compose, load_config, save_config
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.report.report import report
-from hrl_comfort.training.hierarchy_trainer import demo
 from hrl_comfort.training.trainer import Training, train
 from tests.stopping import stopping
 
@@ -115,13 +114,6 @@ def test_a_human_chosen_for_evaluation_is_that_choice_whatever_was_trained_with(
     save_config(small(tmp_path, "human=approach"), tmp_path / "config.yaml")
     chosen = evaluation(f"policy='{tmp_path}'", "human=random_walk").human
     assert chosen == evaluation("human=random_walk").human
-
-
-@pytest.mark.parametrize("word", ["fast", "task=pick", "episodes=5000", "agent.policy_step=5"])
-def test_the_demo_names_a_bad_choice_before_it_trains(tmp_path: Path, word: str) -> None:
-    with pytest.raises(ConfigError, match=word.split("=")[0]):
-        demo([f"output={tmp_path}/demo", word])
-    assert not (tmp_path / "demo").exists()
 
 
 @pytest.mark.parametrize("damage", ["nan", "no spec", "no normaliser", "other width"])

@@ -1,0 +1,122 @@
+"""Hierarchies: one command trains every option and evaluates the cycle, and goes on wherever it was stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hrl_comfort.__main__ import main
+from hrl_comfort.config import ConfigError, HierarchyTrainConfig
+from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.training import hierarchy_trainer as module
+from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
+from hrl_comfort.training.trainer import Training
+from tests.stopping import stopping
+
+SMALL = (
+    "division=two", "engine.num_envs=4", "agent.policy_steps=160", "agent.learning_starts=40", "agent.hidden=[8,8]",
+    "agent.batch_size=8", "agent.log_every=40", "agent.checkpoint_every=60", "hierarchy.terminal_states_episodes=24",
+    "hierarchy.episodes=2", "hierarchy.shares.pick_place=1", "hierarchy.shares.return=1", "task.max_episode_steps=40",
+    "task.precision.grasp_tolerance_m=0.5", "task.precision.place_tolerance_m=0.5", "reward.arrival_speed=0",
+    "hierarchy.refinement=[{name:again,policy_steps:80,set:{agent.learning_rate:1e-4}}]", "curriculum=off",
+    "human=none",
+)  # fmt: skip
+PARTS = ("pick_place_first", "return_first", "return", "pick_place")
+
+
+def small(folder: Path, *overrides: str) -> HierarchyTrainConfig:
+    config = compose("train_hierarchy", [*SMALL, f"output='{folder}'", *overrides])
+    assert isinstance(config, HierarchyTrainConfig)
+    return config
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hierarchy that nothing stopped."""
+    return train_hierarchy(small(tmp_path_factory.mktemp("runs") / "whole"))
+
+
+def metrics(folder: Path) -> list[bytes]:
+    return [(folder / part / "metrics.csv").read_bytes() for part in PARTS]
+
+
+def test_every_option_is_a_run_that_begins_where_the_one_before_it_ends(whole):
+    first, back, again = (load_config(whole / part) for part in ("pick_place_first", "return_first", "pick_place"))
+    assert first.task.start == "ik" and first.task.name == "pick_place"
+    assert back.task.start == str(whole / "pick_place_first" / "terminal_states.npz")
+    assert again.agent.next_skill == str(whole / "return")
+    assert again.initial_policy == str(whole / "pick_place_first")
+    assert load_config(whole / "return").agent.next_skill is None
+    for part in ("pick_place", "return", "cycle"):
+        assert (whole / part / "eval" / "summary.json").is_file()
+
+
+def test_a_hierarchy_killed_several_times_goes_on_bit_for_bit(whole, tmp_path):
+    folder = tmp_path / "run"
+    for name, at in (("pick_place", 20), ("pick_place", 100), ("return", 80), ("return", 20)):
+        with stopping(
+            Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.policy_steps >= t
+        ):
+            train_hierarchy(small(folder))
+    config = compose("train_hierarchy", [f"resume='{folder}'"])
+    assert isinstance(config, HierarchyTrainConfig)
+    train_hierarchy(config)
+    assert metrics(folder) == metrics(whole)
+
+
+def test_a_hierarchy_stopped_before_an_evaluation_does_the_rest(whole, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    with stopping(Training, "step", lambda self: self.config.initial_policy is not None):
+        train_hierarchy(small(folder))
+    done = []
+    monkeypatch.setattr(module, "train", lambda config: done.append(Path(config.output).name))
+    monkeypatch.setattr(module, "evaluate", lambda config: done.append(config.output.removeprefix(f"{folder}/")))
+    train_hierarchy(small(folder))
+    assert done == ["return", "pick_place", "pick_place/eval", "return/eval", "cycle/eval"]
+
+
+def test_a_finished_hierarchy_says_so_and_shows_its_table_and_report(whole, capsys):
+    words = ["train", "hierarchy", *SMALL, f"output='{whole}'"]
+    for _ in range(2):
+        assert main(words) == 0
+    out = capsys.readouterr().out
+    assert out.count("is finished") == 2 and "report.html" in out and "cycle" in out
+    assert (whole / "report.html").is_file()
+    with pytest.raises(ConfigError, match="already holds another hierarchy"):
+        train_hierarchy(small(whole, "train_seed=1"))
+
+
+def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_path, capsys):
+    hopeless = ("task.precision.grasp_tolerance_m=0.005", "hierarchy.refinement=[]", "agent.policy_steps=40")
+    folder = train_hierarchy(small(tmp_path / "run", *hopeless, "hierarchy.terminal_states_episodes=2"))
+    assert load_config(folder / "return").task.start == "ik"
+    assert "starts from inverse kinematics" in capsys.readouterr().err
+
+
+def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
+    config = compose("train_hierarchy", ["division=one", "agent.policy_steps=1000"])
+    assert isinstance(config, HierarchyTrainConfig)
+    own = option_config(config, "cycle", Path("runs"), "ik")
+    assert (own.agent.policy_steps, own.task.max_episode_steps) == (2050, 1500)
+    staged = compose("train_hierarchy", ["experiment=comfort_cycle"])
+    assert isinstance(staged, HierarchyTrainConfig)
+    own = option_config(staged, "place", Path("runs"), "ik")
+    assert [stage.policy_steps for stage in own.curriculum.stages] == [140_000, 140_000, 84_000]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["task=place"], "task.name=place: train hierarchy sets it"),
+        (["hierarchy.shares.pick=0"], r"hierarchy\.shares\.pick=0\.0 is outside"),
+        (["hierarchy.refinement=[{name:a,policy_steps:9,set:{reward.pik:1}}]"], r"stages\.0 \(a\): reward\.pik"),
+        (["hierarchy.controller=[human=nobody]"], "human=nobody is not a choice"),
+        (["hierarchy.controller=[human=patrol]", "division=two"], "choose division=three"),
+        (["initial_policy=runs/pick"], "initial_policy=runs/pick: train hierarchy sets it"),
+    ],
+)
+def test_a_mistake_is_named_before_anything_is_trained(tmp_path, overrides, said):
+    with pytest.raises(ConfigError, match=said):
+        train_hierarchy(compose("train_hierarchy", [*overrides, f"output='{tmp_path}/run'"]))
+    assert not (tmp_path / "run").exists()
