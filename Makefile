@@ -32,7 +32,7 @@ fuzz: setup
 	HRL_COMFORT_INPUTS=$(or $(INPUTS),11000) $(BIN)/python -m pytest -q tests/*/test_generated_*.py
 
 demo: setup
-	$(BIN)/hrl-comfort demo
+	$(BIN)/hrl-comfort train hierarchy agent=quick output=runs/demo
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from hrl_comfort.__main__ import main
-from hrl_comfort.config import ConfigError, HierarchyTrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
 from hrl_comfort.training.trainer import Training
@@ -29,6 +32,19 @@ def small(folder: Path, *overrides: str) -> HierarchyTrainConfig:
     config = compose("train_hierarchy", [*SMALL, f"output='{folder}'", *overrides])
     assert isinstance(config, HierarchyTrainConfig)
     return config
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _skilled() -> Iterator[None]:
+    """Record the terminal states of the expert: policies of so few steps never succeed."""
+
+    def record(config: EvaluateConfig) -> Path:
+        hopeless = config.task.precision.grasp_tolerance_m < 0.5
+        return record_terminal_states(config if hopeless else replace(config, policy="expert"))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "record_terminal_states", record)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -111,8 +127,8 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
         (["task=place"], "task.name=place: train hierarchy sets it"),
         (["hierarchy.shares.pick=0"], r"hierarchy\.shares\.pick=0\.0 is outside"),
         (["hierarchy.refinement=[{name:a,policy_steps:9,set:{reward.pik:1}}]"], r"stages\.0 \(a\): reward\.pik"),
-        (["hierarchy.controller=[human=nobody]"], "human=nobody is not a choice"),
-        (["hierarchy.controller=[human=patrol]", "division=two"], "choose division=three"),
+        (["hierarchy.controller=['human=nobody']"], "human=nobody is not a choice"),
+        (["hierarchy.controller=['human=patrol']", "division=two"], "choose division=three"),
         (["initial_policy=runs/pick"], "initial_policy=runs/pick: train hierarchy sets it"),
     ],
 )
