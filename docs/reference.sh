@@ -39,9 +39,9 @@ hrl-comfort evaluate task=pick_place policy=potential_field comfort=conditioned 
 hrl-comfort figure kind=levels "evaluations=['$out/comfort/seed*/eval']" output=$out/comfort/levels.png
 hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/eval','$out/comfort/potential_field']" \
     'labels=[one policy,potential field]' output=$out/comfort/plane.png
-hrl-comfort figure kind=levels "evaluations=['$out/comfort_cycle/seed*/eval']" output=$out/comfort_cycle/levels.png
+hrl-comfort figure kind=levels "evaluations=['$out/comfort_cycle/seed*/cycle/eval']" output=$out/comfort_cycle/levels.png
 hrl-comfort figure kind=divisions 'labels=[one,two,three]' output=$out/divisions/divisions.png \
-    "evaluations=['$out/divisions/one/seed*/eval','$out/divisions/two/seed*/eval','$out/divisions/three/seed*/eval']"
+    "evaluations=['$out/divisions/one/seed*/cycle/eval','$out/divisions/two/seed*/cycle/eval','$out/divisions/three/seed*/cycle/eval']"
 
 # Benchmarks, on an idle machine.
 hrl-comfort bench env output=$out/bench

@@ -20,7 +20,7 @@ TRAINING = (
 )  # fmt: skip
 BUDGETS = {
     "train": TRAINING,
-    "train hierarchy": (*TRAINING, "episodes=2"),
+    "train hierarchy": (*TRAINING, "hierarchy.episodes=2", "hierarchy.terminal_states_episodes=8"),
     "train meta_controller": (
         "meta_controller_agent.options=40", "meta_controller_agent.warmup_options=8",
         "meta_controller_agent.log_every=20", "engine.num_envs=4",
