@@ -43,7 +43,7 @@ class _Cells:
                 raise ConfigError(
                     f"seed={seed} must be below {FIRST_SEED}; larger seeds are those of the evaluation set"
                 )
-            self.engine.episodes.draws.seed = seed
+            self.engine.episodes.sampler.seed = seed
             self.engine.episodes.rewind()
         self._begun = True
         return self.observe(self.engine.reset()).copy()

@@ -195,5 +195,5 @@ class OptionEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.engine.episodes.draws.seed = seed
+            self.engine.episodes.sampler.seed = seed
             self.engine.episodes.rewind()

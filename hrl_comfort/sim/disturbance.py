@@ -1,7 +1,7 @@
-"""What goes wrong on purpose, once an episode.
+"""Disturbances, once an episode.
 
-`drop`: the first ball taken is knocked out of the gripper and lies where it lay. `block`: a person stands at
-the table where the first ball belongs, and wanders off after a while.
+`drop`: the first ball picked is knocked out of the gripper and lies where it lay. `block`: a person stands at
+the table of the first ball's drop point, and walks on after BLOCK_STEPS.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hrl_comfort.config.checks import one_of
 
 Array = NDArray[np.float64]
 HELD = (2, 5)
-"""`drop`: the ball is lost after so many decisions, drawn for each episode; taking it is the first."""
+"""`drop`: smallest and largest number of decisions, the pick included, after which the ball is lost."""
 BLOCK_STEPS = 400
-"""`block`: control steps, 8 s, for which the person stands there."""
+"""`block`: control steps (8 s) for which the person stands there."""
 
 
 class Disturbance:
-    """Of the episodes of `rows` cells; `kind` is one of DISTURBANCES."""
+    """Disturbance of the episodes of `rows` cells; `kind` is one of DISTURBANCES."""
 
     def __init__(self, kind: str, rows: int) -> None:
         one_of("disturbance", kind, DISTURBANCES)
@@ -42,7 +42,7 @@ class Disturbance:
         return held & (self._left == 0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a bit-for-bit continuation needs."""
+        """Return what an exact continuation needs."""
         return {"left": torch.from_numpy(self._left.copy())}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -55,6 +55,6 @@ class Disturbance:
 
 
 def blocking_place(drop: Array, keep_out_m: float) -> Array:
-    """Return where (2,) m somebody stands who blocks the table at drop (2,) m: behind it for the robot."""
+    """Return the position (2,) m of a person who blocks the table at drop (2,) m, behind it for the robot."""
     away: Array = drop * (1 + (keep_out_m + 1e-6) / np.linalg.norm(drop))
     return away

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Engine:
-    """N cells of one model. `reset` the rows that ended, then `step` them all."""
+    """N cells of one model; `reset` starts episodes, `step` runs a decision."""
 
     def __init__(
         self,
@@ -50,18 +50,18 @@ class Engine:
         return self.episodes.state
 
     def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
-        """Run one decision, action (N, 6) in [-1, 1], and return what it led to.
+        """Run one decision, action (N, 6) in [-1, 1], and return its result.
 
-        Of `rows` (r,) alone, where they are given. What the outcome says of the others is void, and they have
-        to be reset before they are stepped again.
+        If `rows` (r,) are given, only these are run; the others are void in the result and must be reset
+        before they are stepped again.
         """
         at = slice(None) if rows is None else rows
         control = self.episodes.apply_action(action)
         states, sensed = self._run(self.physics[at], control[at])
-        outcome = self.episodes.advance(sensed, rows)
-        taken = outcome.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
+        result = self.episodes.advance(sensed, rows)
+        taken = result.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
         self.physics[at] = states[np.arange(len(taken)), taken - 1]
-        return outcome
+        return result
 
     def _probe(self, joints: Array, control: Array) -> Array:
         # Readings belong to the instant before a physics step is integrated: one step senses the start.
@@ -82,7 +82,7 @@ class Engine:
         self._rollout.close()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything a bit-for-bit continuation needs."""
+        """Return what an exact continuation needs."""
         return {"physics": torch.from_numpy(self.physics.copy()), "episodes": self.episodes.state_dict()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

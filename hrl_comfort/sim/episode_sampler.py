@@ -1,4 +1,4 @@
-"""What chance decides about an episode: colour, walk, spawn, start and points, from (seed, row, episode)."""
+"""Random draws of an episode: colours, walk, spawn, start and points, from (seed, row, episode)."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from hrl_comfort.tasks import Subtask
 Array = NDArray[np.float64]
 
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
-"""Random points of `reach` lie in this annulus round the base."""
+"""Annulus round the base in which random points of `reach` lie."""
 TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
 LONGEST_STEPS = 1_000_000
-"""Of an episode: the random numbers of its walk are drawn, and kept, from the start."""
+"""Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM = 1, 2, 3, 4
-"""Of random numbers for levels, for walks beyond `task.max_episode_steps`, for balls and for disturbances: streams
-of their own, so that with them or without, the rest of an episode is the same."""
+"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls and disturbances: with or
+without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
 class Draw:
-    """One beginning of an episode; of a later attempt, only spawn, start, its level and points are new."""
+    """One start of an episode; later attempts draw only spawn, start, its level and points anew."""
 
     balls: Array
-    """(B, 3) m, where they lie on the pick table."""
+    """(B, 3) m, positions on the pick table."""
     colours: NDArray[np.int64]
     """(B,) 0 orange, 1 pink."""
     noise: Array
-    """(horizon, NOISE) in [0, 1): what the walk uses at each control step."""
+    """(horizon, NOISE) in [0, 1), for the walk at each control step."""
     level: Array
-    """(comfort.sources.DRAWS,) in [0, 1): what the source of comfort levels uses."""
+    """(comfort.sources.DRAWS,) in [0, 1), for the source of comfort levels."""
     motion_id: int
     """Of the evaluation set; -1 in training."""
     spawn_id: int
@@ -55,7 +55,7 @@ class Draw:
 
 
 class EpisodeSampler:
-    """The source of beginnings. With an `evaluation` set, row r gets entry r (modulo its length)."""
+    """Sampler of episode starts; with an `evaluation` set, row r gets entry r (modulo its length)."""
 
     def __init__(
         self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
@@ -82,11 +82,10 @@ class EpisodeSampler:
             self._starts = [self._unseen_left_out(bank) for bank in self._starts]
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
-        """Yield one draw after the other for an episode, until one is taken.
+        """Yield draws for an episode until the caller accepts one.
 
-        In training a recorded start brings its person and its level, where it has them, unless it is one of
-        the fraction `task.resample_start_probability`. In the second half, starts are those of inverse
-        kinematics: none of the recorded ones was free.
+        In training a recorded start brings its human and its level, if it has them, except with probability
+        `task.resample_start_probability`. The second half of the attempts uses inverse-kinematics starts.
         """
         rng = self.generator(row, episode)
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
@@ -115,7 +114,7 @@ class EpisodeSampler:
             yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
 
     def _unseen_left_out(self, bank: Array) -> Array:
-        """Return the starts (M, 18 or 21) whose person, if any, is clear of every held-out spawn point.
+        """Return the starts (M, 18 or 21) whose human, if any, is clear of every held-out spawn point.
 
         Raises:
           ConfigError: there is none.
@@ -127,19 +126,19 @@ class EpisodeSampler:
         clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
         if not clear.any():
             raise ConfigError(
-                f"task.start={self._config.task.start!r}: in each of its starts the person is within "
+                f"task.start={self._config.task.start!r}: in each of its starts the human is within "
                 f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
             )
         return bank[clear]
 
     def _with_level(self, draws: Array, level: float) -> Array:
-        """Return the uniform numbers of an episode whose first level is this one, as drawn if NaN."""
+        """Return the draws with the first one replaced so that it gives `level`, unless that is NaN."""
         if np.isnan(level):
             return draws
         return np.array([(level - 0.5) / self._config.comfort.levels, *draws[1:]])
 
     def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
-        """Return where the balls lie (B, 3), m, and their colours (B,): the first one's is given."""
+        """Return the positions (B, 3) m and colours (B,) of the balls; the first colour is given."""
         task = self._config.task
         count, slots = task.balls, np.array(task.ball_slots_m)
         balls = self.goals[:1].repeat(count, axis=0)
@@ -150,7 +149,7 @@ class EpisodeSampler:
         return balls, colours
 
     def keep_out(self, points: Array) -> humans.KeepOut:
-        """Return the discs that humans stay out of: goals and base; points (n, 2, 3) m are the episodes'."""
+        """Return the keep-out discs of the humans round goals and base; points (n, 2, 3) m are the episodes'."""
         n = len(points)
         if self._on_points:
             centres = np.concatenate([points[:, : self._on_points, :2], np.zeros((n, 1, 2))], axis=1)
@@ -159,7 +158,7 @@ class EpisodeSampler:
         return humans.KeepOut(centres, self._config.human.keep_out_m)
 
     def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
-        """Return the random numbers of an episode; another stream, other numbers."""
+        """Return the generator of one stream of an episode's random numbers."""
         key = [(self.seed << 32) + row, (stream << 48) + episode]
         if self._evaluation is not None:
             entry = row % len(self._evaluation.episode)
@@ -170,7 +169,7 @@ class EpisodeSampler:
         human, task = self._config.human, self._config.task
         points = np.array([task.point_m, task.second_point_m])
         drawn = task.point == "random"
-        if drawn and self._on_points:  # they keep clear of the human themselves
+        if drawn and self._on_points:  # random points keep clear of the human themselves
             discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
         else:
             discs = self.keep_out(points[None])

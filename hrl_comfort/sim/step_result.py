@@ -1,4 +1,4 @@
-"""Judging a decision: what its control steps earned, where it ended and how."""
+"""Result of one decision: rewards, last state and termination."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from hrl_comfort.comfort.adapt import TERM
 from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.config import RewardConfig
 from hrl_comfort.tasks import State, Subtask
 
 MOVING_RAD_S = 0.05
-"""A robot none of whose joints is faster stands still: the human walked into it."""
+"""Speed of the fastest joint below which a robot stands still: the human walked into it."""
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """What one decision led to; of its K control steps, those after a stage or episode ends are void."""
+    """Result of one decision in N cells; of its K control steps, those after its stage or episode ended are void."""
 
     state: State
     """The last valid instant of each row."""
     reward_terms: Tensor
     """(N, T) weighted, summed over the decision's control steps."""
     step_rewards: Tensor
-    """(N, K) all terms of a control step together; 0 after the decision ended."""
+    """(N, K) sum of the weighted terms of a control step; 0 after the decision ended."""
     success: Tensor
     terminated: Tensor
     truncated: Tensor
@@ -32,11 +34,11 @@ class StepResult:
     valid: Tensor
     """(N, K) bool, the control steps this decision took."""
     instants: State
-    """The states after each control step, N * K rows, a row's K steps together."""
+    """States after each control step, N * K rows, the K steps of a row together."""
 
     @property
     def reward(self) -> Tensor:
-        """(N,) the sum of the terms."""
+        """(N,) sum of the terms."""
         return self.reward_terms.sum(dim=-1)
 
     @property
@@ -51,7 +53,7 @@ class StepResult:
 
     @property
     def level(self) -> Tensor:
-        """(N,) the comfort level that was in force, NaN without one; `state.level` is the next decision's."""
+        """(N,) comfort level in force, NaN without one; `state.level` is the next decision's."""
         return self.instants.level.view(self.valid.shape)[:, 0]
 
     @property
@@ -67,18 +69,25 @@ class StepResult:
 
     @property
     def robot_moving(self) -> Tensor:
-        """(N,) bool: some joint is in motion."""
+        """(N,) bool: a joint is faster than MOVING_RAD_S."""
         return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
+
+
+def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, float]:
+    """Return the weight of every reward term by its name, with the factors k1, k2 and k3 of Eq. 1."""
+    weights = {**vars(reward), TERM: comfort_scale}
+    for name, k in (("pick", reward.k1), ("place", reward.k2), ("home", reward.k3)):
+        weights[name] *= k
+    return weights
 
 
 def compute_step(
     subtask: Subtask, weights: Tensor, max_episode_steps: Tensor, before: State, moving: dict[str, Tensor]
 ) -> StepResult:
-    """Judge K control steps from the state `before` (N rows) and the fields (N * K, ...) that changed.
+    """Return the result of K control steps from the state `before` (N rows) and the fields (N * K, ...) that changed.
 
     `weights` (T,) are those of the subtask's reward terms, `max_episode_steps` (N,) the time limits. A decision
-    ends where its stage or its episode does, so within its valid steps the stage in force is the one it began
-    with.
+    ends where its stage or its episode does: the stage in force is the same in all its valid steps.
     """
     n = len(before.steps)
     count = len(moving["tcp_pos"]) // n
@@ -117,10 +126,10 @@ def compute_step(
 
 @lru_cache(maxsize=16)
 def _order(n: int, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return indices for n rows of K = `count` instants, a row's together; they are not to be written to.
+    """Return read-only indices for n rows of K = `count` instants, those of a row together.
 
-    The row of each instant (n * K,); the instant before each (n * K,), where the n that came before all are
-    appended; each row's first instant (n,).
+    Row of each instant (n * K,); instant before each (n * K,), the n states before the decision being appended
+    to the instants; first instant of each row (n,).
     """
     instants = torch.arange(n * count).view(n, count)
     came_before = torch.arange(n * count, n * count + n)[:, None]

@@ -70,7 +70,7 @@ def test_a_fraction_of_the_starts_meets_a_person_and_a_level_drawn_anew(tmp_path
 
     def recorded(fraction: float) -> list[bool]:
         config = placing(tmp_path / "starts.npz", "comfort=conditioned", f"task.resample_start_probability={fraction}")
-        draws = Engine(config, 1, 0).episodes.draws
+        draws = Engine(config, 1, 0).episodes.sampler
         first = [next(draws.attempts(row, 0)) for row in range(64)]
         assert all(draw.spawn_id == -1 or draw.level[0] != 0.95 for draw in first), "both or neither"
         return [draw.spawn_id == -1 and draw.level[0] == 0.95 for draw in first]
@@ -85,7 +85,7 @@ def test_no_training_begins_with_a_person_at_a_held_out_spawn_point(tmp_path: Pa
     starts = np.zeros((3, 21))
     starts[:, 18:20], starts[:, 20] = [[1.2, 0.9], unseen, unseen + 0.01], [1.0, 2.0, 3.0]
     np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)
-    kept = Engine(config, 2, 0).episodes.draws
+    kept = Engine(config, 2, 0).episodes.sampler
     assert [bank[:, 20].tolist() for bank in kept._starts] == [[1.0], [1.0]]
     np.savez(tmp_path / "starts.npz", orange=starts[1:], pink=starts[1:])
     with pytest.raises(ConfigError, match=r"human\.spawn_margin_m=0\.1 of a held-out spawn point"):
