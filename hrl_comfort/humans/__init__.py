@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
+from hrl_comfort.config.checks import one_of
 from hrl_comfort.humans.approach import approach
 from hrl_comfort.humans.arc import arc
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, validation_set
@@ -45,8 +46,7 @@ UNBOUNDED = ("none", "playback")
 
 def motion(name: str) -> Motion:
     """Return the motion `name`; raise ConfigError if `name` is not in MOTIONS."""
-    if name not in MOTIONS:
-        raise ConfigError(f"human.motion={name!r} is not allowed; choose one of {', '.join(MOTIONS)}")
+    one_of("human.motion", name, tuple(MOTIONS))
     return MOTIONS[name]
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
+from hrl_comfort.config.checks import one_of
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import JOINTS, ROBOTS, build_robot
 
@@ -61,8 +62,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     Raises:
       ConfigError: `robot.name` is not in ROBOTS.
     """
-    if robot.name not in ROBOTS:
-        raise ConfigError(f"robot.name={robot.name!r} is not allowed; choose one of {', '.join(ROBOTS)}")
+    one_of("robot.name", robot.name, tuple(ROBOTS))
     root = mjcf.RootElement(model="cell")
     _set_options(root, substeps)
     floor_z = -cell.base_height_m

@@ -63,7 +63,7 @@ def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
     ("overrides", "message"),
     [
         (["task=place", "disturbance=drop"], "needs a ball that is picked and then placed"),
-        (["task=cycle", "disturbance=block", "human=none"], "needs a person"),
+        (["task=cycle", "disturbance=block", "human=none"], "needs a human"),
         (["task=cycle", "disturbance=drop", "terminal_states=e.npz"], "does not go with terminal_states="),
     ],
 )
