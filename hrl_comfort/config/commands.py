@@ -91,7 +91,9 @@ class MetaControllerTrainConfig(EnvConfig):
     def __post_init__(self) -> None:
         check_fields("", self)
         if self.task.name != "sort":
-            raise ConfigError(f"task.name={self.task.name!r} has one order of options; choose task=sort")
+            raise ConfigError(
+                f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort"
+            )
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name
             raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")
