@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Train and measure every reference result anew: docs/reference.sh [FOLDER] (default runs/remade).
-# Each command can be pasted alone. A training that was stopped goes on when its command is given again.
+# Each command can be pasted alone. `train hierarchy` goes on when its command is given again; a stopped `train`
+# goes on with `hrl-comfort train resume=FOLDER`.
 set -euo pipefail
 export OMP_NUM_THREADS=1
 out=${1:-runs/remade}
@@ -10,21 +11,28 @@ levels='levels=[1,2,3,4,5,6,7,8,9,10]'
 # Pick, place and return at 10 cm, and the cycle.
 hrl-comfort train hierarchy experiment=cycle output=$out/cycle
 
-# One policy for ten comfort levels at 30 cm; then pick, place, return and the cycle with levels; then sort.
-for s in 0 1 2 3 4; do
-    hrl-comfort train experiment=comfort train_seed=$s episode_seed=$s output=$out/comfort/seed$s
-    hrl-comfort evaluate policy=$out/comfort/seed$s $all $levels output=$out/comfort/seed$s/eval
-done
-for s in 0 1 2; do
-    hrl-comfort train hierarchy experiment=comfort_cycle train_seed=$s episode_seed=$s output=$out/comfort_cycle/seed$s
-    hrl-comfort train hierarchy experiment=sort train_seed=$s episode_seed=$s output=$out/sort/seed$s
+# The three subtasks from 30 cm to 2 cm.
+for task in pick place return; do
+    hrl-comfort train experiment=fine task=$task output=$out/fine/$task
+    hrl-comfort evaluate policy=$out/fine/$task $all output=$out/fine/$task/eval
 done
 
-# The cycle with one, two and three networks.
+# One policy for ten comfort levels at 30 cm and at 10 cm.
+for s in 0 1 2 3 4; do
+    for experiment in comfort comfort_10cm; do
+        hrl-comfort train experiment=$experiment train_seed=$s episode_seed=$s output=$out/$experiment/seed$s
+        hrl-comfort evaluate policy=$out/$experiment/seed$s $all $levels output=$out/$experiment/seed$s/eval
+    done
+done
+
+# The cycle with levels; the same with a learned controller that sorts balls; the cycle with one to three networks.
 for s in 0 1 2; do
+    seeds="train_seed=$s episode_seed=$s"
+    for experiment in comfort_cycle sort; do
+        hrl-comfort train hierarchy experiment=$experiment $seeds output=$out/$experiment/seed$s
+    done
     for division in one two three; do
-        hrl-comfort train hierarchy experiment=cycle division=$division train_seed=$s episode_seed=$s \
-            output=$out/divisions/$division/seed$s
+        hrl-comfort train hierarchy experiment=cycle division=$division $seeds output=$out/divisions/$division/seed$s
     done
 done
 
@@ -40,8 +48,10 @@ hrl-comfort figure kind=levels "evaluations=['$out/comfort/seed*/eval']" output=
 hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/eval','$out/comfort/potential_field']" \
     'labels=[one policy,potential field]' output=$out/comfort/plane.png
 hrl-comfort figure kind=levels "evaluations=['$out/comfort_cycle/seed*/cycle/eval']" output=$out/comfort_cycle/levels.png
+hrl-comfort figure kind=controllers 'labels=[learned,scripted]' output=$out/sort/controllers.png \
+    "evaluations=['$out/sort/seed*/sort_learned/eval','$out/sort/seed*/sort_scripted/eval']"
 hrl-comfort figure kind=divisions 'labels=[one,two,three]' output=$out/divisions/divisions.png \
-    "evaluations=['$out/divisions/one/seed*/cycle/eval','$out/divisions/two/seed*/cycle/eval','$out/divisions/three/seed*/cycle/eval']"
+    "evaluations=['$out/divisions/one/*/cycle/eval','$out/divisions/two/*/cycle/eval','$out/divisions/three/*/cycle/eval']"
 
 # Benchmarks, on an idle machine.
 hrl-comfort bench env output=$out/bench
