@@ -1,4 +1,4 @@
-"""Evaluation: a policy, every checkpoint of a run, or a chain of policies, on the committed set."""
+"""Evaluation of a policy, of every checkpoint of a run, or of a chain of policies, on one split."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout, write_table
 
 
 def evaluate(config: EvaluateConfig) -> Path:
-    """Evaluate what `config` asks for; return the folder that holds episodes.csv and summary.json.
+    """Evaluate a policy or chain; return the folder that holds episodes.csv and summary.json.
 
     Raises:
       ConfigError: no such policy, or one of another subtask.

@@ -95,13 +95,13 @@ FAR_OBSERVATIONS = ["subtask", "start", "observation", "component", "largest_dev
 
 
 def alone(config: EvaluateConfig, name: str, start: str, policy: str) -> EvaluateConfig:
-    """Return the evaluation of one subtask by itself, begun from the starts `start` (`task.start`)."""
+    """Return the evaluation of one subtask alone, from the starts `start` (`task.start`)."""
     task = replace(config.task, name=name, start=start, max_episode_steps=config.meta_controller.time_limit_steps)
     return replace(config, task=task, meta_controller=LONE, policies={}, policy=policy)
 
 
 def own_start(config: EvaluateConfig, name: str) -> str:
-    """Return the `task.start` that the policy of a subtask was trained from."""
+    """Return the `task.start` from which the policy of a subtask was trained."""
     folder = run_folder(config.policies[name])
     trained = None if folder is None else load_config(folder)
     return trained.task.start if isinstance(trained, TrainConfig) else "ik"

@@ -1,4 +1,4 @@
-"""The smallest distance between any link of the robot and any body part of the person, batched."""
+"""Smallest distance between any link of the robot and any body part of the human, batched."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def link_frames(robot: UrModel, joints: Array) -> list[tuple[Array, Array]]:
 
 
 class ArmDistance:
-    """Distances between the capsules of the compiled model (a sphere is one of no length)."""
+    """Distance between the capsules of the compiled model; a sphere is a capsule of length 0."""
 
     def __init__(self, scene: Scene) -> None:
         self._robot = ROBOTS[scene.robot]
@@ -49,7 +49,7 @@ class ArmDistance:
             while owner not in links and owner not in limbs and owner != 0:
                 owner = int(model.body_parentid[owner])
             if owner == 0:
-                continue  # the pedestal side of the arm, and what is neither arm nor person
+                continue  # neither arm nor human
             local = (ends - data.xpos[owner]) @ data.xmat[owner].reshape(3, 3)
             if owner in links:
                 self._arm.append((links.index(owner), local, size))

@@ -1,4 +1,4 @@
-"""The task-space action: tool displacement to joint increments, by mink."""
+"""Task-space actions: tool displacements to joint increments, by mink."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class CartesianHand:
         """Return joint increments (N, 6) rad a control step, none above `max_step_deg`.
 
         action (N, 6) in [-1, 1]: tool translation and rotation, cell axes, in units of `max_step_m` and
-        `max_step_rot_deg` a control step. An increment beyond the joints' limit is scaled down whole, so that
-        the tool keeps its direction.
+        `max_step_rot_deg` a control step. An increment above the limit is scaled as a whole, so that the tool
+        keeps its direction.
         """
         largest = np.radians(self._task.max_step_deg)
         found = np.empty_like(joint_pos)

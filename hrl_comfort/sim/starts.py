@@ -1,9 +1,9 @@
-"""Where place and return begin: the tool has just reached the ball or a drop point.
+"""Starts of subtasks: at home, or with the tool at the ball or at a drop point.
 
-A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. A chained policy
-takes over an arm in motion, so recorded starts keep it; those made by inverse kinematics are at rest. How a
-policy leaves the arm depends on where the person stood and on the level, so recorded starts may have these
-three numbers more: x, y (m) and the level, NaN where there was none.
+A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. Starts by inverse
+kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
+have three numbers more, on which the terminal states of a policy depend: the human's x, y (m) and the level,
+NaN without one.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from hrl_comfort.tasks import Start
 Array = NDArray[np.float64]
 
 ARM, WHOLE = 18, 21
-"""Numbers of a start: of the arm alone, and with the person and the level."""
+"""Size of a start: of the arm alone, and with the human and the level."""
 MOST = 100.0
-"""No angle in rad and no velocity in rad/s of an arm is larger."""
+"""Largest angle, rad, velocity, rad/s, and coordinate, m, of a valid start."""
 COUNT = 96
-"""Inverse-kinematics starts a goal."""
+"""Number of inverse-kinematics starts for each goal."""
 ITERATIONS, STEP_S = 40, 0.1
 CLEARANCE_M = 0.02
-"""Least room between the arm and the tables in a start made by inverse kinematics."""
+"""Smallest distance between arm and tables in an inverse-kinematics start."""
 SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
-"""Standard deviation of the posture from which each solution is sought: policies leave the wrist anywhere."""
+"""Standard deviation of the initial posture of inverse kinematics; policies leave the wrist at any angle."""
 
 
 def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
-    """Return the starts (M, 18 or 21) of a subtask: one array, or one a colour where the goal depends on it.
+    """Return the starts (M, 18 or 21) of a subtask: one array, or one for each colour.
 
-    `start` is `Subtask.start`. With `task.start=ik` they are made by inverse kinematics; otherwise
-    `task.start` is an .npz with arrays `orange` and `pink`, as `evaluate terminal_states=` records them.
+    With `task.start=ik` they come from inverse kinematics; otherwise `task.start` is an .npz with arrays
+    `orange` and `pink`, as `evaluate terminal_states=` records them.
 
     Raises:
-      ConfigError: the file is missing or of another form, or of more levels than there are.
+      ConfigError: the file is missing, damaged or of more levels than `comfort.levels`.
     """
     if start == Start.HOME:
         return [at_rest(scene.home[None])]
@@ -59,12 +59,12 @@ def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
 
 
 def at_rest(joint_pos: Array) -> Array:
-    """Return the starts (M, 18) of joint angles (M, 6) at rest, the servos' targets where the joints are."""
+    """Return the starts (M, 18) of joint angles (M, 6) at rest, the servo targets at the joint angles."""
     return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
 
 
 def recorded(path: str, levels: int) -> list[Array]:
-    """Return the recorded endings (M, 18 or 21) of each colour, orange first; `levels` there are."""
+    """Return the recorded starts (M, 18 or 21) of each colour, orange first; their levels are 1 to `levels`."""
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
@@ -89,10 +89,10 @@ def recorded(path: str, levels: int) -> list[Array]:
 
 @lru_cache(maxsize=32)
 def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
-    """Return (COUNT, 6) rad: postures free of contact whose tool is within `precision_m` of `goal`.
+    """Return (COUNT, 6) rad: postures free of contact with the tool within `precision_m` of `goal`.
 
-    Each begins at home turned towards the goal plus Gaussian noise and is drawn to a point of the precision
-    ball's outer shell, which is where a policy stops.
+    Each is solved from home, turned towards the goal, plus Gaussian noise, for a point near the surface of the
+    sphere round the goal, where a policy stops.
     """
     model = mujoco.MjModel.from_xml_string(xml)
     model.geom_margin[model.geom_contype == 0] = CLEARANCE_M  # tables, pedestal, floor
@@ -104,7 +104,7 @@ def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, ho
     towards = np.arctan2(goal[1], goal[0])
     for _ in range(50 * COUNT):
         posture = np.array(home) + rng.normal(size=6) * SPREAD_RAD
-        # Either way round: the arm may come over the shoulder (home's side) or turned by half a circle.
+        # The arm may reach over the shoulder, as at home, or turned by half a circle.
         posture[0] += towards + rng.choice([-np.pi, 0.0, np.pi])
         posture[0] = (posture[0] + np.pi) % (2 * np.pi) - np.pi
         direction = rng.normal(size=3)

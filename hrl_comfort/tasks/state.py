@@ -1,4 +1,4 @@
-"""The world as the subtasks see it: one frozen record of tensors, batch first."""
+"""State of the cells as the subtasks observe it: a frozen record of tensors, batch first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class State:
     joint_vel: Tensor
     """(N, 6) rad/s."""
     joint_target: Tensor
-    """(N, 6) rad, what the position servos follow."""
+    """(N, 6) rad, targets of the position servos."""
     tcp_pos: Tensor
     """(N, 3) m, tool centre point."""
     tcp_home: Tensor
@@ -33,11 +33,11 @@ class State:
     human_yaw: Tensor
     """(N,) rad."""
     human_seen: Tensor
-    """(N, 2) m, where the policy is told the human is (clipping, masking)."""
+    """(N, 2) m, the human's position as the policy observes it (clipping, masking)."""
     ball_pos: Tensor
-    """(N, 3) m, where the ball aimed at lies until it is picked."""
+    """(N, 3) m, position of the target ball before it is picked."""
     drop_pos: Tensor
-    """(N, 3) m, the drop point of its colour."""
+    """(N, 3) m, drop point of its colour."""
     orange_drop: Tensor
     """(N, 3) m."""
     pink_drop: Tensor
@@ -45,15 +45,15 @@ class State:
     points: Tensor
     """(N, 2, 3) m, first and second point of `reach` and `point_to_point`."""
     colour: Tensor
-    """(N,) int64, of the ball aimed at: 0 orange, 1 pink."""
+    """(N,) int64, of the target ball: 0 orange, 1 pink."""
     balls: Tensor
-    """(N, B, 3) m, where each ball lies until it is picked."""
+    """(N, B, 3) m, position of each ball before it is picked."""
     colours: Tensor
     """(N, B) int64."""
     placed: Tensor
-    """(N, B) bool, the balls that are at their drop point."""
+    """(N, B) bool, balls at their drop point."""
     target: Tensor
-    """(N,) int64, the ball aimed at."""
+    """(N,) int64, index of the target ball."""
     stage: Tensor
     """(N,) int64, index of the stage in force in the subtask's `stages`."""
     grasp_tolerance: Tensor
@@ -91,6 +91,6 @@ class State:
         return State(**(vars(self) | changes))
 
     def put(self, index: Tensor, other: State) -> State:
-        """Return a state whose rows at `index` (int64) are `other`'s, this one left as it is."""
+        """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = vars(other)
         return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in vars(self).items()})
