@@ -16,9 +16,10 @@ from typing import Any
 
 import pandas as pd
 
-from hrl_comfort.analysis.intervals import describe, read_rows
-from hrl_comfort.analysis.tables import markdown, series
+from hrl_comfort.analysis.episodes import success
+from hrl_comfort.analysis.tables import cell, levels, markdown, series
 from hrl_comfort.benchmarks import env, train, update
+from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots import controllers, divisions, handover
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -32,33 +33,27 @@ COLUMNS = (
 
 def evaluations(names: str) -> str:
     """Return the table of evaluations, one line each."""
-    head = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
-    return head + "".join(line(name) for name in names.split())
+    return markdown(COLUMNS, (line(name) for name in names.split()))
 
 
-def line(name: str) -> str:
-    """Return the line of one evaluation, or of the pooled episodes of those that match."""
+def line(name: str) -> list[str]:
+    """Return the cells of one evaluation, or of the pooled episodes of those that match."""
     found = sorted(REFERENCE.glob(f"{name}/episodes.parquet"))
     if not found:
         raise FileNotFoundError(f"runs/reference/{name}/episodes.parquet does not exist")
-    rows = pd.concat([pd.read_parquet(path) for path in found])
-    success = rows["success"].to_numpy(float)
-    described = describe(success, [str(seed) for seed in rows["train_seed"]], share=True)
-    assert described is not None, f"{name} has no episode"
-    low, high = described["ci95"]
+    rows = pd.concat([read_table(path.with_suffix(".csv")) for path in found], ignore_index=True)
     shares = [rows["success"][rows["seen"] == seen].mean() for seen in (True, False)]
     won = rows[rows["success"]]
     hits = rows["human_collision"].mean(), (rows["other_collision"] != "none").mean()
-    cells = [
+    return [
         name.removesuffix("/eval"),
         f"{len(rows)}",
-        f"{100 * success.mean():.1f} [{100 * low:.1f}, {100 * high:.1f}]",
+        cell(success(rows), 100),
         *(f"{100 * share:.1f}" for share in shares),
         f"{won['steps'].mean():.0f}" if len(won) else "–",
         f"{won['human_distance_mean_m'].mean():.3f}" if len(won) else "–",
         *(f"{100 * share:.1f}" for share in hits),
     ]
-    return f"| {' | '.join(cells)} |\n"
 
 
 def of_json(table: Callable[[dict[str, Any]], str]) -> Callable[[str], str]:
@@ -66,14 +61,14 @@ def of_json(table: Callable[[dict[str, Any]], str]) -> Callable[[str], str]:
     return lambda name: table(json.loads((REFERENCE / name).read_text(encoding="utf-8")))
 
 
-def of_rows(table: Callable[[list[Any]], str]) -> Callable[[str], str]:
+def of_rows(table: Callable[[pd.DataFrame], str]) -> Callable[[str], str]:
     """Return what makes a table of the CSV file that it is given the name of."""
-    return lambda name: table(read_rows(REFERENCE / name))
+    return lambda name: table(read_table(REFERENCE / name))
 
 
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
-    "levels": of_json(markdown),
+    "levels": of_json(levels),
     "series": of_json(lambda found: series({label: each["each"] for label, each in found.items()})),
     "controllers": of_json(controllers.table),
     "divisions": of_json(divisions.table),

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.config.compose import load_config
+from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.policies.actor import load_policy
-from hrl_comfort.training.logger import read_provenance
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
@@ -49,7 +49,7 @@ def test_every_committed_configuration_loads(path: Path) -> None:
 @pytest.mark.parametrize("path", POLICIES, ids=named)
 def test_a_committed_policy_is_small_finished_and_acts(path: Path) -> None:
     assert megabytes([path]) <= MAX_POLICY_MB
-    assert read_provenance(path.parent)["finished"]
+    assert read_provenance(path.parent).finished
     assert load_policy(path).spec["task"] == load_config(path.parent).task.name
 
 

@@ -13,11 +13,11 @@ import imageio.v3 as imageio
 import mujoco
 import numpy as np
 
-from hrl_comfort.analysis.intervals import column, read_rows
 from hrl_comfort.config.compose import compose
+from hrl_comfort.files.tables import read_table
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 
-EPISODE, STAGE, SHARE = "1", 1, 0.65
+EPISODE, STAGE, SHARE = 1, 1, 0.65
 """Drawn where this share of the stage (1: the ball is carried) has gone by."""
 WIDTH, HEIGHT = 1000, 620
 COLOURS = ((0.15, 0.45, 0.9, 1), (1.0, 0.5, 0.1, 1), (0.3, 0.65, 0.3, 1))
@@ -26,8 +26,8 @@ COLOURS = ((0.15, 0.45, 0.9, 1), (1.0, 0.5, 0.1, 1), (0.3, 0.65, 0.3, 1))
 
 def draw(folder: Path, output: Path) -> None:
     """Draw one recorded episode of `folder` to `output`."""
-    rows = [row for row in read_rows(folder / "paths.csv") if row["episode"] == EPISODE]
-    path = {name: column(rows, name) for name in rows[0]}
+    rows = read_table(folder / "paths.csv")
+    path = rows[rows["episode"] == EPISODE].reset_index(drop=True)
     config = compose("train")
     scene = build_scene(config.robot, config.cell, substeps=2)
     model, data = scene.model, mujoco.MjData(scene.model)

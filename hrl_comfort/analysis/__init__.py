@@ -1,1 +1,1 @@
-"""Analysis: intervals, tables, comfort responses. EpisodeSampler nothing."""
+"""Analysis: intervals, tables, comfort responses. No matplotlib here."""

@@ -1,30 +1,36 @@
-"""What the learning curve of a kind of training is: which of its columns it is drawn of, and how."""
+"""The learning curve of a training: its columns, its labels, and the numbers at its end."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
+from pandas import DataFrame
+
+from hrl_comfort.files.tables import column
+
+LAST = 0.1
+"""Share of a training, at its end, that the final numbers are means over."""
+MEANS = ("success", "return", "steps", "placed")
 
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """How well a kind of training does against how far it is; both are columns of `file`."""
+    """A score against the progress of a kind of training; both are columns of its log."""
 
-    file: str
     progress: str
     score: str
     scale: float
-    """What the score is drawn times."""
+    """Factor of the score as drawn."""
     least: float
     most: float
-    """Of the score, drawn."""
+    """Bounds of the score as drawn."""
     label: str
     caption: str
 
 
 POLICY = LearningCurve(
-    "metrics.csv",
     progress="policy_steps",
     score="success",
     scale=100,
@@ -34,18 +40,36 @@ POLICY = LearningCurve(
     caption="Training episodes that succeed, at the precision that the curriculum has reached by then.",
 )
 CONTROLLER = LearningCurve(
-    "meta_controller_metrics.csv",
     progress="options",
-    score="return",  # its skills succeed from the beginning: what is learnt is when to run which
+    score="return",  # its skills succeed from the beginning: it learns when to run which
     scale=1,
     least=-math.inf,
     most=math.inf,
     label="mean return of training episodes",
     caption="Mean return of training episodes, in which some options are chosen at random, ever fewer.",
 )
-CURVES = (POLICY, CONTROLLER)
 
 
-def curve_of(metrics: Mapping[str, object]) -> LearningCurve:
-    """Return the learning curve of a training whose log has these columns."""
-    return next(each for each in CURVES if each.progress in metrics)
+def curve_of(metrics: DataFrame) -> LearningCurve:
+    """Return the learning curve of a training by the columns of its log."""
+    return POLICY if POLICY.progress in metrics else CONTROLLER
+
+
+def training_end(metrics: DataFrame) -> dict[str, float]:
+    """Return the means of success, return, steps and balls placed over the last tenth, and the last precision.
+
+    A row of the log is the mean of the episodes since the row before, and weighs as much as they are. A
+    quantity without a value is left out.
+    """
+    curve = curve_of(metrics)
+    progress, episodes = column(metrics, curve.progress), column(metrics, "episodes")
+    late = progress > (1 - LAST) * progress[-1]
+    # A controller's rows count the episodes since the row before, a policy's those so far.
+    weights = np.diff(episodes, prepend=0.0) if curve is POLICY else episodes
+    found = {"precision_m": float(metrics["precision_m"].iloc[-1])} if "precision_m" in metrics else {}
+    for name in MEANS:
+        values = column(metrics, name)
+        there = late & np.isfinite(values) & (weights > 0)
+        if there.any():
+            found[name] = float(np.average(values[there], weights=weights[there]))
+    return found

@@ -6,32 +6,30 @@ Runs that are not finished are counted, and in no mean.
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import Floats, column, seed_interval
-from hrl_comfort.analysis.learning_curve import LearningCurve, curve_of
-from hrl_comfort.analysis.tables import cell
-from hrl_comfort.analysis.training_end import training_end
+from hrl_comfort.analysis.intervals import SHARE, UNBOUNDED, student
+from hrl_comfort.analysis.learning_curve import LearningCurve, curve_of, training_end
+from hrl_comfort.analysis.tables import Quantity, cells
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.run_folder import Run, read_run
 from hrl_comfort.files.sweep_record import Job, find_jobs, planned
+from hrl_comfort.files.tables import column
 
 SEED = "train_seed"
-"""What is pooled."""
+"""The key whose values are pooled."""
 COUNTS = ("finished", "unfinished", "failed")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A job of the sweep and what is in its folder; one that has not begun has neither."""
+    """A job of the sweep and the run in its folder; one that has not begun has neither."""
 
     overrides: Mapping[str, str]
     """Key -> value, of this job."""
@@ -39,20 +37,8 @@ class Entry:
     state: str
     """One of COUNTS."""
     why: str
-    """What is the matter with one that is not finished."""
+    """The reason why it is not finished."""
     run: Run | None
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A column of means: where it comes from, its heading with the unit, a factor, digits, what it can be."""
-
-    of: Callable[[Run], float | None]
-    label: str
-    scale: float = 1.0
-    digits: int = 1
-    least: float = 0.0
-    most: float = math.inf
 
 
 def _trained(name: str) -> Callable[[Run], float | None]:
@@ -61,32 +47,37 @@ def _trained(name: str) -> Callable[[Run], float | None]:
 
 def _evaluated(name: str, successes: bool) -> Callable[[Run], float | None]:
     def mean(run: Run) -> float | None:
-        rows = run.episodes or []
-        if not rows or name not in rows[0]:
+        if run.episodes is None or name not in run.episodes:
             return None
-        values = column(rows, name)
-        kept = values[np.isfinite(values) & ((column(rows, "success") > 0) | (not successes))]
+        values = column(run.episodes, name)
+        kept = values[np.isfinite(values) & ((column(run.episodes, "success") > 0) | (not successes))]
         return float(kept.mean()) if len(kept) else None
 
     return mean
 
 
 QUANTITIES = {
-    "success": Quantity(_trained("success"), "training success (%)", 100, most=1),
-    "return": Quantity(_trained("return"), "return", digits=2, least=-math.inf),
-    "steps": Quantity(_trained("steps"), "steps"),
-    "placed": Quantity(_trained("placed"), "balls placed", digits=2),
-    "precision_m": Quantity(_trained("precision_m"), "precision (cm)", 100),
-    "minutes": Quantity(lambda run: run.minutes, "training (min)"),
-    "eval_success": Quantity(_evaluated("success", False), "evaluated success (%)", 100, most=1),
-    "eval_steps": Quantity(_evaluated("steps", True), "evaluated steps"),
-    "eval_human_distance_mean_m": Quantity(
-        _evaluated("human_distance_mean_m", True), "evaluated distance (m)", digits=3
-    ),
-    "eval_human_collision": Quantity(
-        _evaluated("human_collision", False), "evaluated human collisions (%)", 100, most=1
-    ),
+    "success": Quantity("training success (%)", 100, 1),
+    "return": Quantity("return", digits=2),
+    "steps": Quantity("steps", digits=1),
+    "placed": Quantity("balls placed", digits=2),
+    "precision_m": Quantity("precision (cm)", 100, 1),
+    "minutes": Quantity("training (min)", digits=1),
+    "eval_success": Quantity("evaluated success (%)", 100, 1),
+    "eval_steps": Quantity("evaluated steps", digits=1),
+    "eval_human_distance_mean_m": Quantity("evaluated distance (m)"),
+    "eval_human_collision": Quantity("evaluated human collisions (%)", 100, 1),
 }
+VALUES: dict[str, Callable[[Run], float | None]] = {
+    **{name: _trained(name) for name in ("success", "return", "steps", "placed", "precision_m")},
+    "minutes": lambda run: run.minutes,
+    "eval_success": _evaluated("success", False),
+    "eval_steps": _evaluated("steps", True),
+    "eval_human_distance_mean_m": _evaluated("human_distance_mean_m", True),
+    "eval_human_collision": _evaluated("human_collision", False),
+}
+"""Quantities to their value in a run; None where it has none."""
+SHARES = ("success", "eval_success", "eval_human_collision")
 
 
 @dataclass(frozen=True)
@@ -101,7 +92,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """Return the combination in words."""
+        """The combination in words."""
         return ", ".join(f"{key}={value}" for key, value in self.combination.items()) or "all runs"
 
     def count(self, state: str) -> int:
@@ -111,19 +102,19 @@ class Row:
 
 @dataclass(frozen=True)
 class Sweep:
-    """All combinations, and what every job was told alike."""
+    """All combinations, and the overrides that all jobs share."""
 
     rows: list[Row]
     alike: dict[str, str]
 
     @property
     def entries(self) -> list[Entry]:
-        """Return every job, by combination."""
+        """Every job, by combination."""
         return [entry for row in self.rows for entry in row.entries]
 
     @property
     def curve(self) -> LearningCurve | None:
-        """Return the learning curve of its trainings; None where none has logged anything."""
+        """The learning curve of its trainings; None where none has logged anything."""
         logged = (entry.run.metrics for entry in self.entries if entry.run is not None)
         return next((curve_of(metrics) for metrics in logged if metrics is not None), None)
 
@@ -160,18 +151,20 @@ def _told(overrides: Sequence[str]) -> dict[str, str]:
 
 def _entry(folder: Path, where: Path, job: Job) -> Entry:
     run = read_run(where)
-    name = str(where.relative_to(folder))
     state, why = _state(job, run)
-    return Entry(_told(job.overrides), name, state, why, run)
+    return Entry(_told(job.overrides), str(where.relative_to(folder)), state, why, run)
 
 
 def _state(job: Job, run: Run) -> tuple[str, str]:
-    """Return which of COUNTS a job is, and what is the matter with it."""
+    """Return which of COUNTS a job is, and why it is not finished."""
+    far = ""
     if job.verb in ("train", "train meta_controller"):
-        finished = run.provenance is not None and bool(run.provenance.get("finished"))
-        far = "" if run.metrics is None else _far(run.metrics)
+        finished = run.provenance is not None and run.provenance.finished
+        if run.metrics is not None:
+            name = curve_of(run.metrics).progress
+            far = f", {run.metrics[name].iloc[-1]:.0f} {name.replace('_', ' ')} logged"
     else:
-        finished, far = job.state == "done" and run.groups is not None, ""
+        finished = job.state == "done" and run.groups is not None
     if finished:
         return "finished", ""
     if job.state == "failed":
@@ -179,33 +172,26 @@ def _state(job: Job, run: Run) -> tuple[str, str]:
     return "unfinished", (job.why or "running, or killed") + far
 
 
-def _far(metrics: Mapping[str, Floats]) -> str:
-    name = curve_of(metrics).progress
-    return f", {metrics[name][-1]:.0f} {name.replace('_', ' ')} logged"
-
-
 def _means(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
     runs = [entry.run for entry in entries if entry.state == "finished" and entry.run is not None]
     found = {}
-    for name, quantity in QUANTITIES.items():
-        values = np.array([value for run in runs if (value := quantity.of(run)) is not None])
+    for name, value_of in VALUES.items():
+        values = np.array([value for run in runs if (value := value_of(run)) is not None])
         if len(values):
-            interval = seed_interval(values)
-            ci95 = interval and np.clip(interval, quantity.least, quantity.most).tolist()
-            found[name] = {"mean": float(values.mean()), "ci95": ci95}
+            bounds = SHARE if name in SHARES else UNBOUNDED if name == "return" else (0.0, np.inf)
+            found[name] = {"mean": float(values.mean()), "ci95": student(values, bounds)}
     return found
 
 
-def cells(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
+def table(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
     """Return heads and lines of the table as text; a quantity that no run has is left out."""
     there = {name: each for name, each in QUANTITIES.items() if any(name in row.means for row in sweep.rows)}
-    swept = list(sweep.rows[0].combination)
-    heads = [*(swept or ["combination"]), *COUNTS, *(each.label for each in there.values())]
+    heads = [*(list(sweep.rows[0].combination) or ["combination"]), *COUNTS, *(each.label for each in there.values())]
     lines = [
         [
             *(row.combination.values() or ["all runs"]),
             *(str(row.count(state)) for state in COUNTS),
-            *(cell(row.means.get(name), "mean", each.scale, each.digits) for name, each in there.items()),
+            *cells(row.means, there),
         ]
         for row in sweep.rows
     ]
@@ -228,21 +214,12 @@ def not_finished(sweep: Sweep) -> list[list[str]]:
 
 def as_csv(sweep: Sweep) -> str:
     """Return the table as CSV: swept keys, counts; NAME_mean, NAME_low, NAME_high, shares from 0 to 1."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    names = [f"{name}_{part}" for name in QUANTITIES for part in ("mean", "low", "high")]
-    writer.writerow([*sweep.rows[0].combination, *COUNTS, *names])
+    lines = []
     for row in sweep.rows:
-        numbers: list[float | None] = []
-        for name in QUANTITIES:
+        line: dict[str, Any] = {**row.combination, **{state: row.count(state) for state in COUNTS}}
+        for name in VALUES:
             mean = row.means.get(name, {"mean": None, "ci95": None})
-            numbers += [mean["mean"], *(mean["ci95"] or [None, None])]
-        counts = [row.count(state) for state in COUNTS]
-        writer.writerow(
-            [
-                *row.combination.values(),
-                *counts,
-                *("" if value is None else f"{value:.6g}" for value in numbers),
-            ]
-        )
-    return out.getvalue()
+            low, high = mean["ci95"] or (None, None)
+            line |= {f"{name}_mean": mean["mean"], f"{name}_low": low, f"{name}_high": high}
+        lines.append(line)
+    return str(DataFrame(lines).to_csv(index=False, float_format="%.6g", lineterminator="\n"))

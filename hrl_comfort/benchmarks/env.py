@@ -11,13 +11,13 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import Row, number, read_rows
+from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.dm import make_environment
-from hrl_comfort.evaluation.rollout import write_table
-from hrl_comfort.plots.compare import markdown
+from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 
@@ -46,30 +46,28 @@ def bench_env(config: TrainConfig) -> Path:
             rates += [[rows, name, turn, rate(step, rows)] for name, step in loops.items()]
     path = Path(config.output) / "env.csv"
     write_table(path, COLUMNS, rates)
-    print(table(read_rows(path)), end="")
+    print(table(read_table(path)), end="")
     return path
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rates: DataFrame) -> str:
     """Return the rows of env.csv as a Markdown table: medians, ranges and ratios."""
-    return medians(rows, COLUMNS, BARE, lambda mine, bare: mine / bare, "of bare rollout")
+    return medians(rates, COLUMNS, BARE, lambda mine, bare: mine / bare, "of bare rollout")
 
 
 def medians(
-    rows: Sequence[Row], columns: Sequence[str], peer: str, ratio: Callable[[float, float], float], head: str
+    rates: DataFrame, columns: Sequence[str], peer: str, ratio: Callable[[float, float], float], head: str
 ) -> str:
     """Return measurements as a Markdown table, with each one's ratio to `peer` in the same rounds.
 
     Columns are those of the CSV: the size, who was measured, the round, the rate.
     """
     size, name, _, rate_of = columns
-    found: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        found.setdefault((row[size], row[name]), []).append(number(row[rate_of]))
+    groups = rates.groupby([size, name], sort=False)[rate_of]
     lines = []
-    for (count, who), each in found.items():
-        ratios = [ratio(one, other) for one, other in zip(each, found[count, peer], strict=True)]
-        lines.append([count, who, ranged(each), "" if who == peer else ranged(ratios, 2)])
+    for (count, who), each in groups:
+        ratios = [ratio(one, other) for one, other in zip(each, groups.get_group((count, peer)), strict=True)]
+        lines.append([str(count), who, ranged(each), "" if who == peer else ranged(ratios, 2)])
     return markdown([size, name, rate_of.replace("_per_", "/"), head], lines)
 
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pandas import DataFrame
 
 from hrl_comfort.agents.sac import matmul_precision
-from hrl_comfort.analysis.intervals import Row, number, read_rows
+from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.benchmarks.env import ranged
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
-from hrl_comfort.evaluation.rollout import write_table
-from hrl_comfort.plots.compare import markdown
+from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.training.collector import make_collector
@@ -101,34 +101,22 @@ def bench_train(config: TrainConfig) -> Path:
                 policy_steps = race_of_peer(config, env, seed, clock, **PEERS[name])
             found.append([name, seed, clock.reached, policy_steps, f"{clock.seconds:.2f}"])
             write_table(path, COLUMNS, found)
-    print(table(read_rows(path)), end="")
+    print(table(read_table(path)), end="")
     return path
 
 
-def table(rows: list[Row]) -> str:
+def table(races: DataFrame) -> str:
     """Return the rows of train.csv as a Markdown table: medians, ranges, times ours; `-` if not reached."""
-    ours = {row["seed"]: row for row in rows if row["learner"] == OURS}
+    ours = races[races["learner"] == OURS].set_index("seed")
     lines = []
-    for name in dict.fromkeys(row["learner"] for row in rows):
-        mine = [row for row in rows if row["learner"] == name]
-        there = [row for row in mine if row["reached"] == "True"]
-        if len(there) == len(mine):
-            cells = [
-                ranged([number(row["policy_steps"]) for row in mine]),
-                ranged([number(row["seconds"]) for row in mine], 1),
-                "" if name == OURS else times_ours(mine, ours),
-            ]
-        else:
-            cells = ["-", "-", "-"]
-        lines.append([name, f"{len(there)} of {len(mine)}", *cells])
+    for name, each in races.groupby("learner", sort=False):
+        cells = ["-", "-", "-"]
+        if each["reached"].all():
+            seconds = each.set_index("seed")["seconds"]
+            ratio = ranged(list(seconds / ours["seconds"]), 2) if ours["reached"].all() else "-"
+            cells = [ranged(list(each["policy_steps"])), ranged(list(seconds), 1), "" if name == OURS else ratio]
+        lines.append([name, f"{each['reached'].sum()} of {len(each)}", *cells])
     return markdown(["learner", "arrived", "policy_steps", "seconds", "times ours"], lines)
-
-
-def times_ours(rows: list[Row], ours: dict[str, Row]) -> str:
-    """Return how many times as long as ours the races of `rows` took, by seed; `-` if ours did not arrive."""
-    if any(row["reached"] != "True" for row in ours.values()):
-        return "-"
-    return ranged([number(row["seconds"]) / number(ours[row["seed"]]["seconds"]) for row in rows], 2)
 
 
 def success(env: EnvConfig, act: Act) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
+from pandas import DataFrame
 from tensordict import TensorDict
 from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import Tensor, nn
@@ -18,11 +19,10 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from hrl_comfort.agents.sac import SAC, matmul_precision
-from hrl_comfort.analysis.intervals import Row, read_rows
 from hrl_comfort.benchmarks.env import medians
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import environment
-from hrl_comfort.evaluation.rollout import write_table
+from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.sim.engine import Engine
 
 BATCHES = (256, 1028)
@@ -61,13 +61,13 @@ def bench_update(config: TrainConfig) -> Path:
             rates += [[batch, name, turn, rate(update)] for name, update in learners.items()]
     path = Path(config.output) / "update.csv"
     write_table(path, COLUMNS, rates)
-    print(table(read_rows(path)), end="")
+    print(table(read_table(path)), end="")
     return path
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rates: DataFrame) -> str:
     """Return the rows of update.csv as a Markdown table: medians, ranges and ratios."""
-    return medians(rows, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
+    return medians(rates, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
 
 
 def observation_width(config: TrainConfig) -> int:

@@ -9,9 +9,10 @@ import torch
 from rich.console import Console
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.analysis.intervals import wilson_interval
+from hrl_comfort.analysis.episodes import success
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout, write_table
+from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout
+from hrl_comfort.files.tables import write_table
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -57,18 +58,10 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     for path in found:
         result = rollout(config, str(path))
         every.episodes += result.episodes
-        wins = sum(episode.success for episode in result.episodes)
-        low, high = wilson_interval(wins, len(result.episodes))
-        counters = checkpoint.load(path)["counters"]
-        curve.append(
-            [
-                counters["policy_steps"],
-                wins / len(result.episodes),
-                low,
-                high,
-                config.task.precision.grasp_tolerance_m,
-            ]
-        )
+        share = success(result.table)
+        policy_steps = checkpoint.load(path)["counters"]["policy_steps"]
+        interval = share["ci95"] or (None, None)
+        curve.append([policy_steps, share["mean"], *interval, config.task.precision.grasp_tolerance_m])
     header = ["policy_steps", "success", "success_low", "success_high", "precision_m"]
     write_table(output.parent / "checkpoints.csv", header, curve)
     every.write(output, config)

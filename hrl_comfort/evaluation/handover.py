@@ -12,19 +12,19 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from rich.console import Console
 from torch import Tensor
 
-from hrl_comfort.analysis.intervals import wilson_interval
+from hrl_comfort.analysis.episodes import chain_lengths, success
+from hrl_comfort.analysis.tables import cell
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder
-from hrl_comfort.evaluation.rollout import rollout, split, write_table
+from hrl_comfort.evaluation.rollout import rollout, split
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
-from hrl_comfort.plots.options import chain_lengths
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import SCRIPTED
 from hrl_comfort.sim.engine import Engine
@@ -70,21 +70,20 @@ def handover(config: EvaluateConfig) -> Path:
         }
         for kind, start in {"own": own_start(config, after), **upstream}.items():
             part = alone(config, after, start, config.policies[after])
-            ran = rollout(part).episodes
-            wins = [episode.success for episode in ran]
-            single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran]
-            low, high = wilson_interval(sum(wins), len(wins))
-            matrix.append([after, kind, len(wins), np.mean(wins), low, high])
+            ran = rollout(part)
+            single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran.episodes]
+            share = success(ran.table)
+            matrix.append([after, kind, len(ran.episodes), share["mean"], *(share["ci95"] or (None, None))])
+            told = f"{after} from {kind} starts: {cell(share, 100)} % of {len(ran.episodes)}"
+            Console().print(told, soft_wrap=True)
             far_rows += [[after, kind, *row] for row in far_observations(part)]
     write_table(output / "handover.csv", HANDOVER, matrix)
     write_table(output / "handover_episodes.csv", SINGLE, single)
     write_table(output / "seams.csv", FAR_OBSERVATIONS, far_rows)
     whole = rollout(config)
-    lengths = chain_lengths([episode.episode for episode in whole.episodes], whole.options, len(names))
-    write_table(output / "chain.csv", CHAIN, ([at["options"], at["success"], *at["ci95"]] for at in lengths))
-    for after, kind, episodes, success, low, high in matrix:
-        what = f"{after} from {kind} starts: {success:.1%} [{low:.1%}, {high:.1%}] of {episodes}"
-        Console().print(what, soft_wrap=True)
+    far = chain_lengths(whole.table, records_of(whole.options, "options"), len(names))
+    chain = ([at["options"], at["success"], *(at["ci95"] or (None, None))] for at in far)
+    write_table(output / "chain.csv", CHAIN, chain)
     return output
 
 

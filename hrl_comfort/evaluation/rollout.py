@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from pandas import DataFrame
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hrl_comfort.analysis.intervals import write_summary
+from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, load_evaluation_set, validation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
-
-Floats = NDArray[np.float64]
 
 BATCH = 250
 """Episodes simulated side by side."""
@@ -87,13 +84,18 @@ class Result:
     paths: list[list[Any]]
 
     @property
+    def table(self) -> DataFrame:
+        """The episodes, as read from episodes.csv."""
+        return records_of((episode.row() for episode in self.episodes), "episodes")
+
+    @property
     def success(self) -> float:
         """Fraction of episodes that succeeded."""
         return float(np.mean([episode.success for episode in self.episodes]))
 
     def write(self, output: Path, config: EvaluateConfig) -> None:
         """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
-        for stale in ("summary.json", "options.csv", "paths.csv", "video.mp4"):
+        for stale in ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4"):
             (output / stale).unlink(missing_ok=True)
         write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
         if self.options:
@@ -101,16 +103,8 @@ class Result:
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
         save_config(config, output / "config.yaml")
-        write_summary(output, config.group_by, [episode.max_episode_steps for episode in self.episodes])
-
-
-def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV, whole or not at all; None becomes an empty cell."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+        limits = [episode.max_episode_steps for episode in self.episodes]
+        write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
 
 
 def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:

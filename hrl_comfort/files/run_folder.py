@@ -1,125 +1,50 @@
-"""A run folder as the report reads it: what is there, and None for what is not."""
+"""A run folder: what is in it, and None for what is not."""
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Collection
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import yaml
+from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import Floats, Row, column, number, read_rows
-from hrl_comfort.analysis.learning_curve import CURVES
-from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import ConfigError
+from hrl_comfort.files.documents import Summary, read_json, read_yaml
+from hrl_comfort.files.provenance import Provenance, read_provenance
+from hrl_comfort.files.tables import read_table
 
 ORDER = ("pick", "place", "return", "pick_place", "cycle")
 """Runs appear in the order of the work, then by name."""
-TERMINATIONS = (
-    "success",
-    "robot hit human",
-    "human walked into still robot",
-    "hit table",
-    "self-collision",
-    "time limit",
-)
-
-
-Recorded = tuple[str, str]
-"""A recorded episode: its index, and the comfort level that it began with (empty without one)."""
+LOGS = ("metrics.csv", "meta_controller_metrics.csv")
+"""Logs of a training: of a policy and of a meta-controller."""
+MARKS = (*LOGS, "config.yaml", *(f"{at}episodes.{kind}" for at in ("", "eval/") for kind in ("csv", "parquet")))
+"""A folder that holds one of these files is a run."""
+Recorded = tuple[int, int | None]
+"""A recorded episode: its index and the comfort level that it began with, None without one."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run folder holds; None where the file is not there."""
+    """The content of a run folder; None where a file is not there."""
 
     name: str
     folder: Path
-    configs: dict[str, str]
+    configs: dict[str, str] = field(default_factory=dict)
     """Text of the config.yaml of training and of evaluation, where there is one."""
-    config: dict[str, Any]
-    """What was evaluated, or else trained; empty when no config.yaml says."""
-    provenance: dict[str, Any] | None
-    metrics: dict[str, Floats] | None
-    """Columns of what its training logged: see `learning_curve`."""
-    minutes: float | None
-    groups: list[dict[str, Any]] | None
-    episodes: list[Row] | None
-    checkpoints: dict[str, Floats] | None
-    options: list[Row] | None
-    paths: Path | None
-
-
-NEEDED = {
-    "metrics.csv": ("policy_steps", "episodes", "success", "return", "steps", "precision_m"),
-    "meta_controller_metrics.csv": ("options", "episodes", "success", "placed", "return", "steps"),
-    "timing.csv": ("seconds",),
-    "episodes.csv": ("episode", "success"),
-    "checkpoints.csv": ("policy_steps", "success"),
-    "options.csv": ("episode", "option", "termination", "start_step", "end_step"),
-    "paths.csv": ("episode", "step", "tcp_x", "tcp_y", "tcp_z", "human_x", "human_y", "human_distance_m"),
-}
-"""Columns that the report cannot do without."""
-
-
-def _rows(path: Path) -> list[Row] | None:
-    """Return the rows of a table, None where there is none; raise ConfigError where it is damaged."""
-    if not path.is_file():
-        return None
-    try:
-        rows = read_rows(path)
-    except (ValueError, csv.Error) as error:
-        raise ConfigError(f"{path} is damaged: {error}") from error
-    for name in NEEDED[path.name]:
-        if any(row.get(name) is None for row in rows):
-            raise ConfigError(f"{path} is damaged: it lacks the column {name}, or a line is cut short")
-    return rows
-
-
-def _table(path: Path) -> dict[str, Floats] | None:
-    rows = _rows(path)
-    return {name: column(rows, name) for name in rows[0] if name != "stage"} if rows else None
-
-
-def _logged(folder: Path) -> dict[str, Floats] | None:
-    tables = (_table(folder / curve.file) for curve in CURVES)
-    return next((table for table in tables if table is not None), None)
-
-
-def _minutes(folder: Path, provenance: dict[str, Any] | None) -> float | None:
-    """Return how long a training took; of a controller's its provenance tells, once it is finished."""
-    timing = _table(folder / "timing.csv")
-    if timing is not None:
-        return float(timing["seconds"][-1]) / 60
-    if provenance is None or not provenance.get("finished") or "wall_seconds" not in provenance:
-        return None
-    seconds = provenance["wall_seconds"]
-    if not isinstance(seconds, int | float):
-        raise ConfigError(f"{folder / 'provenance.json'} is damaged: wall_seconds={seconds!r} is no number")
-    return seconds / 60
-
-
-def _json(path: Path, needed: str) -> dict[str, Any] | None:
-    if not path.is_file():
-        return None
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigError(f"{path} is damaged: {error}") from error
-    if needed not in found:
-        raise ConfigError(f"{path} is damaged: it lacks {needed!r}")
-    return found
-
-
-def _config(path: Path) -> tuple[str, dict[str, Any]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-        return text, dict(yaml.safe_load(text))
-    except (ValueError, TypeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path} is damaged: {' '.join(str(error).split())}") from error
+    config: dict[str, Any] = field(default_factory=dict)
+    """Configuration of the evaluation, or else of the training; empty without a config.yaml."""
+    provenance: Provenance | None = None
+    metrics: DataFrame | None = None
+    minutes: float | None = None
+    """Duration of the training."""
+    groups: list[dict[str, Any]] | None = None
+    """Groups of summary.json."""
+    episodes: DataFrame | None = None
+    checkpoints: DataFrame | None = None
+    options: DataFrame | None = None
+    paths: Path | None = None
 
 
 def read_run(folder: Path) -> Run:
@@ -129,27 +54,39 @@ def read_run(folder: Path) -> Run:
       ConfigError: a file in it is damaged.
     """
     evaluation = folder / "eval" if (folder / "eval").is_dir() else folder
+    episodes = read_table(evaluation / "episodes.csv")
     files = {"training": folder / "config.yaml", "evaluation": evaluation / "config.yaml"}
     if evaluation == folder:
-        del files["training" if (folder / "episodes.csv").is_file() else "evaluation"]
-    read = {name: _config(file) for name, file in files.items() if file.is_file()}
-    provenance = _json(folder / "provenance.json", "commit")
-    summary = _json(evaluation / "summary.json", "groups")
+        del files["training" if episodes is not None else "evaluation"]
+    configs = {name: read_yaml(file) for name, file in files.items() if file.is_file()}
+    provenance = read_provenance(folder) if (folder / "provenance.json").is_file() else None
+    summary = evaluation / "summary.json"
     paths = evaluation / "paths.csv"
+    logs = (read_table(folder / name) for name in LOGS)
     return Run(
         name=folder.resolve().name,
         folder=folder,
-        configs={name: text for name, (text, _) in read.items()},
-        config=list(read.values())[-1][1] if read else {},
+        configs={name: text for name, (text, _) in configs.items()},
+        config=list(configs.values())[-1][1] if configs else {},
         provenance=provenance,
-        metrics=_logged(folder),
+        metrics=next((log for log in logs if log is not None), None),
         minutes=_minutes(folder, provenance),
-        groups=None if summary is None else summary["groups"],
-        episodes=_rows(evaluation / "episodes.csv"),
-        checkpoints=_table(evaluation / "checkpoints.csv"),
-        options=_rows(evaluation / "options.csv"),
+        groups=read_json(summary, Summary).model_dump()["groups"] if summary.is_file() else None,
+        episodes=episodes,
+        checkpoints=read_table(evaluation / "checkpoints.csv"),
+        options=read_table(evaluation / "options.csv"),
         paths=paths if paths.is_file() else None,
     )
+
+
+def _minutes(folder: Path, provenance: Provenance | None) -> float | None:
+    """Return the duration of a training: timing.csv tells it, of a finished one also provenance.json."""
+    timing = read_table(folder / "timing.csv")
+    if timing is not None:
+        return float(timing["seconds"].iloc[-1]) / 60
+    if provenance is None or not provenance.finished or math.isnan(provenance.wall_seconds):
+        return None
+    return provenance.wall_seconds / 60
 
 
 def find_runs(folder: Path) -> list[Run]:
@@ -160,9 +97,7 @@ def find_runs(folder: Path) -> list[Run]:
     """
 
     def is_run(path: Path) -> bool:
-        logs = (curve.file for curve in CURVES)
-        marks = (*logs, "episodes.csv", "eval/episodes.csv", "eval/summary.json", "config.yaml")
-        return any((path / mark).is_file() for mark in marks)
+        return any((path / mark).is_file() for mark in MARKS)
 
     if not folder.is_dir():
         raise ConfigError(f"run={str(folder)!r} is not a folder")
@@ -176,54 +111,39 @@ def find_runs(folder: Path) -> list[Run]:
     return [read_run(path) for path in inside]
 
 
-def termination(row: Row) -> str:
-    """Return how an episode ended, in words."""
-    if number(row.get("success")) > 0:
-        return "success"
-    if number(row.get("human_collision")) > 0:
-        moving = number(row.get("robot_moving_at_collision"))
-        return "human walked into still robot" if moving == 0 else "robot hit human"
-    other = row.get("other_collision") or "none"
-    if other != "none":
-        return {"table": "hit table", "self": "self-collision"}.get(other, other)
-    return "time limit" if number(row.get("truncated")) > 0 else "other"
-
-
 def recorded_paths(
-    run: Run, count: int | None = None, episodes: Collection[str] | None = None
-) -> dict[Recorded, dict[str, Floats]]:
-    """Return the columns of recorded episodes by episode and level; none when not recorded.
+    run: Run, count: int | None = None, episodes: Sequence[int] | None = None
+) -> dict[Recorded, DataFrame]:
+    """Return the rows of paths.csv by episode and level; nothing where no path was recorded.
 
-    An evaluation at several levels records an episode once at each, one level after the other. What is
-    returned is the first `count` of them, if given, and of `episodes` alone, if given.
+    An evaluation at several levels records an episode once at each, one level after the other.
+
+    Args:
+      run: the run.
+      count: the most episodes to return, the first ones; None is all.
+      episodes: the indices to return; None is all.
     """
-    if run.paths is None:
+    frame = None if run.paths is None else read_table(run.paths)
+    if frame is None:
         return {}
-    kept: dict[Recorded, list[Row]] = {}
-    current: dict[str, Recorded] = {}
-    with run.paths.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if any(row.get(name) in (None, "") for name in NEEDED["paths.csv"]):
-                raise ConfigError(f"{run.paths} is damaged: it lacks a column, or a line is cut short")
-            episode = row["episode"]
-            if episode not in current or row["step"] == "0":  # there it begins, or begins anew
-                current[episode] = (episode, row.get("level") or "")
-            if episodes is not None and episode not in episodes:
-                continue
-            if current[episode] in kept or count is None or len(kept) < count:
-                kept.setdefault(current[episode], []).append(row)
-    tables = {key: {name: column(rows, name) for name in rows[0]} for key, rows in kept.items()}
-    return {key: _ordered(table) for key, table in tables.items()}
+    if episodes is not None:
+        frame = frame[frame["episode"].isin(episodes)]
+    beginning = (frame["step"] == 0).groupby(frame["episode"]).cumsum()
+    found: dict[Recorded, DataFrame] = {}
+    for (episode, _), path in frame.groupby([frame["episode"], beginning], sort=False):
+        level = path["level"].iloc[0] if "level" in path else math.nan
+        if count is None or len(found) < count:
+            key = (int(episode), None if math.isnan(level) else round(level))
+            found[key] = path.sort_values("step", kind="stable").reset_index(drop=True)
+    return found
 
 
-def row_of(run: Run, recorded: Recorded) -> Row:
-    """Return the row of episodes.csv that a recorded episode belongs to; empty when there is none."""
-    episode, level = recorded
-    rows = [row for row in run.episodes or [] if row["episode"] == episode]
-    # A level that changes within the episode is none of the episode's own.
-    return next((row for row in rows if (row.get("comfort_level") or level) == level), {})
-
-
-def _ordered(table: dict[str, Floats]) -> dict[str, Floats]:
-    order = np.argsort(table["step"], kind="stable")
-    return {name: values[order] for name, values in table.items()}
+def row_of(run: Run, recorded: Recorded) -> dict[str, Any] | None:
+    """Return the row of episodes.csv that a recorded episode belongs to; None when there is none."""
+    if run.episodes is None:
+        return None
+    index, level = recorded
+    rows = run.episodes[run.episodes["episode"] == index]
+    if "comfort_level" in rows:  # it is missing where the level changes within the episode
+        rows = rows[(rows["comfort_level"].isna() | (rows["comfort_level"] == level)).fillna(False)]
+    return None if rows.empty else rows.iloc[0].to_dict()

@@ -1,26 +1,26 @@
-"""What a job of a sweep leaves in its folder (job.json): its overrides, how it stands, and why it failed."""
+"""job.json: the overrides, state and error of one job of a sweep."""
 
 from __future__ import annotations
 
-import json
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError
-from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.documents import damaged, read_json
 
 FILE = "job.json"
 State = Literal["running", "done", "stopped", "failed"]
-"""`running` stays with a job that was killed: it could not say so any more."""
+"""A job that was killed stays `running`: it could not record its end."""
 
 
 @dataclass(frozen=True)
@@ -29,34 +29,21 @@ class Job:
 
     verb: str
     overrides: tuple[str, ...]
-    """Without `output` and what is Hydra's own: `task=pick`, `train_seed=0`."""
+    """Without `output` and Hydra's own: `task=pick`, `train_seed=0`."""
     state: State
     why: str = ""
-    """What made it fail or stop, in one line."""
+    """The reason why it failed or stopped, in one line."""
     command: str = ""
-    """Which command ran it: a sweep can be started several times."""
+    """The command that ran it: a sweep can be started several times."""
 
     def write(self, folder: Path) -> None:
         """Write the job into its folder."""
-        write_text(folder / FILE, json.dumps(asdict(self), indent=2) + "\n")
+        write_json(folder / FILE, asdict(self))
 
 
 def read_job(folder: Path) -> Job:
-    """Return the job of a folder.
-
-    Raises:
-      ConfigError: the file is not there, or damaged.
-    """
-    file = folder / FILE
-    try:
-        found = Job(**json.loads(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ConfigError(f"{file} does not exist; a job of a sweep writes one") from None
-    except (ValueError, TypeError) as error:
-        raise ConfigError(f"{file} is damaged: {error}") from error
-    if found.state not in get_args(State):
-        raise ConfigError(f"{file} is damaged: state={found.state!r} is none of {', '.join(get_args(State))}")
-    return Job(found.verb, tuple(found.overrides), found.state, found.why, found.command)
+    """Return the job of a folder; raise ConfigError where its record is missing or damaged."""
+    return read_json(folder / FILE, Job)
 
 
 def find_jobs(folder: Path) -> dict[Path, Job]:
@@ -77,10 +64,10 @@ def _numbers_by_size(path: Path) -> list[tuple[int, str]]:
 def planned(folder: Path) -> list[tuple[str, ...]]:
     """Return the overrides of every job that the last sweep in `folder` was asked for.
 
-    Empty when nobody can tell: Optuna chooses as it goes on, and says nothing beforehand.
+    Empty where they are not known beforehand: Optuna chooses them as it goes on.
 
     Raises:
-      ConfigError: multirun.yaml, in which Hydra notes it, is damaged.
+      ConfigError: Hydra's record of it, multirun.yaml, is damaged.
     """
     file = folder / "multirun.yaml"
     if not file.is_file():
@@ -90,5 +77,5 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
         parsed = OverridesParser.create().parse_overrides(asked)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)
     except (HydraException, OmegaConfBaseException, YAMLError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{file} is damaged: {' '.join(str(error).split())}") from error
+        raise damaged(file, error) from None
     return [tuple(job) for job in jobs]

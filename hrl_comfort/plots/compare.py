@@ -1,48 +1,41 @@
-"""Means of several groups side by side: a panel a quantity, a line a group, with their table."""
+"""Means of several groups side by side: a panel a quantity, a line a group; shared by several figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from pandas import DataFrame
 
-from hrl_comfort.analysis.clusters import Clusters
-from hrl_comfort.analysis.intervals import Floats
-from hrl_comfort.analysis.tables import cell
+from hrl_comfort.analysis.intervals import Clusters
+from hrl_comfort.analysis.tables import Quantity
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.run_folder import Run
-from hrl_comfort.plots.figures import BLUE, STYLE
+from hrl_comfort.files.tables import column
+from hrl_comfort.plots.style import BLUE, styled
 
-
-@dataclass(frozen=True)
-class Quantity:
-    """What is told of an episode: its name with the unit, a factor, and how many digits a table gives."""
-
-    label: str
-    scale: float = 1.0
-    digits: int = 3
-
-
+WHO = ["train_seed", "episode", "spawn_id"]
+"""Columns that tell which episode of which training seed a row is of."""
 Means = Mapping[str, Any]
 """Quantity -> {"mean", "ci95"}."""
 
 
-def described(clusters: Clusters, values: Floats, names: Sequence[str]) -> dict[str, Any]:
-    """Return mean and 95 % interval of each column of values (n, K), by name.
+def pooled(runs: Sequence[Run]) -> DataFrame:
+    """Return the episodes of several evaluations, one table."""
+    return pd.concat([run.episodes for run in runs if run.episodes is not None], ignore_index=True)
+
+
+def described(who: DataFrame, values: DataFrame, names: Sequence[str]) -> dict[str, Any]:
+    """Return mean and 95 % interval of columns of values (n), whose rows are of the episodes `who` (n).
 
     NaN is left out; so is a column without a value.
     """
-    means, draws = clusters.means(values)
-    return {
-        name: {"mean": float(means[k]), "ci95": clusters.interval(draws[:, k])}
-        for k, name in enumerate(names)
-        if np.isfinite(means[k])
-    }
+    clusters = Clusters.of(who)
+    estimates = {name: clusters.estimate(column(values, name)) for name in names}
+    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 
 def check_alike(groups: Mapping[str, Sequence[Run]], sections: Sequence[str]) -> None:
@@ -54,15 +47,15 @@ def check_alike(groups: Mapping[str, Sequence[Run]], sections: Sequence[str]) ->
                 raise ConfigError(f"{first.folder} and {run.folder} differ in {section}; compare like with like")
 
 
-def check_paired(labels: tuple[str, str], mine: NDArray[Any], other: NDArray[Any]) -> None:
-    """Raise ConfigError unless two labels have the same episodes (n, 3): seed, episode, spawn point."""
-    if mine.shape != other.shape or (mine != other).any():
+def check_paired(labels: tuple[str, str], mine: DataFrame, other: DataFrame) -> None:
+    """Raise ConfigError unless two labels have the same episodes in the same order."""
+    if not mine[WHO].equals(other[WHO]):
         raise ConfigError(f"labels={list(labels)}: both must have run the same episodes with the same seeds")
 
 
 def draw(groups: Mapping[str, Means], quantities: Mapping[str, Quantity]) -> Figure:
     """Draw the means of groups with their 95 % intervals."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(9.6, 0.9 + 0.3 * len(groups)), layout="constrained")
         axes = figure.subplots(1, len(quantities), sharey=True)
         for axis, (name, quantity) in zip(axes, quantities.items(), strict=True):
@@ -77,13 +70,3 @@ def draw(groups: Mapping[str, Means], quantities: Mapping[str, Quantity]) -> Fig
         axes[0].set_yticks(range(len(groups)), labels=list(groups))
         axes[0].set_ylim(len(groups) - 0.5, -0.5)
         return figure
-
-
-def cells(means: Means, quantities: Mapping[str, Quantity]) -> list[str]:
-    """Return the cells of a table's line: each mean with its interval."""
-    return [cell(means.get(name), "mean", each.scale, each.digits) for name, each in quantities.items()]
-
-
-def markdown(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    return "".join(f"| {' | '.join(line)} |\n" for line in [heads, ["---"] * len(heads), *lines])

@@ -1,4 +1,4 @@
-"""Divisions of a task side by side: what one, two or three policies come to, and what they took to train."""
+"""Divisions of a task side by side: their results with one, two or three policies, and their training cost."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from pandas import DataFrame
 
-from hrl_comfort.analysis.clusters import Clusters
-from hrl_comfort.analysis.intervals import Floats, column
+from hrl_comfort.analysis.tables import Quantity, cells, markdown
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import load_config, run_folder
-from hrl_comfort.files.run_folder import Run, read_run
+from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.run_folder import Run
+from hrl_comfort.files.tables import column
 from hrl_comfort.plots import compare as panels
-from hrl_comfort.plots.compare import Quantity
 
 QUANTITIES = {
     "success": Quantity("success, %", 100, 1),
@@ -24,28 +24,24 @@ QUANTITIES = {
     "steps": Quantity("steps", 1, 1),
     "distance": Quantity("distance, m", 1, 3),
 }
-"""What is told of an episode; steps and mean distance to the person of those that succeed."""
+"""Quantities of an episode; steps and mean distance to the person of those that succeed."""
 SAME = ("robot", "cell", "human", "comfort", "task", "reward")
 """Sections of the configuration in which evaluations must agree to be compared."""
 
 
-def episodes(runs: Sequence[Run]) -> tuple[NDArray[Any], Floats]:
-    """Return which episodes (n, 3), by training seed, episode and spawn point, and QUANTITIES (n, 4)."""
-    found, who = [], []
-    for run in runs:
-        rows = run.episodes or []
-        success = column(rows, "success")
-        won = np.where(success > 0, 1.0, np.nan)
-        hit = column(rows, "human_collision")
-        moving = np.where(hit > 0, column(rows, "robot_moving_at_collision"), hit)
-        of_wins = [won * column(rows, name) for name in ("steps", "human_distance_mean_m")]
-        found.append(np.stack([success, moving, *of_wins], axis=-1))
-        who += [(row["train_seed"] or "", row["episode"], row["spawn_id"]) for row in rows]
-    return np.array(who), np.concatenate(found)
+def episodes(runs: Sequence[Run]) -> DataFrame:
+    """Return the episodes of evaluations, with the columns QUANTITIES."""
+    frame = panels.pooled(runs)
+    hit = column(frame, "human_collision")
+    moving = np.where(hit > 0, column(frame, "robot_moving_at_collision"), hit)
+    success = column(frame, "success")
+    of_wins = {"steps": column(frame, "steps"), "distance": column(frame, "human_distance_mean_m")}
+    won = {name: np.where(success > 0, values, np.nan) for name, values in of_wins.items()}
+    return frame.assign(success=success, moving=moving, **won)
 
 
 def trained(run: Run) -> dict[str, float]:
-    """Return how many policies an evaluation chains and what they took to train: decisions and minutes.
+    """Return how many policies an evaluation chains and what their training took: policy steps and minutes.
 
     A policy that another was begun from (`initial_policy`) counts too, once.
 
@@ -63,58 +59,56 @@ def trained(run: Run) -> dict[str, float]:
 
 
 def _training(policy: str, cost: dict[Path, tuple[int, float]]) -> None:
-    """Add what a policy took, and what those took that it was begun from, to `cost` by folder."""
+    """Add the cost of a policy, and of those that it was begun from, to `cost` by folder."""
     folder = run_folder(policy)
     if folder is None:
-        raise ConfigError(f"policy={policy!r} is not a run folder, so what its training took is not known")
-    config, provenance = load_config(folder), read_run(folder).provenance
-    if provenance is None or not isinstance(config, TrainConfig):
+        raise ConfigError(f"policy={policy!r} is not a run folder, so the cost of its training is unknown")
+    config, provenance = load_config(folder), read_provenance(folder)
+    if not isinstance(config, TrainConfig):
         raise ConfigError(f"{folder} is not that of a training")
-    if not provenance["finished"]:
-        raise ConfigError(f"{folder} is not finished, so what its training took is not known")
-    cost[folder.resolve()] = int(provenance["policy_steps"]), float(provenance["wall_seconds"]) / 60
+    if not provenance.finished:
+        raise ConfigError(f"{folder} is not finished, so the cost of its training is unknown")
+    cost[folder.resolve()] = provenance.policy_steps, provenance.wall_seconds / 60
     if config.initial_policy is not None:
         _training(config.initial_policy, cost)
 
 
 def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
-    """Return every division's means of QUANTITIES, what it took, and how the first differs from the others.
+    """Return every division's means of QUANTITIES, its cost, and how the first differs from the others.
 
-    Intervals are the bootstrap over training seeds and, within them, spawn points. Differences are of the
-    same episodes; of steps and distance where both succeed. What it took is the mean over training seeds.
+    Differences are of the same episodes; of steps and distance where both succeed. The cost is the mean over
+    training seeds.
 
     Raises:
       ConfigError: as `trained`, or the divisions did not run the same episodes in the same way.
     """
-    all_of = {label: episodes(runs) for label, runs in groups.items()}
-    (first, (who, own)), *rest = all_of.items()
     panels.check_alike(groups, SAME)
+    (first, own), *rest = ((label, episodes(runs)) for label, runs in groups.items())
+    names = list(QUANTITIES)
     numbers: dict[str, Any] = {"divisions": {}, "differences": {}}
-    for label, (names, values) in all_of.items():
-        means = panels.described(Clusters.nested(names[:, 0], names[:, 2]), values, list(QUANTITIES))
-        took = [trained(run) for run in groups[label]]
-        cost = {name: float(np.mean([each[name] for each in took])) for name in took[0]}
-        numbers["divisions"][label] = {"episodes": len(values), **cost, **means}
-    for label, (names, values) in rest:
-        panels.check_paired((first, label), who, names)
-        clusters = Clusters.nested(who[:, 0], who[:, 2])
-        means = panels.described(clusters, own - values, list(QUANTITIES))
-        numbers["differences"][f"{first} - {label}"] = means
+    for label, frame in ((first, own), *rest):
+        cost = DataFrame([trained(run) for run in groups[label]]).mean().to_dict()
+        means = panels.described(frame, frame, names)
+        numbers["divisions"][label] = {"episodes": len(frame), **cost, **means}
+    for label, frame in rest:
+        panels.check_paired((first, label), own, frame)
+        difference = panels.described(own, own[names] - frame[names], names)
+        numbers["differences"][f"{first} - {label}"] = difference
     return numbers
 
 
 def draw(numbers: Mapping[str, Any]) -> Figure:
-    """Draw what `compare` found: a panel a quantity, a line a division, 95 % intervals."""
+    """Draw the result of `compare`: a panel a quantity, a line a division, 95 % intervals."""
     return panels.draw(numbers["divisions"], QUANTITIES)
 
 
 def table(numbers: Mapping[str, Any]) -> str:
-    """Return what `compare` found as a Markdown table: the divisions, then the differences."""
+    """Return the result of `compare` as a Markdown table: the divisions, then the differences."""
     lines = []
     for label, each in numbers["divisions"].items():
         cost = [f"{each['networks']:.0f}", f"{each['policy_steps']:,.0f}", f"{each['minutes']:.0f}"]
-        lines.append([label, *cost, *panels.cells(each, QUANTITIES)])
+        lines.append([label, *cost, *cells(each, QUANTITIES)])
     for label, each in numbers["differences"].items():
-        lines.append([label, "", "", "", *panels.cells(each, QUANTITIES)])
-    heads = ["", "networks", "policy_steps", "training, min", *(each.label for each in QUANTITIES.values())]
-    return panels.markdown(heads, lines)
+        lines.append([label, "", "", "", *cells(each, QUANTITIES)])
+    heads = ["", "networks", "policy steps", "training, min", *(each.label for each in QUANTITIES.values())]
+    return markdown(heads, lines)

@@ -1,41 +1,28 @@
-"""`hrl-comfort figure`: reads the evaluations, has one figure drawn, and writes it with its numbers."""
+"""`hrl-comfort figure`: reads evaluations, draws one figure, and writes it with its numbers."""
 
 from __future__ import annotations
 
 import glob
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
+import pandas as pd
 from matplotlib.figure import Figure
+from pandas import DataFrame
 from rich.console import Console
 
-from hrl_comfort.analysis.comfort import (
-    Limit,
-    Paired,
-    common,
-    of_spawns,
-    paired,
-    summarise,
-)
-from hrl_comfort.analysis.intervals import Row
-from hrl_comfort.analysis.tables import markdown
+from hrl_comfort.analysis import tables
+from hrl_comfort.analysis.comfort import Limit, Paired, common, of_spawns, paired, summarise
+from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.files.atomic import write_atomically, write_text
+from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.run_folder import Run, read_run
-from hrl_comfort.plots import controllers as controller_returns
-from hrl_comfort.plots import divisions
-from hrl_comfort.plots import handover as handover_figures
-from hrl_comfort.plots import level_change as level_jump
-from hrl_comfort.plots import levels as comfort_figures
-from hrl_comfort.plots import options as option_figures
-from hrl_comfort.plots import paths as comfort_paths
-from hrl_comfort.plots.figures import SHOWN_TIMELINES, STYLE, option_timeline
+from hrl_comfort.plots import controllers, divisions, handover, level_change, levels, options
+from hrl_comfort.plots import paths as path_figures
+from hrl_comfort.plots.style import save_png
 
-DPI = 200
 Groups = dict[str, list[Run]]
 """Evaluations by the name they have in the figure."""
 Drawn = tuple[Figure, dict[str, Any]]
@@ -49,16 +36,15 @@ def figure(config: FigureConfig) -> Path:
       ConfigError: an evaluation is not there, is damaged, or lacks what the figure needs.
     """
     if config.kind == "handover":  # made from other tables than episodes.csv
-        numbers = handover_figures.summarise(folders_of(config))
-        print(handover_figures.table(numbers), end="")
-        picture = handover_figures.draw(numbers)
+        numbers = handover.summarise(folders_of(config))
+        print(handover.table(numbers), end="")
+        picture = handover.draw(numbers)
     else:
         picture, numbers = KINDS[config.kind](config, read_groups(config))
     output = Path(config.output)
-    with matplotlib.rc_context(STYLE):
-        write_atomically(output, lambda file: picture.savefig(file, format="png", dpi=DPI, bbox_inches="tight"))
+    save_png(picture, output)
     if numbers:
-        write_text(output.with_suffix(".json"), json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+        write_json(output.with_suffix(".json"), numbers)
     Console(stderr=True).print(f"{output}", soft_wrap=True)
     return output
 
@@ -83,13 +69,13 @@ def folders_of(config: FigureConfig) -> dict[str, list[Path]]:
 
 def _evaluation(folder: Path) -> Run:
     run = read_run(folder)
-    if not run.episodes:
+    if run.episodes is None:
         raise ConfigError(f"evaluations={str(folder)!r} holds no episodes.csv with an episode in it")
     return run
 
 
 def _paired(runs: list[Run]) -> Paired:
-    return paired([(run.episodes or [], _limit(run)) for run in runs])
+    return paired([(run.episodes, _limit(run)) for run in runs if run.episodes is not None])
 
 
 def _limit(run: Run) -> Limit:
@@ -113,13 +99,13 @@ def _everything(groups: Groups) -> list[Run]:
 def _levels(config: FigureConfig, groups: Groups) -> Drawn:
     data = _paired(_everything(groups))
     numbers = summarise(data)
-    print(markdown(numbers), end="")
-    return comfort_figures.levels(data, config.over), numbers
+    print(tables.levels(numbers), end="")
+    return levels.levels(data, config.over), numbers
 
 
 def _speed(config: FigureConfig, groups: Groups) -> Drawn:
     data = _paired(_everything(groups))
-    return comfort_figures.speed(data, config.over), summarise(data)
+    return levels.speed(data, config.over), summarise(data)
 
 
 def _plane(config: FigureConfig, groups: Groups) -> Drawn:
@@ -128,25 +114,25 @@ def _plane(config: FigureConfig, groups: Groups) -> Drawn:
     numbers: dict[str, dict[str, Any]] = {label: {"each": summarise(each)} for label, each in whole.items()}
     if config.over == "pairs":  # rates of episodes chosen for their success would say nothing
         for label, each in data.items():
-            levels = of_spawns(each)["levels"]
-            numbers[label]["in_common"] = [{"level": at["level"], **at["pairs"]} for at in levels]
-    return comfort_figures.plane(data, config.over), numbers
+            found = of_spawns(each)["levels"]
+            numbers[label]["in_common"] = [{"level": at["level"], **at["pairs"]} for at in found]
+    return levels.plane(data, config.over), numbers
 
 
 def _paths(config: FigureConfig, groups: Groups) -> Drawn:
-    return comfort_paths.paths(_everything(groups), config.levels, config.episodes), {}
+    return path_figures.paths(_everything(groups), config.levels, config.episodes), {}
 
 
 def _people(config: FigureConfig, groups: Groups) -> Drawn:
     runs = _everything(groups)
-    motions = [(run.episodes or [{}])[0].get("human") or "" for run in runs]
+    motions = [str(run.episodes["human"].iloc[0]) for run in runs if run.episodes is not None]
     if not config.labels and len(set(motions)) == len(runs):
         named = {name.replace("_", " "): run for name, run in zip(motions, runs, strict=True)}
     elif len(groups) == len(runs):
         named = {label: run for label, (run,) in groups.items()}
     else:
         raise ConfigError("kind=people takes one evaluation a motion: give each folder a label of its own")
-    return comfort_paths.people(named, config.levels, config.episodes), {}
+    return path_figures.people(named, config.levels, config.episodes), {}
 
 
 def _jump(config: FigureConfig, groups: Groups) -> Drawn:
@@ -154,14 +140,14 @@ def _jump(config: FigureConfig, groups: Groups) -> Drawn:
     if len(groups) != 2:
         raise ConfigError(f"evaluations={list(config.evaluations)} must be two: without the jump, and with it")
     without, jumping = groups.values()
-    data = level_jump.aligned(without, jumping, config.jump_s)
-    return level_jump.jump(data), level_jump.numbers(data)
+    data = level_change.aligned(without, jumping, config.jump_s)
+    return level_change.jump(data), level_change.numbers(data)
 
 
-def _options(run: Run) -> list[Row]:
+def _options(run: Run) -> DataFrame:
     if run.config.get("levels"):
         raise ConfigError(f"{run.folder} is of several levels; options are drawn of one (comfort.level=)")
-    if not run.options:
+    if run.options is None:
         raise ConfigError(
             f"{run.folder} holds no options.csv; evaluate with a controller, meta_controller=scripted, say"
         )
@@ -172,30 +158,33 @@ def _timeline(config: FigureConfig, groups: Groups) -> Drawn:
     runs = _everything(groups)
     if len(runs) != 1:
         raise ConfigError(f"evaluations={list(config.evaluations)} must be one: kind=timeline draws one")
-    options = _options(runs[0])
-    there = list(dict.fromkeys(row["episode"] for row in options))
-    chosen = [str(episode) for episode in config.episodes] or there[:SHOWN_TIMELINES]
+    rows = _options(runs[0])
+    there = rows["episode"].unique().tolist()
+    chosen = list(config.episodes) or there[: options.SHOWN_TIMELINES]
     missing = [episode for episode in chosen if episode not in there]
     if missing:
         raise ConfigError(f"episodes={list(config.episodes)}: options.csv has no episode {missing[0]}")
-    return option_timeline(options, chosen), {}
+    return options.timeline(rows, chosen), {}
 
 
 def _chain(config: FigureConfig, groups: Groups) -> Drawn:
     found = {}
     for label, runs in groups.items():
         # Episodes of several evaluations are told apart by which of them they belong to.
-        rows = [(f"{i}:", run) for i, run in enumerate(runs)]
-        episodes = [i + row["episode"] for i, run in rows for row in run.episodes or []]
-        options = [{**row, "episode": i + row["episode"]} for i, run in rows for row in _options(run)]
-        found[label] = option_figures.chain_lengths(episodes, options)
-    return option_figures.chain(found), dict(found)
+        pooled = (
+            pd.concat(
+                [frame.assign(episode=[(i, each) for each in frame["episode"]]) for i, frame in enumerate(frames)]
+            )
+            for frames in ([run.episodes for run in runs], [_options(run) for run in runs])
+        )
+        found[label] = chain_lengths(*pooled)
+    return options.chain(found), dict(found)
 
 
 def _controllers(config: FigureConfig, groups: Groups) -> Drawn:
-    numbers = controller_returns.compare(groups)
-    print(controller_returns.table(numbers), end="")
-    return controller_returns.draw(numbers), numbers
+    numbers = controllers.compare(groups)
+    print(controllers.table(numbers), end="")
+    return controllers.draw(numbers), numbers
 
 
 def _divisions(config: FigureConfig, groups: Groups) -> Drawn:

@@ -1,4 +1,4 @@
-"""What a level that jumps in mid-task does: the same episodes with the jump and without, second by second.
+"""The effect of a level that jumps in mid-task: the same episodes with the jump and without, over time.
 
 An episode counts at a time only while it runs in both evaluations, so that both means are over the same
 ones; the difference between them then has the interval of paired episodes.
@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from pandas import DataFrame
 
-from hrl_comfort.analysis.clusters import Clusters
-from hrl_comfort.analysis.intervals import Floats, Row, column
+from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.files.run_folder import Run, recorded_paths, row_of
-from hrl_comfort.plots.figures import BLUE, STYLE, VERMILLION
+from hrl_comfort.files.tables import Floats, column
+from hrl_comfort.plots.style import BLUE, VERMILLION, band, note, styled
 
 AFTER_S = 1.0
 """When the effect of the jump is read, from the jump on."""
@@ -54,21 +54,19 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
         differ in more than a level that changes at the jump.
     """
     at = round(jump_s / CONTROL_STEP_S)
-    found = [_recorded(runs) for runs in (without, jumping)]
-    both = [key for key in found[0] if key in found[1]]
-    pairs = [(found[0][key][1], found[1][key][1]) for key in both]
-    kept = [key for key, pair in zip(both, pairs, strict=True) if _last(pair) >= at]
-    rows, jumped = ([each[key][0] for key in kept] for each in found)
-    pairs = [pair for pair in pairs if _last(pair) >= at]
+    recorded = [_recorded(runs) for runs in (without, jumping)]
+    both = [key for key in recorded[0] if key in recorded[1]]
+    pairs = {key: (recorded[0][key][1], recorded[1][key][1]) for key in both}
+    pairs = {key: pair for key, pair in pairs.items() if _last(pair) >= at}
     if not pairs:
         raise ConfigError(f"jump_s={jump_s}: no episode of both evaluations lasts so long")
-    length = 1 + max(_last(pair) for pair in pairs)
+    length = 1 + max(_last(pair) for pair in pairs.values())
     values = {name: np.full((2, len(pairs), length), np.nan) for name in MEASURES}
     apart = 0.0
-    for i, pair in enumerate(pairs):
+    for i, pair in enumerate(pairs.values()):
         _check_levels(pair, at)
         steps = 1 + _last(pair)
-        tools = [np.stack([path[f"tcp_{axis}"][:steps] for axis in "xyz"], axis=1) for path in pair]
+        tools = [path[["tcp_x", "tcp_y", "tcp_z"]].to_numpy()[:steps] for path in pair]
         apart = max(apart, float(np.linalg.norm(tools[0] - tools[1], axis=1)[: at + 1].max()))
         for k, (path, tool) in enumerate(zip(pair, tools, strict=True)):
             values["human_distance_m"][k, i, :steps] = path["human_distance_m"][:steps]
@@ -79,19 +77,18 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
             f"jump_s={jump_s}: the two evaluations' tools are {apart:.3f} m apart before it; "
             "they must be the same policy and episodes"
         )
-    seeds = np.array([row.get("train_seed") or "" for row in rows])
-    clusters = Clusters.nested(seeds, np.array([row.get("spawn_id") or "" for row in rows]))
     seconds = np.asarray((np.arange(length) - at) * CONTROL_STEP_S, dtype=np.float64)
-    without_it, with_it = (float(np.mean(column(each, "success"))) for each in (rows, jumped))
-    return Jump(seconds, values, (without_it, with_it), clusters, apart)
+    rows, jumped = (DataFrame([each[key][0] for key in pairs]) for each in recorded)
+    success = float(column(rows, "success").mean()), float(column(jumped, "success").mean())
+    return Jump(seconds, values, success, Clusters.of(rows), apart)
 
 
-def _check_levels(pair: Sequence[dict[str, Floats]], at: int) -> None:
+def _check_levels(pair: Sequence[DataFrame], at: int) -> None:
     """Raise ConfigError unless the first path keeps its level and the second leaves it at control step `at`.
 
     A level comes into force with the decision after it has changed, so a decision later will do.
     """
-    without, jumping = (path["level"] for path in pair)
+    without, jumping = (column(path, "level") for path in pair)
     changed = np.flatnonzero(jumping != jumping[0])
     if (without != without[0]).any() or without[0] != jumping[0]:
         raise ConfigError("the first of evaluations= must keep one level, that from which the second jumps")
@@ -104,24 +101,24 @@ def _check_levels(pair: Sequence[dict[str, Floats]], at: int) -> None:
         )
 
 
-def _recorded(runs: Sequence[Run]) -> dict[tuple[str, str], tuple[Row, dict[str, Floats]]]:
+def _recorded(runs: Sequence[Run]) -> dict[tuple[str, int], tuple[dict[str, Any], DataFrame]]:
     """Return rows of episodes.csv and recorded paths by training seed and episode."""
-    found: dict[tuple[str, str], tuple[Row, dict[str, Floats]]] = {}
+    found: dict[tuple[str, int], tuple[dict[str, Any], DataFrame]] = {}
     for run in runs:
         if run.paths is None:
             raise ConfigError(f"{run.folder} has no paths.csv; evaluate with record=true")
         for recorded, path in recorded_paths(run).items():
-            row = row_of(run, recorded)
-            key = (row.get("train_seed") or "", recorded[0])
+            row = row_of(run, recorded) or {}
+            key = (str(row.get("train_seed", "")), recorded[0])
             if key in found:
                 raise ConfigError(f"{run.folder}: episode {key[1]} of training seed {key[0]!r} is there twice")
             found[key] = row, path
     return found
 
 
-def _last(pair: Sequence[dict[str, Floats]]) -> int:
+def _last(pair: Sequence[DataFrame]) -> int:
     """Return the last control step that both paths have."""
-    return min(len(path["step"]) for path in pair) - 1
+    return min(len(path) for path in pair) - 1
 
 
 def numbers(data: Jump) -> dict[str, Any]:
@@ -135,37 +132,29 @@ def numbers(data: Jump) -> dict[str, Any]:
         "episodes_at_jump": data.values["human_distance_m"].shape[1],
         "success": dict(zip(("without", "with"), data.success, strict=True)),
         "tools_apart_before_m": data.apart_before_m,
-        "interval": "95 %, bootstrap of training seeds and, within them, of spawn points",
     }
     for name, (without, jumping) in data.values.items():
         difference = jumping[:, at] - without[:, at]
         there = np.isfinite(difference)
         if not reached or not there.any():
             continue
-        mean, draws = data.clusters.means(difference[:, None])
+        estimate = data.clusters.estimate(difference)
+        assert estimate is not None, "some episode has a value"
         found["episodes"] = int(there.sum())
         found[name] = {
             "without": float(without[there, at].mean()),
             "with": float(jumping[there, at].mean()),
-            "difference": float(mean[0]),
-            "ci95": data.clusters.interval(draws[:, 0]),
+            "difference": estimate["mean"],
+            "ci95": estimate["ci95"],
         }
     return found
-
-
-def _band(data: Jump, values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return mean, low and high (T,) of values (n, T); without an interval the bounds are the mean."""
-    mean, draws = data.clusters.means(values)
-    bounds = [data.clusters.interval(column) or [m, m] for m, column in zip(mean, draws.T, strict=True)]
-    low, high = np.array(bounds).T
-    return mean, low, high
 
 
 def jump(data: Jump) -> Figure:
     """Draw distance and tool speed with the jump and without (above), and their difference (below)."""
     in_progress = np.isfinite(data.values["human_distance_m"]).all(axis=0).sum(axis=0)
     shown = in_progress >= max(1.0, LEAST_SHARE * in_progress[data.seconds >= 0].max())
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(7.6, 4.4))
         axes = figure.subplots(2, 2, sharex=True, height_ratios=(1.5, 1))
         for (above, below), (name, words) in zip(axes.T, MEASURES.items(), strict=True):
@@ -174,22 +163,17 @@ def jump(data: Jump) -> Figure:
             for label, colour, each in zip(
                 ("without the jump", "with the jump"), (BLUE, VERMILLION), values, strict=True
             ):
-                mean, low, high = _band(data, each)
-                above.plot(seconds, mean, color=colour, label=label)
-                above.fill_between(seconds, low, high, color=colour, alpha=0.15, linewidth=0)
-            mean, low, high = _band(data, values[1] - values[0])
-            below.plot(seconds, mean, color="#444444")
-            below.fill_between(seconds, low, high, color="#444444", alpha=0.2, linewidth=0)
+                band(above, seconds, *data.clusters.bands(each), colour, label=label)
+            band(below, seconds, *data.clusters.bands(values[1] - values[0]), "#444444")
             below.axhline(0, color="#999999", linewidth=0.7)
             for axis in (above, below):
                 axis.axvline(0, color="#444444", linewidth=0.8, linestyle=":")
             above.set_ylabel(words)
             below.set(xlabel="time from the jump (s)", ylabel=f"with − without ({words.split('(')[1]}")
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
-        figure.supxlabel(
+        note(
+            figure,
             f"{in_progress[data.seconds >= 0].max()} episodes that run at the jump in both; to where "
             f"{100 * LEAST_SHARE:.0f} % still do; bands: 95 % intervals",
-            fontsize=7.5,
-            color="#666666",
         )
         return figure

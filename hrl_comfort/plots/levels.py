@@ -1,6 +1,6 @@
-"""Figures of what the comfort level changes, level by level: one function a figure.
+"""Figures of the effect of the comfort level, level by level.
 
-Points are means, thin bars their 95 % intervals over training seeds and spawn points; a light line is one
+Points are means, thin bars their 95 % intervals; a light line is one
 training seed. Much of a mean's interval is where the person stands, which is the same at every level: thick
 bars are intervals of the change from the first level alone.
 """
@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from hrl_comfort.analysis.comfort import (
@@ -23,19 +21,16 @@ from hrl_comfort.analysis.comfort import (
     STEPS,
     Paired,
     change,
-    mean_at_levels,
     mean_by_seed,
 )
-from hrl_comfort.analysis.intervals import Floats
-from hrl_comfort.plots.figures import BLUE, CYCLE, GREEN, STYLE, VERMILLION
+from hrl_comfort.files.tables import Floats
+from hrl_comfort.plots.style import BLUE, CYCLE, GREEN, OUTLINE, VERMILLION, around, note, styled
 
 WORDS = {
     DISTANCE: "mean distance to person (m)",
     STEPS: "control steps",
     SPEED: "mean joint increment (°/step)",
 }
-OUTLINE = withStroke(linewidth=2, foreground="white")
-"""Keeps text readable on lines."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 OVER_WORDS = {
     "pairs": "episodes that succeed at every level of the series",
@@ -44,21 +39,18 @@ OVER_WORDS = {
 
 
 def _means(data: Paired, name: str, over: str) -> tuple[Floats, Floats]:
-    """Return means (L,) and how far their intervals reach below and above (2, L); NaN where there is none."""
-    found = mean_at_levels(data, name, over)
-    mean = np.array([np.nan if at is None else at["mean"] for at in found])
-    bounds = [(np.nan, np.nan) if at is None or at["ci95"] is None else at["ci95"] for at in found]
-    low, high = np.array(bounds, dtype=np.float64).T
-    return mean, np.abs(np.stack([mean - low, high - mean]))
+    """Return means (L,) and how far their intervals reach below and above (2, L)."""
+    mean, low, high = data.clusters.bands(data.over(name, over))
+    return mean, around(mean, low, high)
 
 
 def _changes(data: Paired, name: str, over: str) -> tuple[Floats, Floats]:
     """Return low and high (L,) of the change from the first level, laid on the first level's mean."""
-    mean, draws = data.clusters.means(data.over(name, over))
-    changes = mean[0] + draws - draws[:, :1]
-    bounds = [data.clusters.interval(column) or (np.nan, np.nan) for column in changes.T]
-    low, high = np.array(bounds, dtype=np.float64).T
-    return low, high
+    values = data.over(name, over)
+    first = np.broadcast_to(values[:, :1], values.shape)
+    _, low, high = data.clusters.bands(values, first, statistic=lambda at, before: at - before)
+    mean = data.clusters.bands(values[:, :1])[0]
+    return mean + low, mean + high
 
 
 def _by_level(axis: Axes, data: Paired, name: str, over: str, colour: str) -> None:
@@ -67,8 +59,8 @@ def _by_level(axis: Axes, data: Paired, name: str, over: str, colour: str) -> No
     if len(by_seed) > 1:
         for values in by_seed.values():
             axis.plot(data.levels, values, color=colour, alpha=0.3, linewidth=0.8)
-    mean, around = _means(data, name, over)
-    axis.errorbar(data.levels, mean, around, color=colour, marker="o", markersize=4, capsize=2.5, elinewidth=1.0)
+    mean, reach = _means(data, name, over)
+    axis.errorbar(data.levels, mean, reach, color=colour, marker="o", markersize=4, capsize=2.5, elinewidth=1.0)
     axis.vlines(data.levels[1:], *(b[1:] for b in _changes(data, name, over)), color=colour, alpha=0.3, lw=6)
     axis.set(xlabel="comfort level (1: most cautious)", ylabel=WORDS[name])
     axis.set_xticks(data.levels)
@@ -92,32 +84,28 @@ def speed(data: Paired, over: str) -> Figure:
 
 def _panels(data: Paired, over: str, measures: Mapping[str, str]) -> Figure:
     """Draw measures, each in its colour, side by side."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(max(4.8, 0.4 + 3.6 * len(measures)), 3.0))
         for axis, (name, colour) in zip(
             figure.subplots(1, len(measures), squeeze=False)[0], measures.items(), strict=True
         ):
             _by_level(axis, data, name, over, colour)
         bars = f"bars: 95 % of the mean (thin), of its change from level {data.levels[0]} (thick)"
-        _note(figure, f"{_who(data, over)}\n{bars}")
+        note(figure, f"{_who(data, over)}\n{bars}")
         return figure
 
 
-def _note(figure: Figure, text: str) -> None:
-    figure.supxlabel(text, fontsize=7.5, color="#666666")
-
-
 def _who(data: Paired, over: str) -> str:
-    """Return which episodes the means are over, in words."""
+    """Say which episodes the means are over, in words."""
     count = int(np.isfinite(data.over(STEPS, over)).all(axis=1).sum())
-    seeds = len(set(data.seed.tolist()) - {""})
+    seeds = len(data.seeds)
     trained = f"; {seeds} training seed{'s' * (seeds > 1)}" if seeds else ""
-    return f"{count} of {len(data.seed)} {OVER_WORDS[over]}{trained}"
+    return f"{count} of {len(data.entries)} {OVER_WORDS[over]}{trained}"
 
 
 def plane(groups: Mapping[str, Paired], over: str) -> Figure:
     """Draw the comfort-time plane: mean distance over mean steps, a point a level, a series a group."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(5.2, 3.8))
         axis = figure.subplots()
         for i, (label, data) in enumerate(groups.items()):
@@ -128,15 +116,11 @@ def plane(groups: Mapping[str, Paired], over: str) -> Figure:
             axis.errorbar(x, y, up, across, fmt="none", ecolor=look["color"], elinewidth=0.9, alpha=0.4)
             for level, at in zip(data.levels, zip(x, y, strict=True), strict=True):
                 text = axis.annotate(str(level), at, (4, 4), textcoords="offset points", zorder=5)
-                text.set(
-                    fontsize=7,
-                    color=look["color"],
-                    path_effects=[withStroke(linewidth=2, foreground="white")],
-                )
+                text.set(fontsize=7, color=look["color"], path_effects=[OUTLINE])
         axis.set(xlabel=f"mean {WORDS[STEPS]}", ylabel=WORDS[DISTANCE])
         axis.xaxis.set_major_locator(MaxNLocator(6))
         figure.legend(loc="outside upper left", ncols=3)
-        entries = len(set.union(*(set(data.entry.tolist()) for data in groups.values())))
+        entries = len(set.union(*(set(data.entry) for data in groups.values())))
         which = f"{entries} episodes that succeed in all of them" if over == "pairs" else OVER_WORDS[over]
-        _note(figure, f"crosses: 95 % intervals; {which}")
+        note(figure, f"crosses: 95 % intervals; {which}")
         return figure

@@ -1,4 +1,4 @@
-"""Tool paths from above: one walk of the person at several levels, or several walks (as Figs. 4, 7, 8)."""
+"""Figures of recorded paths: an overview from above and the side, and one walk at several levels or several walks."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Rectangle
-from matplotlib.ticker import MultipleLocator
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 from matplotlib.transforms import ScaledTranslation
+from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import Floats, Row, number
+from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError
-from hrl_comfort.files.run_folder import Run, recorded_paths, termination
-from hrl_comfort.plots.figures import BLACK, CYCLE, GOALS, STYLE, TRUNK_RADIUS_M
-from hrl_comfort.plots.levels import OUTLINE
+from hrl_comfort.files.run_folder import Recorded, Run, recorded_paths
+from hrl_comfort.files.tables import Floats
+from hrl_comfort.plots.style import BLACK, CYCLE, GOALS, GREY, OUTLINE, TRUNK_RADIUS_M, styled
 
 LEVELS = (1, 4, 7, 10)
 """Drawn where none are asked for: those of the paper's figures."""
@@ -34,10 +36,8 @@ UNDER_IN = 0.42
 """From a panel to its legend, inches: what the x axis takes."""
 BASE_M = 0.15
 """Side of the square that stands for the robot's base, about as wide as a UR3e's."""
-GREY = "#777777"
-
-Runs = Mapping[str, Mapping[str, tuple[Run, Row]]]
-"""What is compared, by its name in the legend; for each, its episodes by index."""
+Runs = Mapping[str, tuple[Run, DataFrame]]
+"""Evaluations by their name in the legend, each with its episodes; their index is the number of the episode."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,71 @@ class Track:
 
     name: str
     colour: Any
-    path: Mapping[str, Floats]
-    """Columns of paths.csv, (steps + 1,)."""
-    row: Row
-    """Its line of episodes.csv."""
+    path: DataFrame
+    """Its rows of paths.csv."""
+    row: Mapping[str, Any]
+    """Its row of episodes.csv, with `ended`."""
+
+
+def _tool(axis: Axes, across: Floats, up: Floats, colour: Any, success: bool) -> None:
+    """Draw a path of the tool with its start and its end."""
+    axis.plot(across, up, color=colour, zorder=3)
+    axis.plot(across[-1], up[-1], "o" if success else "X", color=colour, markersize=5 if success else 8, zorder=4)
+    axis.plot(across[0], up[0], "o", color="white", markeredgecolor=colour, markersize=5, zorder=4)
+
+
+def _walk(path: DataFrame) -> Floats:
+    """Return the person's walk (steps + 1, 2), m; (0, 2) where nobody is there."""
+    walk: Floats = path[["human_x", "human_y"]].to_numpy()
+    there = np.isfinite(walk).all() and np.abs(walk).max() < FAR_AWAY_M / 2
+    return walk if there else np.zeros((0, 2))
+
+
+def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, str], cell: Mapping[str, Any]) -> Figure:
+    """Draw tool and human from above and from the side, and their horizontal distance over time.
+
+    Args:
+      episodes: episode to its rows of paths.csv.
+      ended: episode to how it ended; anything but "success" is marked with a cross.
+      cell: `cell` of the run's configuration; empty when it is not known, then no goal is drawn.
+    """
+    goals = {key: cell[key] for key in GOALS if key in cell}
+    with styled():
+        figure = Figure(figsize=(10.2, 5.0))
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), height_ratios=(1.3, 1.0))
+        top = figure.add_subplot(grid[:, 0])
+        side, gap = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+        for colour, (episode, path) in zip(CYCLE, episodes.items(), strict=False):
+            x, y, z = path[["tcp_x", "tcp_y", "tcp_z"]].to_numpy().T
+            success = ended.get(episode, "success") == "success"
+            _tool(top, x, y, colour, success)
+            _tool(side, x, z, colour, success)
+            walk = _walk(path)
+            if len(walk):
+                top.plot(*walk.T, color=colour, linewidth=0.8, alpha=0.8)
+                top.add_patch(Circle(walk[-1], TRUNK_RADIUS_M, color=colour, alpha=0.25, linewidth=0))
+                side.axvline(float(walk[:, 0].mean()), color=colour, linewidth=5, alpha=0.2)
+                gap.plot(path["step"] * CONTROL_STEP_S, path["human_distance_m"], color=colour)
+        for key, (x, y, z) in goals.items():
+            label, colour = GOALS[key]
+            top.plot(x, y, "D", color=colour, markersize=6, markeredgecolor="white", label=label)
+            side.plot(x, z, "D", color=colour, markersize=6, markeredgecolor="white")
+        for axis in (top, side):
+            axis.plot(0, 0, "s", color=GREY, markersize=9, label="robot base")
+            axis.set_aspect("equal", adjustable="datalim", anchor="W")
+            axis.margins(0.08)
+            axis.xaxis.set_major_locator(MaxNLocator(6))
+        top.set(title="Top view", xlabel="x (m)", ylabel="y (m)")
+        side.set(title="Side view", xlabel="x (m)", ylabel="height z (m)")
+        gap.set(title="Horizontal distance to human", xlabel="time (s)", ylabel="distance (m)")
+        gap.set_ylim(bottom=0)
+        if not gap.lines:
+            gap.text(0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666")
+        known = top.get_legend_handles_labels()[0]
+        person = Patch(color=BLACK, alpha=0.25, linewidth=0, label="human (at the end)")
+        handles = [*_tool_handles(), person, *known]
+        figure.legend(handles=handles, loc="outside lower center", ncols=9, handletextpad=0.4, columnspacing=1.2)
+        return figure
 
 
 def paths(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int]) -> Figure:
@@ -61,18 +122,19 @@ def paths(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int]) -
       episodes: one or two; none is the first with an orange ball and the first with a pink one that succeed
         at all levels.
     """
-    found: dict[str, dict[str, tuple[Run, Row]]] = {f"level {level}": {} for level in levels or LEVELS}
-    for run in runs:
-        for row in run.episodes or []:
-            name = f"level {row.get('comfort_level')}"
-            if name in found and found[name].setdefault(row["episode"], (run, row)) != (run, row):
-                raise ConfigError(f"episode {row['episode']} at {name} is there twice; give one training seed")
-    for name, there in found.items():
-        if not there:
+    found: dict[str, tuple[Run, DataFrame]] = {}
+    for level in levels or LEVELS:
+        name = f"level {level}"
+        for run in runs:
+            rows = _at_level(run, level)
+            if len(rows) and name in found:
+                raise ConfigError(f"episode {rows.index[0]} at {name} is there twice; give one training seed")
+            if len(rows):
+                found[name] = run, rows
+        if name not in found:
             raise ConfigError(f"the evaluations hold no episode at {name}; evaluate with levels=[...]")
     shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.87, len(found)))
-    colours = dict(zip(found, shades, strict=True))
-    return _draw(found, colours, _chosen(found, episodes))
+    return _draw(found, dict(zip(found, shades, strict=True)), _chosen(found, episodes))
 
 
 def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[int]) -> Figure:
@@ -83,58 +145,66 @@ def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[i
       levels: the level to draw, where evaluations hold several.
       episodes: one or two; none is the first orange and the first pink one that succeed under every walk.
     """
-    found: dict[str, dict[str, tuple[Run, Row]]] = {}
+    found: dict[str, tuple[Run, DataFrame]] = {}
     for name, run in named.items():
-        rows = run.episodes or []
-        there = list(dict.fromkeys(row.get("comfort_level") or "" for row in rows))
-        level = str(levels[0]) if levels else there[0]
+        assert run.episodes is not None, "read_groups checks it"
+        there = [None if pd.isna(level) else int(level) for level in run.episodes["comfort_level"].unique()]
+        level = levels[0] if levels else there[0]
         if level not in there or (len(there) > 1 and not levels):
-            raise ConfigError(f"{run.folder} holds the levels {', '.join(there)}; choose one: levels=[5]")
-        found[name] = {row["episode"]: (run, row) for row in rows if (row.get("comfort_level") or "") == level}
+            raise ConfigError(f"{run.folder} holds the levels {', '.join(map(str, there))}; choose one: levels=[5]")
+        found[name] = run, _at_level(run, level)
     colours = {name: CYCLE[i % len(CYCLE)] for i, name in enumerate(found)}
     return _draw(found, colours, _chosen(found, episodes))
 
 
-def _chosen(found: Runs, episodes: Sequence[int]) -> list[str]:
+def _at_level(run: Run, level: int | None) -> DataFrame:
+    """Return the episodes of an evaluation at a level (None: without one), by episode, with `ended`."""
+    assert run.episodes is not None, "read_groups checks it"
+    rows = run.episodes.assign(ended=terminations(run.episodes)).set_index("episode", drop=False)
+    levels = rows["comfort_level"]
+    return rows[levels.isna() if level is None else levels.eq(level).fillna(False)]
+
+
+def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
     """Return the episodes to draw: those asked for, or the first successful ones of each colour of ball."""
-    common = [name for name in next(iter(found.values())) if all(name in there for there in found.values())]
+    tables = [rows for _, rows in found.values()]
+    common = [episode for episode in tables[0].index if all(episode in rows.index for rows in tables)]
     for index in episodes:
-        if str(index) not in common:
+        if index not in common:
             raise ConfigError(f"episodes={list(episodes)}: {index} is not in {' and '.join(found)} alike")
     if episodes:
-        return [str(index) for index in episodes]
-    won: dict[str, str] = {}
-    for name in common:
-        rows = [there[name][1] for there in found.values()]
-        if all(number(row.get("success")) > 0 for row in rows):
-            won.setdefault(rows[0].get("colour") or "", name)
+        return list(episodes)
+    won: dict[str, int] = {}
+    for episode in common:
+        if all(rows.at[episode, "success"] for rows in tables):
+            won.setdefault(str(tables[0].at[episode, "colour"]), episode)
     if not won:
         raise ConfigError(f"no episode succeeds in {' and '.join(found)} alike; choose with episodes=[0,1]")
     return [won[colour] for colour in sorted(won)]
 
 
-def _tracks(found: Runs, colours: Mapping[str, Any], episode: str) -> list[Track]:
+def _tracks(found: Runs, colours: Mapping[str, Any], episode: int) -> list[Track]:
     """Return the recorded paths of one episode."""
     tracks = []
-    for name, there in found.items():
-        run, row = there[episode]
-        level = row.get("comfort_level") or None
+    for name, (run, rows) in found.items():
+        row = rows.loc[episode].to_dict()
         recorded = recorded_paths(run, episodes=(episode,))
-        path = next((path for key, path in recorded.items() if level in (None, key[1])), None)
+        level = row["comfort_level"]
+        path = next((path for (_, at), path in recorded.items() if pd.isna(level) or level == at), None)
         if path is None:
             raise ConfigError(f"{run.folder} has no paths.csv with episode {episode}; evaluate with record=true")
         tracks.append(Track(name, colours[name], path, row))
     return tracks
 
 
-def _draw(found: Runs, colours: Mapping[str, Any], episodes: Sequence[str]) -> Figure:
-    run = next(iter(next(iter(found.values())).values()))[0]
+def _draw(found: Runs, colours: Mapping[str, Any], episodes: Sequence[int]) -> Figure:
+    run = next(iter(found.values()))[0]
     panels = [_tracks(found, colours, episode) for episode in episodes]
     cell = run.config.get("cell", {})
     points = np.concatenate([_extent(tracks, cell) for tracks in panels])
     low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
     height = PANEL_IN * (high[1] - low[1]) / (high[0] - low[0])
-    with matplotlib.rc_context(STYLE):
+    with styled():
         legend_rows = -(-len(found) // 2)
         size = (0.5 + PANEL_IN * len(panels), min(height, 2 * PANEL_IN) + 1.7 + 0.17 * legend_rows)
         figure = Figure(figsize=size)
@@ -144,54 +214,50 @@ def _draw(found: Runs, colours: Mapping[str, Any], episodes: Sequence[str]) -> F
             axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)")
             axis.set_aspect("equal", adjustable="box")
         axes[0].set_ylabel("y (m)")
-        figure.legend(
-            handles=_handles(),
-            loc="outside lower center",
-            ncols=4 * len(panels),
-            handletextpad=0.3,
-            columnspacing=1.1,
-        )
+        person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
+        handles = [
+            *_tool_handles(),
+            Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", linestyle="", color=BLACK),
+            Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
+            Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
+            Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
+        ]
+        spaces: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 1.1}
+        figure.legend(handles=handles, loc="outside lower center", ncols=4 * len(panels), **spaces)
         return figure
 
 
-def _handles() -> list[Line2D]:
-    """Return what the legend explains of the drawing itself."""
-    tool: dict[str, Any] = {"linestyle": "", "color": BLACK}
-    person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
+def _tool_handles() -> list[Line2D]:
+    """Return the legend of the tool's paths."""
+    look: dict[str, Any] = {"linestyle": "", "color": BLACK}
     return [
         Line2D([], [], color=BLACK, label="tool"),
-        Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", **tool),
-        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **tool),
-        Line2D([], [], marker="o", markersize=5, label="success", **tool),
-        Line2D([], [], marker="X", markersize=7, label="failure", **tool),
-        Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
-        Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
-        Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
+        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **look),
+        Line2D([], [], marker="o", markersize=5, label="success", **look),
+        Line2D([], [], marker="X", markersize=7, label="failure", **look),
     ]
 
 
 def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None:
     """Draw one episode's paths from above, m in the cell's frame."""
     first = tracks[0].row
-    ball = first.get("colour") or "orange"
+    ball = first["colour"]
     _draw_cell(axis, cell, ball)
     for track in tracks:
-        x, y = track.path["tcp_x"], track.path["tcp_y"]
-        axis.plot(x, y, color=track.colour, label=_words(track), zorder=3)
+        x, y = track.path[["tcp_x", "tcp_y"]].to_numpy().T
+        _tool(axis, x, y, track.colour, track.row["success"])
         marks = slice(None, None, round(MARK_S / CONTROL_STEP_S))
         axis.plot(x[marks], y[marks], ".", color=track.colour, markersize=5, zorder=3)
-        won = number(track.row.get("success")) > 0
-        axis.plot(x[-1], y[-1], "o" if won else "X", color=track.colour, markersize=5 if won else 8, zorder=4)
-        axis.plot(x[0], y[0], "o", color="white", markeredgecolor=track.colour, markersize=5, zorder=4)
     for colour, walk in _walks(tracks):
         axis.plot(walk[:, 0], walk[:, 1], color=colour, linewidth=0.9, zorder=2)
         axis.add_patch(Circle(walk[0], TRUNK_RADIUS_M, fill=False, edgecolor=colour, linewidth=0.8, zorder=2))
         axis.add_patch(Circle(walk[-1], TRUNK_RADIUS_M, color=colour, alpha=0.3, linewidth=0, zorder=2))
     axis.xaxis.set_major_locator(MultipleLocator(0.4))
     axis.yaxis.set_major_locator(MultipleLocator(0.4))
-    seen_word = {1.0: "seen", 0.0: "unseen"}.get(number(first.get("seen")), "drawn")
-    axis.set_title(f"{ball.capitalize()} ball, episode {first['episode']} ({seen_word} spawn)")
+    spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
+    axis.set_title(f"{ball.capitalize()} ball, episode {first['episode']} ({spawn} spawn)")
     axis.legend(
+        handles=[Line2D([], [], color=track.colour, label=_words(track)) for track in tracks],
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         bbox_transform=axis.transAxes + ScaledTranslation(0, -UNDER_IN, axis.figure.dpi_scale_trans),
@@ -207,17 +273,17 @@ def _extent(tracks: Sequence[Track], cell: Mapping[str, Any]) -> Floats:
     """Return points (n, 2), m, that span everything drawn of one episode."""
     half = cell.get("table_half_width_m", 0.0) + LABEL_M
     goals = np.array([[0.0, 0.0], *(cell[key][:2] for key in GOALS if key in cell)])
-    tools = [np.stack([track.path["tcp_x"], track.path["tcp_y"]], axis=1) for track in tracks]
+    tools = [track.path[["tcp_x", "tcp_y"]].to_numpy() for track in tracks]
     walks = [walk + side for _, walk in _walks(tracks) for side in (-TRUNK_RADIUS_M, TRUNK_RADIUS_M)]
     return np.concatenate([goals - half, goals + half, *tools, *walks])
 
 
 def _words(track: Track) -> str:
-    """Return what the legend says of a path."""
-    distance, steps = number(track.row.get("human_distance_mean_m")), number(track.row.get("steps"))
-    parts = [f"{steps:.0f} steps"] if np.isnan(distance) else [f"{distance:.2f} m", f"{steps:.0f} steps"]
-    how = termination(track.row)
-    return f"{track.name}: {', '.join(parts if how == 'success' else [*parts, how])}"
+    """Return the legend of a path."""
+    distance, ended = track.row["human_distance_mean_m"], track.row["ended"]
+    parts = [] if np.isnan(distance) else [f"{distance:.2f} m"]
+    parts += [f"{track.row['steps']} steps"] + ([] if ended == "success" else [ended])
+    return f"{track.name}: {', '.join(parts)}"
 
 
 def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
@@ -225,11 +291,7 @@ def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
 
     Nobody there, no walk. An episode that lasts longer shows more of the same walk.
     """
-    walks = []
-    for track in tracks:
-        walk = np.stack([track.path["human_x"], track.path["human_y"]], axis=1)
-        if np.isfinite(walk).all() and np.abs(walk).max() < FAR_AWAY_M / 2:
-            walks.append((track.colour, walk))
+    walks = [(track.colour, walk) for track in tracks if len(walk := _walk(track.path))]
     if not walks:
         return []
     longest = max((walk for _, walk in walks), key=len)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hrl_comfort.analysis.intervals import Floats, seed_interval
+from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.learning_curve import LearningCurve
 from hrl_comfort.analysis.sweeps import Row, Sweep
 from hrl_comfort.files.run_folder import Run
-from hrl_comfort.plots.figures import BLACK, CYCLE, STYLE, smoothed
+from hrl_comfort.files.tables import Floats, column
+from hrl_comfort.plots.style import BLACK, CYCLE, band, smoothed, styled
 
 LOOKS = [(colour, dashes) for dashes, colour in product(("-", "--", ":", "-."), CYCLE)]
 """How lines are told apart; so many can be drawn."""
@@ -36,7 +36,7 @@ def learning(sweep: Sweep) -> Figure | None:
     rows = drawn[: len(LOOKS)]
     if not rows:
         return None
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(7.2, 4.0), layout="constrained")
         axis = figure.subplots()
         handles = []
@@ -62,9 +62,7 @@ def _draw_row(axis: Axes, row: Row, curve: LearningCurve, colour: str, dashes: s
     finished = [points for state, points in there if state == "finished"]
     if finished:
         x, low, mean, high = mean_curve(finished, curve.least, curve.most)
-        if len(finished) > 1:
-            axis.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
-        axis.plot(x, mean, color=colour, linestyle=dashes)
+        band(axis, x, mean, low, high, colour, linestyle=dashes)
     for state, (x, y) in there:
         if state != "finished":
             axis.plot(x, y, color=colour, linestyle=dashes, linewidth=0.7)
@@ -76,8 +74,8 @@ def _points(run: Run | None, curve: LearningCurve) -> Points | None:
     """Return the points of a run's curve; None where no episode tells anything."""
     if run is None or run.metrics is None:
         return None
-    x = run.metrics[curve.progress] / 1000
-    y = smoothed(curve.scale * run.metrics[curve.score])
+    x = column(run.metrics, curve.progress) / 1000
+    y = smoothed(curve.scale * column(run.metrics, curve.score))
     there = np.isfinite(y)
     return (x[there], y[there]) if there.any() else None
 
@@ -91,7 +89,6 @@ def mean_curve(curves: Sequence[Points], least: float, most: float) -> tuple[Flo
     fewest = min((x for x, _ in curves), key=len)
     x = np.unique([begin, *fewest[(fewest >= begin) & (fewest <= end)], max(begin, end)])
     values = np.array([np.interp(x, *curve) for curve in curves])
-    mean = values.mean(axis=0)
-    intervals = [seed_interval(each) or (each[0], each[0]) for each in values.T]
-    low, high = np.clip(np.array(intervals).T, least, most)
-    return x, low, mean, high
+    seed = np.arange(len(curves))
+    mean, low, high = Clusters(seed, seed).bands(values)
+    return x, np.clip(low, least, most), mean, np.clip(high, least, most)

@@ -5,26 +5,25 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from pandas import DataFrame, Series
 
-from hrl_comfort.analysis.intervals import Floats
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
-from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
+from hrl_comfort.files.tables import Floats, column
+from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
+from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.tasks import SUBTASKS, Ball
 
 WIDTH, HEIGHT = 480, 360
 FRAMES_PER_S = 25
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
-_STRIDE_M = 1.4
-"""Two steps of an adult's walk."""
-_SWING_RAD = 0.45
 _BACKENDS = ("egl", "osmesa")
 
 
@@ -50,15 +49,16 @@ def _open_screen() -> Any:
     return screen
 
 
-def resample(path: Mapping[str, Floats], frames_per_s: int = FRAMES_PER_S) -> dict[str, Floats]:
+def resample(path: DataFrame, frames_per_s: int = FRAMES_PER_S) -> dict[str, Floats]:
     """Return the columns (steps,) of a recorded episode at the times of the video's frames (frames,).
 
     Linear between control steps, yaw without its jumps; a stage is held until the next begins.
     """
-    time = path["step"] * CONTROL_STEP_S
+    time = column(path, "step") * CONTROL_STEP_S
     frames = np.arange(time[0], time[-1] + 1e-9, 1 / frames_per_s)
     out = {}
-    for name, values in path.items():
+    for name in path:
+        values = column(path, name)
         if name == "stage":
             out[name] = values[np.searchsorted(time, frames + 1e-9, side="right") - 1]
         else:
@@ -66,26 +66,22 @@ def resample(path: Mapping[str, Floats], frames_per_s: int = FRAMES_PER_S) -> di
     return out
 
 
-def gait(x: Floats, y: Floats, frames_per_s: int = FRAMES_PER_S) -> tuple[Floats, Floats]:
-    """Return phase and swing (frames,), rad, of legs that carry a person along x, y (frames,), m.
-
-    The path is averaged over half a second first: a jitter on the spot is not a walk.
-    """
-    half = max(1, frames_per_s // 4)
-    kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
-    smooth = [np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid") for values in (x, y)]
-    walked = np.hypot(*(np.diff(values, prepend=values[0]) for values in smooth))
-    phase = 2 * math.pi * np.cumsum(walked) / _STRIDE_M
-    return phase, _SWING_RAD * np.clip(walked * frames_per_s / 0.8, 0, 1)
+def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return the simulated phase and swing (steps,), rad, of a person who walks along x, y (steps,), m."""
+    walked = np.hypot(*(np.diff(values, prepend=values[0]) for values in (x, y)))
+    speed = Series(walked / CONTROL_STEP_S).ewm(alpha=SPEED_SMOOTHING, adjust=False).mean().to_numpy()
+    swing = FULL_SWING_RAD * np.minimum(speed / FULL_SWING_SPEED_M_S, 1.0)
+    return 2 * math.pi * np.cumsum(walked) / STRIDE_M, swing
 
 
-def _absent_is_away(path: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the human's columns (steps,) with nobody there put where absent things stand."""
-    far = {"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0}
-    return {name: np.where(np.isnan(path[name]), value, path[name]) for name, value in far.items()}
+def _with_gait(path: DataFrame) -> DataFrame:
+    """Return a path with the gait; a human who is absent stands where absent things do."""
+    path = path.fillna({"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0})
+    phase, swing = gait(column(path, "human_x"), column(path, "human_y"))
+    return path.assign(phase=phase, swing=swing)
 
 
-def _azimuth_deg(path: Mapping[str, Floats]) -> float:
+def _azimuth_deg(path: DataFrame) -> float:
     """Return where the camera looks: past the robot towards the person, a little from the side."""
     x, y = (float(np.median(path[name])) for name in ("human_x", "human_y"))
     if not math.hypot(x, y) < FAR_AWAY_M / 2:  # nobody there
@@ -93,19 +89,13 @@ def _azimuth_deg(path: Mapping[str, Floats]) -> float:
     return math.degrees(math.atan2(y, x)) + 25.0
 
 
-def _poses(scene: Scene, path: Mapping[str, Floats]) -> NDArray[np.float64]:
-    """Return the limbs' poses (frames, 5, 7)."""
-    phase, swing = gait(path["human_x"], path["human_y"])
-    return limb_poses(path["human_x"], path["human_y"], path["human_yaw"], phase, swing, scene.floor_z)
-
-
 def frames(
-    path: Mapping[str, Floats], robot: RobotConfig, cell: CellConfig, task: str, colour: str
+    path: DataFrame, robot: RobotConfig, cell: CellConfig, task: str, colour: str
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield the pictures (HEIGHT, WIDTH, 3) of one episode, FRAMES_PER_S a second of its time.
 
     Args:
-      path: the episode's columns of paths.csv, each (steps,).
+      path: the episode's rows of paths.csv.
       robot: the arm.
       cell: the cell.
       task: the subtask; it says what the stages are, and so where the ball is.
@@ -128,8 +118,9 @@ def frames(
         camera.lookat[:] = (0.0, 0.0, 0.2)
         camera.distance, camera.azimuth, camera.elevation = 2.9, _azimuth_deg(path), -27
         rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-        shown = resample({**path, **_absent_is_away(path)})
-        limbs = _poses(scene, shown)
+        shown = resample(_with_gait(path))
+        x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
+        limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
         goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
         joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
         ball = scene.mocap.index(f"{colour}_ball")

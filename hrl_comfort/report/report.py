@@ -11,27 +11,22 @@ import base64
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
-import jinja2
+import pandas as pd
+from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import KEYS, Floats, Row
+from hrl_comfort.analysis.episodes import TERMINATIONS, terminations
 from hrl_comfort.analysis.learning_curve import POLICY, curve_of
+from hrl_comfort.analysis.summary import KEYS
+from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.files.atomic import write_text
-from hrl_comfort.files.run_folder import (
-    TERMINATIONS,
-    Recorded,
-    Run,
-    find_runs,
-    recorded_paths,
-    row_of,
-    termination,
-)
-from hrl_comfort.plots import figures
-from hrl_comfort.report.sweeps import sweep_report
+from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
+from hrl_comfort.plots import options, training
+from hrl_comfort.plots.paths import overview
+from hrl_comfort.plots.style import data_uri
+from hrl_comfort.report.sweeps import render, sweep_report
 
 SHOWN_PATHS = 4
 SEARCHED_PATHS = 20
@@ -45,18 +40,6 @@ class Picture:
     uri: str
     caption: str
     alt: str
-
-
-def _value(metrics: Mapping[str, Any], name: str, scale: float = 1.0, digits: int = 0) -> str:
-    """Return a metric as `mean [low, high]`, or a dash where it is missing."""
-    metric = metrics.get(name)
-    if metric is None:
-        return "–"
-    text = f"{scale * metric['mean']:.{digits}f}"
-    if metric["ci95"] is not None:
-        low, high = (scale * bound for bound in metric["ci95"])
-        text += f" [{low:.{digits}f}, {high:.{digits}f}]"
-    return text
 
 
 def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
@@ -77,19 +60,19 @@ def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
                     "precision (cm)": "–" if precision is None else f"{100 * precision:g}",
                     **extras,
                     "episodes": str(group["episodes"]),
-                    "success (%)": _value(metrics, "success", 100, 1),
-                    "steps": _value(metrics, "steps"),
-                    "distance (m)": _value(metrics, "human_distance_mean_m", digits=2),
-                    "human collisions (%)": _value(metrics, "human_collision", 100, 1),
-                    "other collisions (%)": _value(metrics, "other_collision", 100, 1),
+                    "success (%)": cell(metrics.get("success"), 100),
+                    "steps": cell(metrics.get("steps"), digits=0),
+                    "distance (m)": cell(metrics.get("human_distance_mean_m"), digits=2),
+                    "human collisions (%)": cell(metrics.get("human_collision"), 100),
+                    "other collisions (%)": cell(metrics.get("other_collision"), 100),
                     "training (min)": "–" if run.minutes is None else f"{run.minutes:.1f}",
                 }
             )
     return rows
 
 
-def _of(runs: Sequence[Run], what: Callable[[Run], dict[str, Floats] | None]) -> dict[str, dict[str, Floats]]:
-    return {run.name: table for run in runs if (table := what(run)) is not None}
+def _of(runs: Sequence[Run], table_of: Callable[[Run], DataFrame | None]) -> dict[str, DataFrame]:
+    return {run.name: table for run in runs if (table := table_of(run)) is not None}
 
 
 def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
@@ -98,20 +81,20 @@ def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
     trained = _of(runs, lambda run: run.metrics)
     if metrics := {name: table for name, table in trained.items() if curve_of(table) is POLICY}:
         found["learning"] = Picture(
-            figures.data_uri(figures.learning_curves(metrics)),
+            data_uri(training.learning_curves(metrics)),
             "Training episodes that succeeded, and that ended in a collision with the human, above the "
             "precision in force, which the curriculum tightens: success is not at one fixed precision. "
-            "Thin lines are logged values, thick ones trailing means.",
+            "Thin lines are logged values, thick ones trailing means; dotted lines part curriculum stages.",
             "Success and precision over training",
         )
         found["diagnostics"] = Picture(
-            figures.data_uri(figures.training_diagnostics(metrics)),
+            data_uri(training.over_training(metrics, training.DIAGNOSTICS)),
             "Mean return of training episodes, mean Q value of the batch, and policy entropy.",
             "Return, Q value and entropy over training",
         )
     if controllers := {name: table for name, table in trained.items() if name not in metrics}:
         found["controllers"] = Picture(
-            figures.data_uri(figures.controller_curves(controllers)),
+            data_uri(training.over_training(controllers, training.CONTROLLER)),
             "Training episodes that succeeded, control steps of an episode, and mean return. "
             "Some options are chosen at random, ever fewer of them. "
             "Thin lines are logged values, thick ones trailing means.",
@@ -121,11 +104,17 @@ def _curves(runs: Sequence[Run]) -> dict[str, Picture]:
         precisions = {100 * p for table in checkpoints.values() for p in table.get("precision_m", ())}
         at = f" at {', '.join(f'{p:g}' for p in sorted(precisions))} cm" if precisions else ""
         found["checkpoints"] = Picture(
-            figures.data_uri(figures.success_by_checkpoint(checkpoints)),
+            data_uri(training.success_by_checkpoint(checkpoints)),
             f"Success on the evaluation set{at}, checkpoint by checkpoint; bars are 95 % intervals.",
             "Success by checkpoint",
         )
     return found
+
+
+def _endings(run: Run, recorded: Mapping[Recorded, object]) -> dict[Recorded, str]:
+    """Return how recorded episodes ended, those that episodes.csv tells of."""
+    rows = {key: row for key in recorded if (row := row_of(run, key)) is not None}
+    return dict(zip(rows, terminations(DataFrame(rows.values())), strict=True)) if rows else {}
 
 
 def _path_pictures(runs: Sequence[Run]) -> list[Picture]:
@@ -133,12 +122,11 @@ def _path_pictures(runs: Sequence[Run]) -> list[Picture]:
     for run in runs:
         recorded = recorded_paths(run, SHOWN_PATHS)
         if recorded:
-            ended = {key: termination(row) for key in recorded if (row := row_of(run, key))}
-            cell = run.config.get("cell", {})
-            lacking = "" if cell else " Goals are not drawn: the folder has no config.yaml."
+            cell_config = run.config.get("cell", {})
+            lacking = "" if cell_config else " Goals are not drawn: the folder has no config.yaml."
             pictures.append(
                 Picture(
-                    figures.data_uri(figures.paths(recorded, ended, cell)),
+                    data_uri(overview(recorded, _endings(run, recorded), cell_config)),
                     f"{run.name}: tool and human in the first {len(recorded)} recorded episodes, "
                     f"not chosen by outcome, a colour each; cell frame, robot base at the origin.{lacking}",
                     f"Paths of tool and human, {run.name}",
@@ -151,19 +139,18 @@ def _timelines(runs: Sequence[Run]) -> list[tuple[Picture, list[list[str]]]]:
     """Return, for each chain of options, its timeline and a table of how each option ended."""
     found = []
     for run in runs:
-        if len({row["option"] for row in run.options or []}) < 2:
+        if run.options is None or run.options["option"].nunique() < 2:
             continue  # a lone policy is no chain
-        assert run.options is not None
-        shown = list(dict.fromkeys(row["episode"] for row in run.options))[: figures.SHOWN_TIMELINES]
+        shown = run.options["episode"].unique().tolist()[: options.SHOWN_TIMELINES]
         picture = Picture(
-            figures.data_uri(figures.option_timeline(run.options, shown)),
+            data_uri(options.timeline(run.options, shown)),
             f"{run.name}: the options of the first {len(shown)} episodes, as the meta-controller ran them.",
             f"Option timeline, {run.name}",
         )
-        counts = Counter((row["option"], row["termination"]) for row in run.options)
+        counts = Counter(zip(run.options["option"], run.options["termination"], strict=True))
         table = [
             [option, *(str(counts[option, end]) for end in ("success", "failure", "preempted"))]
-            for option in dict.fromkeys(row["option"] for row in run.options)
+            for option in run.options["option"].unique()
         ]
         found.append((picture, table))
     return found
@@ -171,7 +158,7 @@ def _timelines(runs: Sequence[Run]) -> list[tuple[Picture, list[list[str]]]]:
 
 def _terminations(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
     """Return the header and rows of the table that counts how episodes ended, a row a run."""
-    counted = {run.name: Counter(termination(row) for row in run.episodes) for run in runs if run.episodes}
+    counted = {run.name: Counter(terminations(run.episodes)) for run in runs if run.episodes is not None}
     others = sorted({kind for counts in counted.values() for kind in counts} - set(TERMINATIONS))
     kinds = [*TERMINATIONS, *others]
     return kinds, [[name, *(str(counts[kind]) for kind in kinds)] for name, counts in counted.items()]
@@ -179,10 +166,12 @@ def _terminations(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
 
 def _failures(runs: Sequence[Run]) -> tuple[list[list[str]], int]:
     """Return rows about the first failed episodes, and how many failed."""
-    failed = [(run.name, row) for run in runs for row in run.episodes or [] if termination(row) != "success"]
-    keys = ("episode", "colour", "spawn_id", "motion_id", "seen", "steps")
-    shown = [[name, *(row.get(key) or "–" for key in keys), termination(row)] for name, row in failed[:SHOWN_FAILURES]]
-    return shown, len(failed)
+    columns = ["run", "episode", "colour", "spawn_id", "motion_id", "seen", "steps", "ended"]
+    tables = [
+        run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
+    ]
+    failed = [row for table in tables for row in table[table["ended"] != "success"].reindex(columns=columns).to_numpy()]
+    return [["–" if pd.isna(each) else str(each) for each in row] for row in failed[:SHOWN_FAILURES]], len(failed)
 
 
 def _video(runs: Sequence[Run], draw: bool) -> tuple[Picture | None, str]:
@@ -208,10 +197,9 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     from hrl_comfort.plots import video
 
     recorded = recorded_paths(run, SEARCHED_PATHS)
-    rows: dict[Recorded, Row] = {key: row for key in recorded if (row := row_of(run, key))}
-    successes = [key for key, row in rows.items() if termination(row) == "success"]
+    successes = [key for key, ended in _endings(run, recorded).items() if ended == "success"]
     episode = (successes or list(recorded))[0]
-    row = rows.get(episode, {})
+    row = row_of(run, episode) or {}
     task, colour = row.get("task") or run.config["task"]["name"], row.get("colour") or "orange"
     task_config = run.config["task"]
     if task_config.get("balls", 1) > 1 or task_config.get("ball_jitter_m", 0.0) > 0:
@@ -224,7 +212,7 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     except (TypeError, ConfigError) as error:
         return "", f"No video: {run.name}/config.yaml does not fit this version ({error})."
     which = "the first recorded success" if successes else "a recorded episode"
-    at_level = f" at level {episode[1]}" if episode[1] else ""
+    at_level = "" if episode[1] is None else f" at level {episode[1]}"
     return f"{run.name}, episode {episode[0]}{at_level}, {which}; drawn from its joint angles, real time.", ""
 
 
@@ -252,12 +240,8 @@ def report(config: ReportConfig) -> Path:
     video, no_video = _video(runs, config.video)
     kinds, terminations = _terminations(runs)
     failures, failed = _failures(runs)
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    files = resources.files("hrl_comfort.report")
-    page = environment.from_string(files.joinpath("report.html.j2").read_text(encoding="utf-8")).render(
-        style=files.joinpath("report.css").read_text(encoding="utf-8"),
+    page = render(
+        "report.html.j2",
         title=folder.resolve().name,
         runs=runs,
         headline=headline(runs),

@@ -7,19 +7,31 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import jinja2
-import matplotlib
 
-from hrl_comfort.analysis.sweeps import Sweep, as_csv, cells, not_finished, read_sweep
+from hrl_comfort.analysis.sweeps import Sweep, as_csv, not_finished, read_sweep, table
+from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.atomic import write_atomically, write_text
-from hrl_comfort.plots.compare import markdown
-from hrl_comfort.plots.figures import STYLE, data_uri
+from hrl_comfort.files.atomic import write_text
+from hrl_comfort.plots.style import data_uri, save_png
 from hrl_comfort.plots.sweeps import LOOKS, learning
 
-DPI = 200
 HEADS = ["folder", "overrides", "state", "why"]
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page of this package's templates."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hrl_comfort", "report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    style = resources.files("hrl_comfort.report").joinpath("report.css").read_text(encoding="utf-8")
+    return environment.get_template(template).render(style=style, **values)
 
 
 def sweep_report(folder: Path, output: Path) -> bool:
@@ -37,16 +49,11 @@ def sweep_report(folder: Path, output: Path) -> bool:
     write_text(output.with_suffix(".csv"), as_csv(sweep))
     write_text(output.with_suffix(".md"), _markdown(sweep))
     if figure is not None:
-        with matplotlib.rc_context(STYLE):
-            write_atomically(output.with_suffix(".png"), lambda file: figure.savefig(file, format="png", dpi=DPI))
-    files = resources.files("hrl_comfort.report")
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    heads, lines = cells(sweep)
-    page = environment.from_string(files.joinpath("sweep.html.j2").read_text(encoding="utf-8")).render(
+        save_png(figure, output.with_suffix(".png"))
+    heads, lines = table(sweep)
+    page = render(
+        "sweep.html.j2",
         title=folder.resolve().name,
-        style=files.joinpath("report.css").read_text(encoding="utf-8"),
         alike=sweep.alike,
         words=len(heads) if not sweep.rows[0].combination else len(sweep.rows[0].combination),
         heads=heads,
@@ -65,7 +72,7 @@ def sweep_report(folder: Path, output: Path) -> bool:
 
 def _markdown(sweep: Sweep) -> str:
     """Return both tables in Markdown."""
-    text = markdown(*cells(sweep))
+    text = markdown(*table(sweep))
     problems = not_finished(sweep)
     return text + ("\n" + markdown(HEADS, problems) if problems else "")
 

@@ -10,15 +10,13 @@ from pathlib import Path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from hrl_comfort.analysis.intervals import column
-from hrl_comfort.analysis.job_status import Left, OtherRunError, left
-from hrl_comfort.analysis.learning_curve import curve_of
-from hrl_comfort.analysis.training_end import training_end
+from hrl_comfort.analysis.learning_curve import curve_of, training_end
 from hrl_comfort.config import EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
+from hrl_comfort.sweeps.job_status import Left, OtherRunError, left
 from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
 
@@ -85,4 +83,4 @@ def _score(folder: Path) -> float:
     found = read_run(folder)
     if found.metrics is not None:
         return training_end(found.metrics).get(curve_of(found.metrics).score, math.nan)
-    return float(column(found.episodes or [], "success").mean()) if found.episodes else math.nan
+    return math.nan if found.episodes is None else float(found.episodes["success"].mean())

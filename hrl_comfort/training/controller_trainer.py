@@ -15,11 +15,12 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import MetaControllerTrainConfig
 from hrl_comfort.config.compose import environment, save_config
 from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.sort import sorting_options
-from hrl_comfort.training.logger import claim, write_provenance
+from hrl_comfort.training.logger import claim
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 from hrl_comfort.training.progress import training_line
 from hrl_comfort.training.resume import go_on, stopped_config

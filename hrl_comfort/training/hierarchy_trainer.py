@@ -5,23 +5,24 @@ Every part leaves a file by which a later call knows that it is done, so the sam
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import compose, load_config, save_config
 from hrl_comfort.config.overrides import override
 from hrl_comfort.config.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.documents import Summary, read_json
+from hrl_comfort.files.provenance import read_provenance, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
-from hrl_comfort.training.logger import claim, read_provenance, write_provenance
+from hrl_comfort.training.logger import claim
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.trainer import train
 
@@ -60,7 +61,7 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
 
 def is_finished(folder: Path) -> bool:
     """Return whether a hierarchy, or a run, is there and complete."""
-    return (folder / "provenance.json").is_file() and bool(read_provenance(folder)["finished"])
+    return (folder / "provenance.json").is_file() and read_provenance(folder).finished
 
 
 def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfig:
@@ -199,23 +200,18 @@ def _evaluate(words: list[str], output: Path) -> None:
 def print_table(folder: Path) -> None:
     """Print the evaluations in a hierarchy's folder."""
     table = Table(title=str(folder))
-    for name in ("task", "level", "spawns", "episodes", "success [95 % interval]", "steps", "human distance, m"):
+    for name in ("task", "level", "spawns", "episodes", "success, % [95 % interval]", "steps", "human distance, m"):
         table.add_column(name, justify="left" if name in ("task", "spawns") else "right")
     for file in sorted(folder.glob("*/eval/summary.json")):
-        for group in json.loads(file.read_text(encoding="utf-8"))["groups"]:
+        for group in read_json(file, Summary).model_dump()["groups"]:
             metrics, level = group["metrics"], group.get("comfort_level")
-            low, high = metrics["success"]["ci95"]
             table.add_row(
                 file.parent.parent.name,
                 "-" if level is None else str(level),
                 "seen" if group["seen"] else "unseen",
                 str(group["episodes"]),
-                f"{metrics['success']['mean']:.1%} [{low:.1%}, {high:.1%}]",
-                _mean(metrics, "steps", "{:.0f}"),
-                _mean(metrics, "human_distance_mean_m", "{:.3f}"),
+                cell(metrics["success"], 100),
+                cell(metrics.get("steps"), digits=0),
+                cell(metrics.get("human_distance_mean_m"), digits=3),
             )
     Console().print(table)
-
-
-def _mean(metrics: dict[str, Any], name: str, form: str) -> str:
-    return form.format(metrics[name]["mean"]) if name in metrics else "-"

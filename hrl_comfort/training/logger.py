@@ -1,17 +1,12 @@
-"""What a training leaves behind: its claim on a folder, the rows of metrics.csv, and where it came from."""
+"""What a training leaves behind: its claim on a folder, and the rows of metrics.csv."""
 
 from __future__ import annotations
 
 import csv
 import fcntl
-import json
 import os
-import platform
-import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +16,8 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.provenance import read_provenance
 
-PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
 OUTCOMES = ("success", "return", "steps", "human_collision", "other_collision")
 TIMING = ("policy_steps", "seconds", "policy_steps_per_s", "updates_per_s")
 
@@ -58,7 +53,7 @@ def _begun(folder: Path) -> bool:
     if checkpoint.resumable(folder / "checkpoints"):
         return True
     if (folder / "provenance.json").exists():
-        return bool(read_provenance(folder)["finished"])
+        return read_provenance(folder).finished
     return any((folder / name).exists() for name in ("policy.pt", "meta_controller.pt"))
 
 
@@ -148,52 +143,3 @@ class MetricsLog:
         self._rows, self._episodes = state["rows"], state["episodes"]
         self._finished, self._updates = state["finished"], state["updates"]
         self._sums = dict(state["sums"])
-
-
-def read_provenance(folder: Path) -> dict[str, Any]:
-    """Return a run's provenance.
-
-    Raises:
-        ConfigError: the file is damaged.
-    """
-    try:
-        found: dict[str, Any] = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigError(f"{folder}/provenance.json is damaged: {error}") from error
-    if "finished" not in found:
-        raise ConfigError(f"{folder}/provenance.json is damaged: it does not say whether the run is finished")
-    return found
-
-
-def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> None:
-    """Write versions, commit, seeds, machine, and `progress` (finished, decisions, wall seconds)."""
-    provenance = {
-        **progress,
-        "seeds": seeds,
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in PACKAGES},
-        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
-    }
-    write_text(folder / "provenance.json", json.dumps(provenance, indent=2) + "\n")
-
-
-def _commit() -> str | None:
-    """Return the commit of the package's checkout, with `+` if files differ; none in a wheel."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists() or shutil.which("git") is None:
-        return None
-    head = _git(root, "rev-parse", "HEAD")
-    return head and head + ("+" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
-
-
-def _git(root: Path, *words: str) -> str | None:
-    done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False)
-    return done.stdout.strip() if done.returncode == 0 else None
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import load_config
-from hrl_comfort.training.logger import read_provenance
+from hrl_comfort.files.provenance import read_provenance
 
 C = TypeVar("C", TrainConfig, MetaControllerTrainConfig)
 WHAT = {TrainConfig: "a subtask", MetaControllerTrainConfig: "a controller"}
@@ -37,7 +37,7 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
     if not isinstance(config, kind):
         other = type(config)
         raise ConfigError(f"resume={folder} trains {WHAT[other]}; say {VERB[other]} resume={folder}")
-    if (folder / "provenance.json").exists() and read_provenance(folder)["finished"]:
+    if (folder / "provenance.json").exists() and read_provenance(folder).finished:
         on = f"; train on from it with initial_policy={folder}" if kind is TrainConfig else ""
         raise ConfigError(f"resume={folder} is finished{on}")
     return replace(config, output=str(folder), resume=None)

@@ -17,10 +17,11 @@ from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import StageConfig, TrainConfig
 from hrl_comfort.config.compose import save_config
 from hrl_comfort.config.stages import stages_of
+from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.training.collector import Collector, Transition, make_collector
 from hrl_comfort.training.curriculum import Curriculum
-from hrl_comfort.training.logger import MetricsLog, claim, write_provenance
+from hrl_comfort.training.logger import MetricsLog, claim
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 from hrl_comfort.training.progress import training_line
 from hrl_comfort.training.resume import go_on, stopped_config

@@ -1,13 +1,14 @@
-import csv
 import json
-import math
 
 import numpy as np
 import pytest
+from pandas import DataFrame
 from scipy import stats
 
-from hrl_comfort.analysis import intervals as statistics
+from hrl_comfort.analysis.intervals import SHARE, Clusters
+from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.tables import records_of
 
 
 def episode(index: int, **changes: object) -> dict[str, object]:
@@ -38,49 +39,41 @@ def episode(index: int, **changes: object) -> dict[str, object]:
     return {**row, **changes}
 
 
-def write(folder, rows):
-    with (folder / "episodes.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+def summary_of(rows, group_by=(), max_episode_steps=500):
+    return summarise(records_of(rows, "episodes"), group_by, max_episode_steps)["groups"]
 
 
-def summary_of(folder, rows, group_by=(), max_episode_steps=500):
-    write(folder, rows)
-    return statistics.write_summary(folder, group_by, max_episode_steps)["groups"]
-
-
-def test_steps_are_over_successes_and_a_failure_counts_at_the_limit_in_steps_all(tmp_path):
+def test_steps_are_over_successes_and_a_failure_counts_at_the_limit_in_steps_all():
     rows = [episode(0, steps=100), episode(1, steps=140), episode(2, success=0, steps=37)]
-    metrics = summary_of(tmp_path, rows)[0]["metrics"]
+    metrics = summary_of(rows)[0]["metrics"]
     assert metrics["steps"]["mean"] == 120
     assert metrics["steps_all"]["mean"] == pytest.approx((100 + 140 + 500) / 3)
 
 
-def test_distances_are_over_successes_and_as_measured_in_their_twin(tmp_path):
+def test_distances_are_over_successes_and_as_measured_in_their_twin():
     rows = [episode(0, human_distance_mean_m=1.0), episode(1, success=0, human_distance_mean_m=0.2)]
-    metrics = summary_of(tmp_path, rows)[0]["metrics"]
+    metrics = summary_of(rows)[0]["metrics"]
     assert metrics["human_distance_mean_m"]["mean"] == 1.0
     assert metrics["human_distance_mean_m_all"]["mean"] == pytest.approx(0.6)
 
 
-def test_a_missing_value_is_left_out_and_an_empty_metric_is_absent(tmp_path):
+def test_a_missing_value_is_left_out_and_an_empty_metric_is_absent():
     rows = [episode(0, **{"return": ""}), episode(1, **{"return": 4.0})]
-    metrics = summary_of(tmp_path, rows)[0]["metrics"]
+    metrics = summary_of(rows)[0]["metrics"]
     assert metrics["return"]["mean"] == 4.0
     assert metrics["return"]["ci95"] is None
     assert "robot_moving_at_collision" not in metrics
 
 
-def test_no_success_leaves_steps_absent_but_steps_all_at_the_limit(tmp_path):
-    metrics = summary_of(tmp_path, [episode(i, success=0) for i in range(4)])[0]["metrics"]
+def test_no_success_leaves_steps_absent_but_steps_all_at_the_limit():
+    metrics = summary_of([episode(i, success=0) for i in range(4)])[0]["metrics"]
     assert "steps" not in metrics
     assert metrics["steps_all"]["mean"] == 500
 
 
-def test_groups_are_split_by_level_and_by_the_columns_asked_for(tmp_path):
+def test_groups_are_split_by_level_and_by_the_columns_asked_for():
     rows = [episode(i, comfort_level=level) for level in (1, 10) for i in range(4)]
-    groups = summary_of(tmp_path, rows, group_by=["seen"])
+    groups = summary_of(rows, group_by=["seen"])
     assert [(g["comfort_level"], g["seen"], g["episodes"]) for g in groups] == [
         (1, 0, 2),
         (1, 1, 2),
@@ -91,73 +84,96 @@ def test_groups_are_split_by_level_and_by_the_columns_asked_for(tmp_path):
     assert "spawn_id" not in groups[0]["metrics"]
 
 
-def test_comfort_off_is_null_in_the_file(tmp_path):
-    summary_of(tmp_path, [episode(0)])
-    group = json.loads((tmp_path / "summary.json").read_text())["groups"][0]
+def test_comfort_off_is_null_in_the_file():
+    group = json.loads(json.dumps(summary_of([episode(0)])))[0]
     assert group["comfort_level"] is None
     assert group["precision_m"] == 0.1
 
 
-def test_collisions_are_told_apart(tmp_path):
+def test_collisions_are_told_apart():
     kinds = ["none", "table", "self", "table"]
-    metrics = summary_of(tmp_path, [episode(i, other_collision=kind) for i, kind in enumerate(kinds)])[0]["metrics"]
+    metrics = summary_of([episode(i, other_collision=kind) for i, kind in enumerate(kinds)])[0]["metrics"]
     shares = [metrics[name]["mean"] for name in ("other_collision", "table_collision", "self_collision")]
     assert shares == [0.75, 0.5, 0.25]
 
 
-def test_full_success_still_has_a_wilson_interval(tmp_path):
-    metrics = summary_of(tmp_path, [episode(i) for i in range(100)])[0]["metrics"]
-    low, high = metrics["success"]["ci95"]
-    assert low == pytest.approx(100 / (100 + 1.959964**2), abs=1e-5)
-    assert high == pytest.approx(1)
+def clusters(seed, spawn):
+    return Clusters(np.asarray(seed), np.asarray(spawn))
 
 
-def test_the_bootstrap_agrees_with_scipy():
-    values = np.random.default_rng(3).gamma(2.0, size=200)
-    low, high = statistics.bootstrap_interval(values, ["0"] * 200)
-    theirs = stats.bootstrap(
-        (values,), np.mean, method="percentile", n_resamples=5000, rng=np.random.default_rng(1)
-    ).confidence_interval
-    assert (low, high) == pytest.approx((theirs.low, theirs.high), abs=0.03)
+def test_over_seeds_the_interval_is_students_over_the_means_of_the_seeds():
+    rng = np.random.default_rng(0)
+    seed, values = np.repeat(np.arange(5), 40), rng.normal(0, 1, 200) + np.repeat(rng.normal(0, 2, 5), 40)
+    found = clusters(seed, np.tile(np.arange(40), 5)).estimate(values)
+    means = values.reshape(5, 40).mean(axis=1)
+    assert found["mean"] == pytest.approx(means.mean())
+    assert found["ci95"] == pytest.approx(list(stats.t.interval(0.95, 4, means.mean(), stats.sem(means))))
 
 
-def test_several_training_seeds_widen_the_interval():
-    values = np.repeat([0.0, 1.0, 2.0], 50) + np.random.default_rng(0).normal(0, 0.1, 150)
-    one = statistics.bootstrap_interval(values, ["0"] * 150)
-    three = statistics.bootstrap_interval(values, [str(i // 50) for i in range(150)])
-    assert three[1] - three[0] > 3 * (one[1] - one[0])
+def test_within_a_seed_the_interval_is_the_bootstrap_over_spawn_points():
+    rng = np.random.default_rng(3)
+    spawn, effect = np.repeat(np.arange(19), 50), rng.normal(0, 1, 19)
+    values = effect[spawn] + rng.normal(0, 0.1, len(spawn))
+    low, high = clusters(np.zeros_like(spawn), spawn).estimate(values)["ci95"]
+    means = values.reshape(19, 50).mean(axis=1)
+    theirs = stats.bootstrap((means,), np.mean, method="percentile", n_resamples=5000, rng=rng).confidence_interval
+    assert (low, high) == pytest.approx((theirs.low, theirs.high), abs=0.05)
+    assert high - low > 5 * 2 * 1.96 * stats.sem(values), "episodes at a spawn point are not independent"
 
 
-def test_the_interquartile_mean_ignores_the_outer_quarters():
-    assert statistics.interquartile_mean(np.array([-100.0, 1.0, 2.0, 300.0])) == 1.5
+def test_the_bootstrap_over_spawn_points_covers_the_mean():
+    rng = np.random.default_rng(5)
+    spawn, covered = np.repeat(np.arange(25), 8), 0
+    for _ in range(100):
+        values = rng.normal(0, 1, 25)[spawn] + rng.normal(0, 1, len(spawn))
+        low, high = clusters(np.zeros_like(spawn), spawn).estimate(values)["ci95"]
+        covered += low < 0 < high
+    assert 84 <= covered <= 99, "95 % nominal; percentile intervals of 25 clusters are a little narrow"
 
 
-def test_probability_of_improvement_counts_ties_half_and_knows_certainty():
-    same = statistics.probability_of_improvement(np.ones(5), np.ones(4))
-    sure = statistics.probability_of_improvement(np.array([2.0, 3.0]), np.array([0.0, 1.0]))
-    assert same == {"mean": 0.5, "ci95": [0.5, 0.5]}
-    assert sure == {"mean": 1.0, "ci95": [1.0, 1.0]}
+def test_a_ratio_has_the_interval_of_the_ratio_and_rows_that_lack_a_value_do_not_count():
+    rng = np.random.default_rng(1)
+    spawn = np.repeat(np.arange(12), 10)
+    before = rng.uniform(1, 2, 12)[spawn]
+    after = np.where(np.arange(120) % 7, 0.5 * before + rng.normal(0, 1e-3, 120), np.nan)
+    found = clusters(np.zeros_like(spawn), spawn).estimate(before, after, statistic=lambda a, b: b / a)
+    assert found["mean"] == pytest.approx(0.5, abs=1e-3)
+    assert found["ci95"] == pytest.approx([0.5, 0.5], abs=1e-3), "what spawn points do to both cancels"
+
+
+def test_where_all_agree_or_there_is_one_cluster_no_interval_is_given():
+    values = np.array([1.0, np.nan, 3.0])
+    assert clusters(np.zeros(3, int), np.zeros(3, int)).estimate(values) == {"mean": 2.0, "ci95": None}
+    assert clusters(np.zeros(3, int), np.arange(3)).estimate(np.ones(3)) == {"mean": 1.0, "ci95": None}
+    assert clusters(np.arange(3), np.arange(3)).estimate(np.full(3, np.nan)) is None
+    one_seed_alone = clusters(np.array([0, 0, 1]), np.arange(3)).estimate(np.array([1.0, 2.0, np.nan]))
+    assert one_seed_alone == {"mean": 1.5, "ci95": None}
+
+
+def test_episodes_without_a_spawn_point_are_clusters_of_their_own():
+    found = Clusters.of(DataFrame({"train_seed": 0, "spawn_id": [3, None, None, 3]}))
+    assert len(set(found.spawn)) == 3 and found.spawn[0] == found.spawn[3]
+
+
+def test_a_share_stays_between_0_and_1():
+    shares = np.array([0.9, 1.0, 1.0])
+    low, high = clusters(np.arange(3), np.arange(3)).estimate(shares, bounds=SHARE)["ci95"]
+    assert low < 0.9 and high == 1
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"success": ""}, "success"),
-        ({"return": "inf"}, "return='inf'"),
-        ({"human_collision": "maybe"}, "maybe"),
+        ({"success": ""}, "line 3: success= is missing"),
+        ({"return": "inf"}, "line 3: return=inf is not finite"),
+        ({"human_collision": "maybe"}, "line 3: human_collision=maybe is neither True nor False"),
     ],
 )
-def test_a_bad_cell_is_named(tmp_path, changes, message):
+def test_a_bad_cell_is_named(changes, message):
     with pytest.raises(ConfigError, match=message):
-        summary_of(tmp_path, [episode(0), episode(1, **changes)])
+        summary_of([episode(0), episode(1, **changes)])
 
 
-def test_an_unknown_group_column_is_named_with_those_there_are(tmp_path):
+def test_an_unknown_group_column_is_named_with_those_there_are():
     with pytest.raises(ConfigError, match=r"group_by='shade'.*colour"):
-        summary_of(tmp_path, [episode(0)], group_by=["shade"])
-
-
-def test_empty_cells_are_missing_and_words_for_truth_are_read():
-    cells = [statistics.number(cell) for cell in ("", None, "nan")]
-    assert all(math.isnan(cell) for cell in cells)
-    assert [statistics.number(cell) for cell in ("True", "false", "0.5")] == [1.0, 0.0, 0.5]
+        summary_of([episode(0)], group_by=["shade"])

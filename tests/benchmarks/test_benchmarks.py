@@ -6,35 +6,36 @@ from pathlib import Path
 from time import perf_counter, sleep
 
 import pytest
+from pandas import DataFrame
 
 from hrl_comfort.__main__ import main
-from hrl_comfort.analysis.intervals import read_rows
 from hrl_comfort.benchmarks import env as bench
 from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.files.tables import read_table
 
 
 def test_every_loop_of_the_environment_is_measured_in_every_round(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(bench, "ROWS", (1, 4))
     monkeypatch.setattr(bench, "DECISIONS", 8)
     assert main(["bench", "env", f"output={tmp_path}"]) == 0
-    rows = read_rows(tmp_path / "env.csv")
-    loops = [(row["rows"], row["loop"]) for row in rows if row["round"] == "0"]
-    assert [name for n, name in loops if n == "1"] == ["engine", "bare mujoco.rollout", "dm_control front"]
-    assert [name for n, name in loops if n == "4"] == ["engine", "bare mujoco.rollout"]
-    assert len(rows) == bench.REPEATS * len(loops) and all(float(row["policy_steps_per_s"]) > 0 for row in rows)
+    rows = read_table(tmp_path / "env.csv")
+    loops = rows[rows["round"] == 0]
+    assert list(loops["loop"][loops["rows"] == 1]) == ["engine", "bare mujoco.rollout", "dm_control front"]
+    assert list(loops["loop"][loops["rows"] == 4]) == ["engine", "bare mujoco.rollout"]
+    assert len(rows) == bench.REPEATS * len(loops) and (rows["policy_steps_per_s"] > 0).all()
 
 
 def test_ratios_are_the_medians_of_those_of_each_round() -> None:
     rates = {"engine": (8, 30, 10), "bare mujoco.rollout": (10, 10, 20)}
     rows = [
-        {"rows": "4", "loop": name, "round": str(k), "policy_steps_per_s": str(rate)}
+        {"rows": 4, "loop": name, "round": k, "policy_steps_per_s": rate}
         for name, each in rates.items()
         for k, rate in enumerate(each)
     ]
-    lines = bench.table(rows).splitlines()
+    lines = bench.table(DataFrame(rows)).splitlines()
     assert lines[2:] == [
         "| 4 | engine | 10 (8 to 30) | 0.80 (0.50 to 3.00) |",
         "| 4 | bare mujoco.rollout | 10 (10 to 20) |  |",
@@ -103,10 +104,10 @@ def test_who_does_not_arrive_gets_no_time() -> None:
     rows = [
         {
             "learner": name,
-            "seed": str(seed),
-            "reached": str(reached),
-            "policy_steps": "100",
-            "seconds": seconds,
+            "seed": seed,
+            "reached": reached,
+            "policy_steps": 100,
+            "seconds": float(seconds),
         }
         for name, seconds, reached in (
             ("hrl-comfort", "2", True),
@@ -115,8 +116,8 @@ def test_who_does_not_arrive_gets_no_time() -> None:
         )
         for seed in range(2)
     ]
-    lines = bench_train.table(rows).splitlines()
-    late_ours = [{**row, "reached": str(row["learner"] != "hrl-comfort")} for row in rows]
-    assert bench_train.table(late_ours).splitlines()[3].endswith("| 6.0 (6.0 to 6.0) | - |")  # nor a ratio
+    lines = bench_train.table(DataFrame(rows)).splitlines()
+    late_ours = [{**row, "reached": row["learner"] != "hrl-comfort"} for row in rows]
+    assert bench_train.table(DataFrame(late_ours)).splitlines()[3].endswith("| 6.0 (6.0 to 6.0) | - |")  # nor a ratio
     assert lines[3] == "| other | 2 of 2 | 100 (100 to 100) | 6.0 (6.0 to 6.0) | 3.00 (3.00 to 3.00) |"
     assert lines[4] == "| late | 0 of 2 | - | - | - |"

@@ -114,7 +114,7 @@ def test_levels_and_speed_are_drawn_with_their_numbers_beside(tmp_path, kind, ov
     file = draw(tmp_path / "out" / "f.png", kind, [tmp_path / "runs" / "*"], f"over={over}")
     assert min(size(file)) > 300
     found = json.loads(file.with_suffix(".json").read_text())
-    assert (found["levels"], found["train_seeds"]) == ([1, 4, 7, 10], ["0", "1"])
+    assert (found["levels"], found["train_seeds"]) == ([1, 4, 7, 10], [0, 1])
     change = found["spawns"]["all"]["first_to_last"]["pairs"]["human_distance_mean_m"]
     assert change["percent"] < 0
     assert change["ci95"][0] <= change["percent"] <= change["ci95"][1]

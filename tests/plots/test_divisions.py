@@ -11,6 +11,7 @@ from hrl_comfort.__main__ import main
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.files.run_folder import Run
+from hrl_comfort.files.tables import records_of
 from hrl_comfort.plots.divisions import compare, table, trained
 from hrl_comfort.plots.figure import read_groups
 
@@ -39,8 +40,7 @@ def evaluation(policies: dict[str, str], steps: list[str], success: list[str] | 
         }
         for i, (each, win) in enumerate(zip(steps, wins, strict=True))
     ]  # fmt: skip
-    blank = dict.fromkeys(["provenance", "metrics", "minutes", "groups", "checkpoints", "paths", "options"])
-    return Run("run", Path("run"), {}, {"policies": policies, **config}, episodes=episodes, **blank)
+    return Run("run", Path("run"), config={"policies": policies, **config}, episodes=records_of(episodes, "episodes"))
 
 
 def test_what_a_division_took_is_the_sum_over_its_policies_and_those_they_were_begun_from(tmp_path) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from hrl_comfort.__main__ import main
 from hrl_comfort.config import ConfigError
@@ -37,8 +39,10 @@ def test_success_is_pooled_over_seeds_and_told_as_a_share_of_the_own_starts(fold
     found = summarise({"after": folders})["after"]
     previous = found["seams"]["place"]["previous"]
     assert previous["mean"] == pytest.approx(0.75) and previous["of_own"]["mean"] == pytest.approx(0.75)
-    low, high = previous["of_own"]["ci95"]
-    assert low < 0.75 < high <= 1
+    shares = [0.5, 1.0]
+    students = stats.t.interval(0.95, 1, np.mean(shares), stats.sem(shares))
+    assert previous["of_own"]["ci95"] == pytest.approx(list(students))
+    assert previous["ci95"] == [0, 1], "a share goes no farther"
     assert [at["success"] for at in found["chain"]] == pytest.approx([1.0, 0.7])
     assert found["chain"][1]["seeds"] == [0.5, 0.9]
 
@@ -50,7 +54,7 @@ def test_the_table_has_a_line_a_label_and_subtask(folders: list[Path]) -> None:
 
 
 def test_a_folder_without_handovers_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"handover_episodes\.csv is not there; kind=handover takes"):
+    with pytest.raises(ConfigError, match=r"handover_episodes\.csv is not there or empty; kind=handover takes"):
         summarise({"after": [tmp_path]})
 
 

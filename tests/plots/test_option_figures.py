@@ -6,19 +6,20 @@ from pathlib import Path
 
 import pytest
 from matplotlib.patches import Rectangle
+from pandas import DataFrame
 
 from hrl_comfort.__main__ import main
+from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.plots.figure import figure
-from hrl_comfort.plots.figures import option_timeline
-from hrl_comfort.plots.options import chain_lengths
+from hrl_comfort.plots.options import timeline
 
 
-def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, str]:
+def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, object]:
     return {
-        "episode": str(episode), "option": option, "attempt": "1", "start_step": str(start),
-        "end_step": str(end), "termination": termination,
+        "episode": episode, "option": option, "attempt": 1, "start_step": start,
+        "end_step": end, "termination": termination,
     }  # fmt: skip
 
 
@@ -30,11 +31,11 @@ OPTIONS = [
     run(1, "pick_2", "success"),
     run(1, "place", "failure"),
 ]
-EPISODES = ["0", "1", "2"]
+EPISODES = DataFrame({"episode": [0, 1, 2]})
 
 
 def test_chain_lengths_count_what_takes_the_task_further() -> None:
-    found = chain_lengths(EPISODES, OPTIONS)
+    found = chain_lengths(EPISODES, DataFrame(OPTIONS))
     assert [(at["options"], at["success"]) for at in found] == [(1, 2 / 3), (2, 1 / 3)]
     assert all(at["ci95"][0] < at["success"] < at["ci95"][1] for at in found)
 
@@ -44,12 +45,12 @@ def test_a_ball_that_is_picked_again_makes_no_chain_longer() -> None:
         run(0, "pick_1", "success"), run(0, "place", "preempted"), run(0, "retreat", "success"),
         run(0, "pick_1", "success"), run(0, "place", "success"),
     ]  # fmt: skip
-    assert [at["options"] for at in chain_lengths(EPISODES[:1], again)] == [1, 2]
+    assert [at["options"] for at in chain_lengths(EPISODES[:1], DataFrame(again))] == [1, 2]
 
 
 def test_a_retreat_counts_where_it_takes_the_place_of_a_return_alone() -> None:
     names = ["pick_1", "retreat", "place_as_1", "retreat", "retreat", "pick_2_as_1"]
-    found = chain_lengths(["0"], [run(0, name, "success") for name in names])
+    found = chain_lengths(EPISODES[:1], DataFrame([run(0, name, "success") for name in names]))
     assert [at["options"] for at in found] == [1, 2, 3, 4]
 
 
@@ -88,7 +89,7 @@ def test_an_evaluation_without_options_or_episode_is_refused(evaluation: Path, t
 def test_what_an_option_does_has_its_colour_in_every_timeline_and_only_what_is_drawn_is_named() -> None:
     def named(*options: str) -> dict[str, object]:
         rows = [*(run(0, option, "success") for option in options), run(1, "retreat", "success")]
-        legend = option_timeline(rows, ["0"]).legends[0]
+        legend = timeline(DataFrame(rows), [0]).legends[0]
         shown = zip(legend.get_texts(), legend.legend_handles, strict=True)
         return {text.get_text(): bar.get_facecolor() for text, bar in shown if isinstance(bar, Rectangle)}
 

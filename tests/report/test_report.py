@@ -7,11 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pandas import DataFrame
 
-from hrl_comfort.analysis import intervals as statistics
+from hrl_comfort import humans
+from hrl_comfort.analysis.episodes import terminations
+from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
+from hrl_comfort.config.compose import compose
 from hrl_comfort.files import run_folder
-from hrl_comfort.plots import figures, video
+from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.tables import records_of
+from hrl_comfort.plots import training, video
+from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
 
 CONFIG = """\
@@ -62,7 +69,7 @@ def make_training(folder: Path, rng: np.random.Generator, rows: int) -> None:
         ],
     )
     write(folder / "timing.csv", [{"policy_steps": 1000 * i, "seconds": 6 * i} for i in range(rows)])
-    (folder / "provenance.json").write_text(json.dumps({"commit": "abc123", "machine": {"cores": 2}}))
+    (folder / "provenance.json").write_text(json.dumps({"finished": True, "commit": "abc123", "machine": {"cores": 2}}))
     write(
         folder / "eval" / "checkpoints.csv",
         [
@@ -146,7 +153,7 @@ def make_evaluation(folder: Path, task: str, rng: np.random.Generator, episodes:
     write(folder / "eval" / "paths.csv", paths)
     if task == "cycle":
         write(folder / "eval" / "options.csv", options)
-    statistics.write_summary(folder / "eval", [], 500)
+    write_json(folder / "eval" / "summary.json", summarise(records_of(rows, "episodes"), [], 500))
 
 
 def make_demo(folder: Path, rows: int = 40, episodes: int = 21) -> Path:
@@ -216,13 +223,9 @@ def test_text_of_a_run_is_escaped(tmp_path):
 
 
 def test_paths_without_a_human_or_a_cell_are_drawn(demo):
-    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)["0", ""]
-    alone = {
-        **path,
-        "human_x": np.full_like(path["human_x"], 50.0),
-        "human_distance_m": np.full_like(path["step"], np.nan),
-    }
-    figure = figures.paths({("0", ""): alone}, {}, {})
+    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)[0, None]
+    alone = path.assign(human_x=50.0, human_distance_m=np.nan)
+    figure = overview({(0, None): alone}, {}, {})
     assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "Top view",
         "Side view",
@@ -243,9 +246,8 @@ def test_paths_without_a_human_or_a_cell_are_drawn(demo):
     ],
 )
 def test_endings_are_told_apart(changes, words):
-    assert (
-        run_folder.termination({"success": "0", "human_collision": "0", "other_collision": "none", **changes}) == words
-    )
+    row = {"episode": "0", "success": "0", "human_collision": "0", "other_collision": "none", **changes}
+    assert list(terminations(records_of([row], "episodes"))) == [words]
 
 
 def test_a_lone_policy_has_no_option_timeline(tmp_path):
@@ -273,21 +275,38 @@ def test_a_folder_without_runs_is_named(tmp_path):
 
 
 def test_video_frames_are_real_time_and_the_yaw_does_not_spin():
-    path = {
-        "step": np.arange(101.0),
-        "human_yaw": np.where(np.arange(101) < 50, 3.1, -3.1),
-        "stage": np.arange(101.0) // 60,
-    }
+    yaw = np.where(np.arange(101) < 50, 3.1, -3.1)
+    path = DataFrame({"step": np.arange(101), "human_yaw": yaw, "stage": np.arange(101) // 60})
     shown = video.resample(path, frames_per_s=25)
     assert len(shown["step"]) == 2 * 25 + 1
     assert np.abs(np.diff(shown["human_yaw"])).max() < 0.2
     assert set(shown["stage"]) == {0.0, 1.0}
 
 
-def test_jitter_on_the_spot_is_no_walk_but_a_walk_swings_the_legs():
-    jitter = np.random.default_rng(0).normal(0, 0.01, 200)
-    walk = np.arange(200) * 0.8 / 25
-    assert video.gait(jitter, -jitter)[1].mean() < 0.5 * video.gait(walk, np.zeros(200))[1].mean()
+def test_the_gait_is_the_one_that_was_simulated():
+    config = compose("train", ["human=random_walk"]).human
+    rng = np.random.default_rng(0)
+    walk = humans.begin(config, np.array([[0.4, 0.8]]))
+    nobody = humans.around(np.zeros((0, 2)), 0.0, 1)
+    walks = [walk]
+    for _ in range(200):
+        walk = humans.advance(config, walk, rng.random((1, humans.NOISE)), np.zeros((1, 2)), nobody)
+        walks.append(walk)
+    phase, swing = video.gait(*np.concatenate([each.position for each in walks]).T)
+    simulated = [humans.gait(each) for each in walks]
+    assert phase == pytest.approx([float(each[0][0]) for each in simulated])
+    assert swing == pytest.approx([float(each[1][0]) for each in simulated])
+    assert 0 < swing.max() <= np.radians(25)
+
+
+def test_boundaries_of_curriculum_stages_are_drawn_and_named():
+    table = DataFrame({"policy_steps": np.arange(1, 31) * 1000, "episodes": np.arange(30), "success": 0.5})
+    plain = training.learning_curves({"pick": table})
+    staged = training.learning_curves({"pick": table.assign(stage=["far"] * 10 + ["near"] * 20)})
+    assert not [line for line in plain.axes[0].lines if line.get_linestyle() == ":"]
+    dotted = [line for axis in staged.axes for line in axis.lines if line.get_linestyle() == ":"]
+    assert {float(line.get_xdata()[0]) for line in dotted} == {10.0} and len(dotted) == 2
+    assert [text.get_text().strip() for text in staged.axes[0].texts] == ["far", "near"]
 
 
 def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
@@ -300,7 +319,7 @@ def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
 
 def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     run = run_folder.find_runs(demo)[0]
-    path = {name: values[:12] for name, values in run_folder.recorded_paths(run, 1)["0", ""].items()}
+    path = run_folder.recorded_paths(run, 1)[0, None][:12]
     robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
     try:
         file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))

@@ -14,11 +14,11 @@ from hrl_comfort.__main__ import main
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.files.sweep_record import find_jobs
 from hrl_comfort.sweeps.subprocesses import run_in_subprocess
 from hrl_comfort.training import controller_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining, train_meta_controller
-from hrl_comfort.training.logger import read_provenance
 from hrl_comfort.training.preemption import Preempted
 from tests.stopping import stopping
 
@@ -60,7 +60,7 @@ def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, 
         train_meta_controller(config_of(folder))
     train_meta_controller(resumed(folder))
     assert same(folder, whole)
-    assert read_provenance(folder)["finished"] and not checkpoint.resumable(folder / "checkpoints")
+    assert read_provenance(folder).finished and not checkpoint.resumable(folder / "checkpoints")
 
 
 def test_a_controllers_training_told_to_stop_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch):
@@ -74,7 +74,7 @@ def test_a_controllers_training_told_to_stop_goes_on_to_the_same_bits(whole, tmp
         patch.setattr(module, "asked_to_stop", told_soon)
         with pytest.raises(Preempted, match="go on with train meta_controller resume="):
             train_meta_controller(config_of(folder))
-    assert not read_provenance(folder)["finished"]
+    assert not read_provenance(folder).finished
     with pytest.raises(ConfigError, match="already holds a run; choose another, or say resume="):
         train_meta_controller(config_of(folder))
     assert main(["train", "meta_controller", f"resume='{folder}'"]) == 0

@@ -1,4 +1,4 @@
-"""What is left to do of a job whose folder is there already: so a sweep can be started again."""
+"""The work left in a job whose folder exists already, so that a sweep can be started again."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from pathlib import Path
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import load_config
+from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.hierarchy.q_learning import choice_file
 from hrl_comfort.policies.actor import policy_file
-from hrl_comfort.training.logger import read_provenance
 
 
 class OtherRunError(ConfigError):
-    """The folder of a job holds a run that is none of this sweep."""
+    """The folder of a job holds a run of another sweep."""
 
 
 class Left(Enum):
-    """What is left to do of a job."""
+    """The work left in a job."""
 
     ALL = "done"
     REST = "resumed"
@@ -27,7 +27,7 @@ class Left(Enum):
 
 
 def left(config: TrainConfig | MetaControllerTrainConfig | EvaluateConfig) -> Left:
-    """Return what is left of the job that `config` describes, by what is in its output folder.
+    """Return the work left in the job that `config` describes, by the content of its output folder.
 
     An evaluation is finished while its summary is newer than every policy of it.
 
@@ -44,7 +44,7 @@ def left(config: TrainConfig | MetaControllerTrainConfig | EvaluateConfig) -> Le
         return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
     if not same:
         raise OtherRunError(f"output={folder} holds another run; choose another, or delete it")
-    if (folder / "provenance.json").is_file() and read_provenance(folder)["finished"]:
+    if (folder / "provenance.json").is_file() and read_provenance(folder).finished:
         return Left.NOTHING
     return Left.REST if checkpoint.resumable(folder / "checkpoints") else Left.ALL
 

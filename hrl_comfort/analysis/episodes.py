@@ -1,0 +1,80 @@
+"""How episodes end, in words, and how far their chains of options get."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas import DataFrame
+
+from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
+from hrl_comfort.files.tables import column
+
+TERMINATIONS = (
+    "success",
+    "robot hit human",
+    "human walked into still robot",
+    "hit table",
+    "self-collision",
+    "time limit",
+)
+LEVEL = r"(?:_as_\d+)?"
+"""End of the name of an option with a level of its own."""
+PICK = re.compile(rf"pick_(\d+){LEVEL}")
+"""An option that picks one of several balls."""
+
+
+def terminations(episodes: DataFrame) -> pd.Series:
+    """Return how each of n episodes ended, in words: one of TERMINATIONS or `other`."""
+    hit, moving = column(episodes, "human_collision") > 0, column(episodes, "robot_moving_at_collision")
+    other = episodes["other_collision"] if "other_collision" in episodes else pd.Series("none", episodes.index)
+    conditions = [
+        column(episodes, "success") > 0,
+        hit & (moving != 0),
+        hit,
+        (other == "table").to_numpy(dtype=bool),
+        (other == "self").to_numpy(dtype=bool),
+        column(episodes, "truncated") > 0,
+    ]
+    return pd.Series(np.select(conditions, TERMINATIONS, "other"), index=episodes.index)
+
+
+def success(episodes: DataFrame) -> Estimate:
+    """Return the share of episodes that succeeded, and its interval."""
+    share = Clusters.of(episodes).estimate(column(episodes, "success"), bounds=SHARE)
+    assert share is not None, "every episode succeeds or fails"
+    return share
+
+
+def kind_of(option: str) -> str:
+    """Return what an option does: its name without the ball and the level it is told."""
+    return "pick" if PICK.fullmatch(option) else re.sub(f"{LEVEL}$", "", option)
+
+
+def chain_lengths(episodes: DataFrame, options: DataFrame, least: int = 0) -> list[dict[str, Any]]:
+    """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
+
+    As far as any episode got, and at least to `least`. What takes the task no further does not count: waits,
+    a pick whose ball was lost, and retreats, but for those that take the place of a return. What a retreat
+    places on its way home does not count either, nor does the pick after it.
+    """
+    done = dict.fromkeys(episodes["episode"], 0)
+    last: dict[Any, str] = {}
+    for episode, option, ended in zip(options["episode"], options["option"], options["termination"], strict=True):
+        kind, before = kind_of(option), last.get(episode)
+        if kind == "retreat" and before == "place":
+            kind = "return"
+        if ended != "success" or kind in ("wait", "retreat"):
+            continue
+        if (kind, before) != ("pick", "pick"):  # else the ball was lost, or placed on a way home
+            done[episode] += 1
+        last[episode] = kind
+    lengths, clusters = episodes["episode"].map(done).to_numpy(), Clusters.of(episodes)
+    found: list[dict[str, Any]] = []
+    for length in range(1, max(least, int(lengths.max(initial=0))) + 1):
+        share = clusters.estimate((lengths >= length).astype(float), bounds=SHARE)
+        assert share is not None, "an episode gets so far, or not"
+        found.append({"options": length, "success": share["mean"], "ci95": share["ci95"]})
+    return found

@@ -1,0 +1,73 @@
+"""From episodes to summary.json: means and 95 % intervals of groups of episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas import DataFrame
+
+from hrl_comfort.analysis.intervals import SHARE, UNBOUNDED, Clusters
+from hrl_comfort.config import ConfigError
+from hrl_comfort.files.tables import Floats, column
+
+KEYS = ("task", "policy", "human", "comfort_level", "precision_m", "split")
+"""Columns that always tell one group of episodes from another."""
+LABELS = (*KEYS, "train_seed", "episode_seed", "episode", "colour", "spawn_id", "motion_id", "seen")
+"""Columns that say which episode it was; every other numeric column is a metric."""
+COLLISIONS = {"other_collision": ("table", "self"), "table_collision": ("table",), "self_collision": ("self",)}
+
+
+def summarise(episodes: DataFrame, group_by: Sequence[str], max_episode_steps: int | Sequence[int]) -> dict[str, Any]:
+    """Return the summary of episodes: one group a task, policy, human, level, precision and `group_by`.
+
+    Steps and distances are over successful episodes; their `_all` twins over all, where a failed
+    episode's steps count as `max_episode_steps` (control steps) and its distances as measured.
+
+    Raises:
+      ConfigError: `group_by` names no column.
+    """
+    unknown = [name for name in group_by if name not in episodes]
+    if unknown:
+        raise ConfigError(f"group_by={unknown[0]!r} is not a column; choose among {', '.join(episodes)}")
+    names = [name for name in dict.fromkeys((*KEYS, *group_by)) if name in episodes or name != "split"]
+    limits = pd.Series(np.broadcast_to(max_episode_steps, len(episodes)), index=episodes.index)
+    groups = []
+    whole = episodes.reindex(columns=list(dict.fromkeys((*episodes, *names))))
+    for cells, group in whole.groupby(names, dropna=False, sort=False):
+        labels = {name: _label(cell) for name, cell in zip(names, cells, strict=True)}
+        metrics = _metrics(group.drop(columns=[*LABELS, *group_by], errors="ignore"), group, limits[group.index])
+        groups.append({**labels, "episodes": len(group), "metrics": metrics})
+    return {"groups": groups}
+
+
+def _label(cell: Any) -> str | float | int | bool | None:
+    """Return a group's label as JSON holds it."""
+    return None if pd.isna(cell) else cell.item() if isinstance(cell, np.generic) else cell
+
+
+def _metrics(measured: DataFrame, episodes: DataFrame, limits: pd.Series) -> dict[str, Any]:
+    """Return the metrics of one group of episodes; a metric without a value is absent."""
+    clusters, won = Clusters.of(episodes), column(episodes, "success") > 0
+    found = {}
+
+    def add(name: str, values: Floats, bounds: tuple[float, float] = UNBOUNDED) -> None:
+        if (estimate := clusters.estimate(values, bounds=bounds)) is not None:
+            found[name] = estimate
+
+    for name in measured.select_dtypes(["number", "bool", "boolean"]):
+        values = column(measured, name)
+        if name not in ("steps", "policy_steps") and "distance" not in name:
+            add(name, values, SHARE if measured[name].dtype in ("bool", "boolean") else UNBOUNDED)
+            continue
+        add(name, np.where(won, values, np.nan))
+        if name == "steps":
+            add("steps_all", np.where(won, values, limits))
+        elif name != "policy_steps":
+            add(f"{name}_all", values)
+    if "other_collision" in measured:
+        for name, kinds in COLLISIONS.items():
+            add(name, measured["other_collision"].isin(kinds).to_numpy(dtype=float), SHARE)
+    return found

@@ -1,0 +1,70 @@
+"""provenance.json: versions, commit, seeds and machine of a training, and how far it is."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import shutil
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, FiniteFloat
+
+from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.documents import read_json
+
+PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
+
+
+class Provenance(BaseModel):
+    """The content of provenance.json; further fields are kept as they are."""
+
+    model_config = ConfigDict(extra="allow")
+
+    finished: bool
+    commit: str | None = None
+    policy_steps: int = 0
+    wall_seconds: FiniteFloat = math.nan
+
+
+def read_provenance(folder: Path) -> Provenance:
+    """Return a run's provenance; raise ConfigError where it is missing or damaged."""
+    return read_json(folder / "provenance.json", Provenance)
+
+
+def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> None:
+    """Write versions, commit, seeds, machine and `progress` (finished, policy_steps, wall_seconds, …)."""
+    machine = {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()}
+    content = {
+        **progress,
+        "seeds": seeds,
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in PACKAGES},
+        "machine": machine,
+    }
+    write_json(folder / "provenance.json", content)
+
+
+def _commit() -> str | None:
+    """Return the commit of the package's checkout, with `+` if files differ; None in a wheel."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists() or shutil.which("git") is None:
+        return None
+    head = _git(root, "rev-parse", "HEAD")
+    return head and head + ("+" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
+
+
+def _git(root: Path, *words: str) -> str | None:
+    done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False)
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
