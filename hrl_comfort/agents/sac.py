@@ -86,6 +86,7 @@ class SAC:
         self.target_updater = SoftUpdate(self.loss, tau=config.tau)  # begins with equal networks
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
+        self._averaged = [*self.average.parameters()], [*self.actor.parameters()]
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = self._new_optimiser()
         self.buffer = self._new_buffer()
@@ -174,14 +175,14 @@ class SAC:
         self.optimiser.step()
         self.target_updater.step()
         with torch.no_grad():
-            torch._foreach_lerp_([*self.average.parameters()], [*self.actor.parameters()], self.config.ema_rate)
+            torch._foreach_lerp_(*self._averaged, self.config.ema_rate)
         self.updates += 1
         return terms
 
     def sample(self) -> TensorDict:
         """Return B transitions, observations normalised, with the noise (B, A) of both actions."""
         index = torch.randint(len(self.buffer), (self.config.batch_size,), generator=self.generator)
-        batch = self.buffer[index.to(self.device)]
+        batch = self.buffer.storage[index.to(self.device)]
         noise = torch.randn(2, *batch["action"].shape, generator=self.generator).to(self.device)
         batch["noise"], batch["next_noise"] = noise
         for part in (batch, batch["next"]):

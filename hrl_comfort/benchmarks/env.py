@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 
 import mujoco
 import numpy as np
@@ -13,95 +12,74 @@ import torch
 from mujoco import rollout
 from pandas import DataFrame
 
-from hrl_comfort.analysis.tables import markdown
+from hrl_comfort.benchmarks.measure import Rate, interleaved, ratios
 from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.dm import make_environment
-from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 
-ROWS = (1, 16, 64, 256)
-REPEATS = 5
-DECISIONS = 1024
-"""Decisions a measurement, over all rows."""
+NUM_ENVS = (1, 16, 64, 256)
+ROUNDS = 5
+POLICY_STEPS = 1024
+"""Policy steps of a measurement, over all cells."""
 OURS, BARE = "engine", "bare mujoco.rollout"
-COLUMNS = ["rows", "loop", "round", "policy_steps_per_s"]
+COLUMNS = ("num_envs", "loop", "round", "policy_steps_per_s")
 
 
 def bench_env(config: TrainConfig) -> Path:
-    """Print decisions a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
+    """Print policy steps a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads; measurements are interleaved. The dm_control front is
-    measured at one row. What is measured goes to env.csv, which is returned.
+    Both run the same model, substeps and threads. The dm_control front is measured with one cell. Write the
+    measurements to env.csv and return it.
     """
     torch.set_num_threads(1)
     env = environment(config)
-    rates: list[list[object]] = []
-    for rows in ROWS:
-        loops = {OURS: engine_loop(env, rows), BARE: bare_loop(env, rows)}
-        if rows == 1:
-            loops["dm_control front"] = dm_loop(env)
-        for turn in range(REPEATS):
-            rates += [[rows, name, turn, rate(step, rows)] for name, step in loops.items()]
+
+    def loops(cells: int) -> dict[str, Rate]:
+        found = {OURS: timed(engine_loop(env, cells), cells), BARE: timed(bare_loop(env, cells), cells)}
+        return found | ({"dm_control front": timed(dm_loop(env), 1)} if cells == 1 else {})
+
     path = Path(config.output) / "env.csv"
-    write_table(path, COLUMNS, rates)
-    print(table(read_table(path)), end="")
+    print(table(interleaved(path, COLUMNS, NUM_ENVS, loops, ROUNDS)), end="")
     return path
 
 
-def table(rates: DataFrame) -> str:
+def table(frame: DataFrame) -> str:
     """Return the rows of env.csv as a Markdown table: medians, ranges and ratios."""
-    return medians(rates, COLUMNS, BARE, lambda mine, bare: mine / bare, "of bare rollout")
+    return ratios(frame, BARE, "of bare rollout")
 
 
-def medians(
-    rates: DataFrame, columns: Sequence[str], peer: str, ratio: Callable[[float, float], float], head: str
-) -> str:
-    """Return measurements as a Markdown table, with each one's ratio to `peer` in the same rounds.
+def timed(step: Callable[[], None], cells: int) -> Rate:
+    """Return the measurement of a loop whose call makes `cells` policy steps."""
 
-    Columns are those of the CSV: the size, who was measured, the round, the rate.
-    """
-    size, name, _, rate_of = columns
-    groups = rates.groupby([size, name], sort=False)[rate_of]
-    lines = []
-    for (count, who), each in groups:
-        ratios = [ratio(one, other) for one, other in zip(each, groups.get_group((count, peer)), strict=True)]
-        lines.append([str(count), who, ranged(each), "" if who == peer else ranged(ratios, 2)])
-    return markdown([size, name, rate_of.replace("_per_", "/"), head], lines)
+    def rate() -> float:
+        count = max(4, POLICY_STEPS // cells)
+        step()  # warm up
+        began = time.perf_counter()
+        for _ in range(count):
+            step()
+        return count * cells / (time.perf_counter() - began)
+
+    return rate
 
 
-def rate(step: Callable[[], None], rows: int) -> float:
-    """Return decisions a second of a loop whose call makes `rows` of them."""
-    count = max(4, DECISIONS // rows)
-    begin = time.perf_counter()
-    for _ in range(count):
-        step()
-    return count * rows / (time.perf_counter() - begin)
-
-
-def ranged(values: Sequence[float], digits: int = 0) -> str:
-    """Return the median and the range."""
-    return f"{median(values):,.{digits}f} ({min(values):,.{digits}f} to {max(values):,.{digits}f})"
-
-
-def engine_loop(env: EnvConfig, rows: int) -> Callable[[], None]:
-    """Return a call that makes one decision in each row and resets those that ended."""
-    engine, rng = Engine(env, rows, 0), np.random.default_rng(0)
-    engine.reset()
+def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
+    """Return a call that makes one policy step in each cell and resets those that ended."""
+    engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
+    shape = engine.reset().joint_target.shape
 
     def step() -> None:
-        outcome = engine.step(rng.uniform(-1, 1, (rows, 6)))
+        outcome = engine.step(rng.uniform(-1, 1, shape))
         engine.reset(np.flatnonzero(outcome.done.numpy()))
 
     return step
 
 
-def bare_loop(env: EnvConfig, rows: int) -> Callable[[], None]:
-    """Return a call that rolls the same model through as many substeps, with controls made beforehand."""
-    engine, rng = Engine(env, rows, 0), np.random.default_rng(0)
-    engine.reset()
-    control = engine.episodes.apply_action(rng.uniform(-1, 1, (rows, 6)))
+def bare_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
+    """Return a call that rolls the same model through as many substeps, with precomputed controls."""
+    engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
+    control = engine.episodes.apply_action(rng.uniform(-1, 1, engine.reset().joint_target.shape))
     data = [mujoco.MjData(engine.scene.model) for _ in range(env.engine.threads)]
     physics = engine.physics
 
@@ -112,12 +90,13 @@ def bare_loop(env: EnvConfig, rows: int) -> Callable[[], None]:
 
 
 def dm_loop(env: EnvConfig) -> Callable[[], None]:
-    """Return a call that makes one decision through the dm_control front."""
+    """Return a call that makes one policy step through the dm_control front."""
     environment, rng = make_environment(env, 0), np.random.default_rng(0)
+    shape = environment.action_spec().shape
     environment.reset()
 
     def step() -> None:
-        if environment.step(rng.uniform(-1, 1, 6)).last():
+        if environment.step(rng.uniform(-1, 1, shape)).last():
             environment.reset()
 
     return step

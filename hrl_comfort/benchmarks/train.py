@@ -1,122 +1,149 @@
-"""`hrl-comfort bench train`: wall-clock to 95 % success beside Stable-Baselines3's SAC."""
+"""`hrl-comfort bench train`: wall-clock to 95 % success beside TorchRL's and Stable-Baselines3's SAC."""
 
 from __future__ import annotations
 
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
-from importlib.util import find_spec
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from pandas import DataFrame
+from scipy.stats import bootstrap
 
 from hrl_comfort.agents.sac import matmul_precision
 from hrl_comfort.analysis.tables import markdown
-from hrl_comfort.benchmarks.env import ranged
-from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
+from hrl_comfort.benchmarks.measure import need_peers, spread
+from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
+from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
+from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training
 
-SEEDS = (0, 1, 2)
+SEEDS = range(10)
 GOAL = 0.95
 CHECK_EPISODES, CHECK_SEED = 200, 77_777
 """A check of the success: its episodes, always the same, drawn as in training."""
 CHECK_GROWTH = 1.05
-"""The next check is due when there are so many times the decisions: arrivals are told to 5 %, or to a
-decision of every cell where that is more."""
-LIMIT = 10_000
-"""Decisions after which a learner is given up."""
-OURS = "hrl-comfort"
-PEERS: dict[str, dict[str, Any]] = {
-    "Stable-Baselines3, 1 cell, an update a decision": {"cells": 1, "updates": 1},
-    "Stable-Baselines3, 1 cell, an update in 4 decisions": {"cells": 1, "every": 4, "updates": 1},
-    "Stable-Baselines3, 16 cells, 4 updates in 16 decisions": {"cells": 16, "updates": 4},
-    "Stable-Baselines3, 16 cells, 1 update in 16 decisions": {"cells": 16, "updates": 1},
-    "Stable-Baselines3, 1 cell, an update in 4 decisions, our products": {
-        "cells": 1, "every": 4, "updates": 1, "precision": None,
-    },
-}  # fmt: skip
-"""Settings of a peer: its cells, and its updates `every` so many decisions of each; `precision` of its
-products, `agent.matmul_precision` if None. A peer as it comes has PyTorch's own."""
-COLUMNS = ["learner", "seed", "reached", "policy_steps", "seconds"]
+"""Policy steps of a check over those of the check before."""
+RESAMPLES = 2000
+COLUMNS = ("task", "learner", "seed", "reached", "policy_steps", "seconds")
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-"""Observations (N, D) -> actions (N, 6)."""
+"""Raw observations (N, D) -> deterministic actions (N, A)."""
 
 
 class Clock:
-    """Seconds spent in training; checks are not training, and begin when updates do."""
+    """Seconds of training until two checks in a row reach GOAL; checks are not timed.
 
-    def __init__(self, check: Callable[[Act], bool], warmup: int) -> None:
-        self._check, self._began, self._due = check, 0.0, warmup * CHECK_GROWTH
+    `check` returns a policy's success share; the first check comes after `first` policy steps, and after
+    `limit` of them the race is lost.
+    """
+
+    def __init__(self, check: Callable[[Act], float], first: int, limit: int) -> None:
+        self._check, self._due, self._limit = check, first * CHECK_GROWTH, limit
+        self._began, self._above = 0.0, False
         self.seconds, self.reached = 0.0, False
 
     def start(self) -> None:
-        """Let the training begin: what it needs is there."""
+        """Start with the training; environments and networks exist by now."""
         self._began = time.perf_counter()
 
     def done(self, act: Act, policy_steps: int) -> bool:
-        """Return whether the race is over after so many decisions, checking if that is due."""
-        if policy_steps > self._due:
+        """Return whether the race is over after so many policy steps; check if that is due."""
+        over = policy_steps >= self._limit
+        if policy_steps > self._due or over:
             self._due = policy_steps * CHECK_GROWTH
             paused = time.perf_counter()
             self.seconds = paused - self._began
-            self.reached = self._check(act)
+            above = self._check(act) >= GOAL
+            self.reached, self._above = above and self._above, above
             self._began += time.perf_counter() - paused
-        return self.reached or policy_steps >= LIMIT
+        return self.reached or over
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Environments of a peer, and its gradient steps after so many policy steps of each."""
+
+    num_envs: int
+    updates: int
+    every: int = 1
 
 
 def bench_train(config: TrainConfig) -> Path:
-    """Print how long each learner takes to GOAL success, and how much longer than ours; return train.csv.
+    """Race to GOAL success in the task of `config`; print the table of train.csv and return its path.
 
-    The same task, network widths, batch, rates and discount for all; every learner normalises what it
-    observes. A learner has arrived when its deterministic policy succeeds in GOAL
-    of the checked episodes.
+    All learners have the same task, without curriculum or demonstrator, and the same network widths, batch
+    size, learning rate, target rate, discount and matmul precision; each normalises its observations. Races
+    that are in train.csv already are not run again.
 
     Raises:
       ConfigError: Stable-Baselines3 is not installed.
     """
-    if find_spec("stable_baselines3") is None:
-        raise ConfigError("bench train needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
+    need_peers()
     torch.set_num_threads(1)
-    agent = replace(config.agent, demonstrator=None, demonstrator_envs=0, next_skill=None)
-    config = replace(config, agent=agent)  # one core each
-    env = environment(config)
-    found: list[list[object]] = []
-    path = Path(config.output) / "train.csv"
+    agent = replace(config.agent, demonstrator=None, demonstrator_envs=0, next_skill=None, learning_rate_end=None)
+    config = replace(config, agent=agent, curriculum=replace(config.curriculum, kind="off"))
+    env, path = environment(config), Path(config.output) / "train.csv"
+    done = read_table(path)
+    rows: list[list[object]] = [] if done is None else done[list(COLUMNS)].to_numpy(object).tolist()
+    run = {(task, learner, seed) for task, learner, seed, *_ in rows}
     for seed in SEEDS:
-        for name in (OURS, *PEERS):
-            clock = Clock(lambda act: success(env, act) >= GOAL, config.agent.learning_starts)
-            if name == OURS:
+        for name, race in RACES.items():
+            if (config.task.name, name, seed) in run:
+                continue
+            clock = Clock(partial(success, env), agent.learning_starts, agent.policy_steps)
+            with matmul_precision(agent.matmul_precision):
                 policy_steps = race(replace(config, train_seed=seed, episode_seed=seed), clock)
-            else:
-                policy_steps = race_of_peer(config, env, seed, clock, **PEERS[name])
-            found.append([name, seed, clock.reached, policy_steps, f"{clock.seconds:.2f}"])
-            write_table(path, COLUMNS, found)
-    print(table(read_table(path)), end="")
+            rows.append([config.task.name, name, seed, clock.reached, policy_steps, round(clock.seconds, 2)])
+            write_table(path, COLUMNS, rows)
+    print(table(DataFrame(rows, columns=list(COLUMNS)).infer_objects()), end="")
     return path
 
 
-def table(races: DataFrame) -> str:
-    """Return the rows of train.csv as a Markdown table: medians, ranges, times ours; `-` if not reached."""
-    ours = races[races["learner"] == OURS].set_index("seed")
+def table(frame: DataFrame) -> str:
+    """Return the rows of train.csv as a Markdown table: medians, ranges, times ours with its 95 % interval.
+
+    Learners of which some did not arrive get lower bounds, marked by ≥: their time to the limit.
+    """
     lines = []
-    for name, each in races.groupby("learner", sort=False):
-        cells = ["-", "-", "-"]
-        if each["reached"].all():
-            seconds = each.set_index("seed")["seconds"]
-            ratio = ranged(list(seconds / ours["seconds"]), 2) if ours["reached"].all() else "-"
-            cells = [ranged(list(each["policy_steps"])), ranged(list(seconds), 1), "" if name == OURS else ratio]
-        lines.append([name, f"{each['reached'].sum()} of {len(each)}", *cells])
-    return markdown(["learner", "arrived", "policy_steps", "seconds", "times ours"], lines)
+    for (task, name), races in frame.groupby(["task", "learner"], sort=False):
+        ours = frame[(frame["task"] == task) & (frame["learner"] == OURS)]
+        bound = "" if races["reached"].all() else "≥ "
+        times = bound + times_ours(races, ours) if ours["reached"].all() else "-"
+        lines.append(
+            [
+                str(task),
+                str(name),
+                f"{races['reached'].sum()} of {len(races)}",
+                bound + spread(races["policy_steps"]),
+                bound + spread(races["seconds"], 1),
+                "" if name == OURS else times,
+            ]
+        )
+    return markdown(["task", "learner", "arrived", "policy_steps", "seconds", "times ours [95 %]"], lines)
+
+
+def times_ours(races: DataFrame, ours: DataFrame) -> str:
+    """Return the ratio of median seconds to those of `ours`, with the bootstrap interval over seeds."""
+    samples = races["seconds"].to_numpy(float), ours["seconds"].to_numpy(float)
+
+    def ratio(theirs: NDArray[np.float64], mine: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
+        return np.asarray(np.median(theirs, axis=axis) / np.median(mine, axis=axis))
+
+    text = f"{ratio(*samples):.2f}"
+    if min(len(sample) for sample in samples) < 2:
+        return text
+    low, high = bootstrap(samples, ratio, n_resamples=RESAMPLES, method="percentile", rng=0).confidence_interval
+    return f"{text} [{low:.2f}, {high:.2f}]"
 
 
 def success(env: EnvConfig, act: Act) -> float:
@@ -133,16 +160,15 @@ def success(env: EnvConfig, act: Act) -> float:
     return float(won.mean())
 
 
-def race(config: TrainConfig, clock: Clock) -> int:
-    """Train by this project until `clock` says so; return the decisions made."""
+def ours(config: TrainConfig, clock: Clock) -> int:
+    """Train by this project until `clock` says so; return the policy steps made."""
     with tempfile.TemporaryDirectory() as folder:
         training = Training(config, make_collector, Path(folder))
         learner = training.learner
         policy = ActorPolicy(learner.average, learner.normaliser, {"observation_dim": learner.observation_dim})
 
         def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-            actions: NDArray[np.float32] = policy(torch.from_numpy(observation)).numpy()
-            return actions
+            return np.asarray(policy(torch.from_numpy(observation)))
 
         clock.start()
         while not clock.done(act, training.policy_steps):
@@ -150,49 +176,86 @@ def race(config: TrainConfig, clock: Clock) -> int:
         return training.policy_steps
 
 
-def race_of_peer(
-    config: TrainConfig,
-    env: EnvConfig,
-    seed: int,
-    clock: Clock,
-    cells: int,
-    updates: int,
-    every: int = 1,
-    precision: str | None = "highest",
-) -> int:
-    """Train by Stable-Baselines3's SAC on the Gymnasium front until `clock` says so; return the decisions."""
-    from stable_baselines3 import SAC
+def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
+    """Train by TorchRL's SAC and collector until `clock` says so; return the policy steps made."""
+    from torchrl.collectors import Collector
+    from torchrl.envs import TransformedEnv
+    from torchrl.envs.transforms import VecNormV2
+
+    env, agent = environment(config), config.agent
+    torch.manual_seed(config.train_seed)
+    normalise = VecNormV2(["observation"], reduce_batch_dims=True)
+    cells = TransformedEnv(CellEnv(env, schedule.num_envs, config.episode_seed), normalise)
+    sizes = cells.observation_spec["observation"].shape[-1], cells.action_spec.shape[-1]
+    learner = TorchRLSAC(agent, *sizes, gamma=agent.gamma**env.task.action_repeat)
+    network = learner.policy[0].module
+
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        with torch.no_grad():
+            seen = (torch.from_numpy(observation) - normalise.loc["observation"]) / normalise.scale["observation"]
+            return np.asarray(network(seen)[0].tanh())
+
+    collector = Collector(
+        cells,
+        learner.policy,
+        frames_per_batch=schedule.num_envs * schedule.every,
+        total_frames=agent.policy_steps,
+        init_random_frames=agent.learning_starts,
+    )
+    policy_steps = 0
+    clock.start()
+    for transitions in collector:
+        learner.remember(transitions.reshape(-1))
+        policy_steps += transitions.numel()
+        for _ in range(schedule.updates if policy_steps > agent.learning_starts else 0):
+            learner.update()
+        if clock.done(act, policy_steps):
+            break
+    collector.shutdown()
+    return policy_steps
+
+
+def stable_baselines3(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
+    """Train by Stable-Baselines3's SAC on the Gymnasium front until `clock` says so; return the policy steps."""
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     from hrl_comfort.envs.gymnasium import CellGym
 
-    agent = config.agent
-    cell = VecNormalize(
-        DummyVecEnv([lambda: Monitor(CellGym(env)) for _ in range(cells)]), norm_reward=False, clip_obs=5.0
+    env, agent = environment(config), config.agent
+    cells = VecNormalize(
+        DummyVecEnv([lambda: Monitor(CellGym(env)) for _ in range(schedule.num_envs)]), norm_reward=False, clip_obs=5.0
     )
-    model = SAC(
-        "MlpPolicy", cell, seed=seed, device="cpu", learning_rate=agent.learning_rate, tau=agent.tau,
-        batch_size=agent.batch_size, gamma=agent.gamma**env.task.action_repeat,
-        buffer_size=agent.buffer_size, ent_coef=f"auto_{agent.entropy_coefficient}",
-        target_entropy=agent.target_entropy, learning_starts=agent.learning_starts,
-        train_freq=every, gradient_steps=updates, policy_kwargs={"net_arch": list(agent.hidden)},
+    model = stable_baselines3_sac(
+        agent, cells, agent.gamma**env.task.action_repeat,
+        seed=config.train_seed, train_freq=schedule.every, gradient_steps=schedule.updates,
     )  # fmt: skip
 
     class Check(BaseCallback):
         """Stops the training when the race is over."""
 
         def _on_training_start(self) -> None:
-            clock.start()  # cells have been reset by now, as ours have
+            clock.start()  # the cells have been reset by now
 
         def _on_step(self) -> bool:
             return not clock.done(act, self.num_timesteps)
 
     def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(model.predict(cell.normalize_obs(observation), deterministic=True)[0])
+        return np.asarray(model.predict(cells.normalize_obs(observation), deterministic=True)[0])
 
-    with matmul_precision(precision or agent.matmul_precision):
-        model.learn(LIMIT, callback=Check())
-    cell.close()
+    model.learn(agent.policy_steps, callback=Check())
+    cells.close()
     return int(model.num_timesteps)
+
+
+OURS = "hrl-comfort"
+RACES: dict[str, Callable[[TrainConfig, Clock], int]] = {
+    OURS: ours,
+    "TorchRL, 16 cells, 4 updates in 16 steps": partial(torchrl, schedule=Schedule(16, 4)),
+    "Stable-Baselines3, 1 cell, an update a step": partial(stable_baselines3, schedule=Schedule(1, 1)),
+    "Stable-Baselines3, 1 cell, an update in 4 steps": partial(stable_baselines3, schedule=Schedule(1, 1, every=4)),
+    "Stable-Baselines3, 16 cells, 4 updates in 16 steps": partial(stable_baselines3, schedule=Schedule(16, 4)),
+    "Stable-Baselines3, 16 cells, 1 update in 16 steps": partial(stable_baselines3, schedule=Schedule(16, 1)),
+}
+"""Learner -> function that trains it until the clock says so and returns the policy steps made."""

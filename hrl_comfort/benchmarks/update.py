@@ -5,202 +5,148 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
 from pandas import DataFrame
 from tensordict import TensorDict
-from tensordict.nn import NormalParamExtractor, TensorDictModule
-from torch import Tensor, nn
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
-from torchrl.objectives import SACLoss, SoftUpdate
 
 from hrl_comfort.agents.sac import SAC, matmul_precision
-from hrl_comfort.benchmarks.env import medians
-from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
+from hrl_comfort.benchmarks.measure import Rate, interleaved, need_peers, ratios
+from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
+from hrl_comfort.config import AgentConfig, TrainConfig
 from hrl_comfort.config.compose import environment
-from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.sim.engine import Engine
 
 BATCHES = (256, 1028)
 ROUNDS = 7
 SECONDS = 3.0
-"""Of each measurement, at least."""
+"""Least duration of a measurement."""
 STORED = 10_000
 """Transitions in the replay buffer."""
+Sizes = tuple[int, int]
+"""Width of an observation and of an action."""
 Update = Callable[[], object]
-COLUMNS = ["batch", "learner", "round", "updates_per_s"]
+COLUMNS = ("batch", "learner", "round", "updates_per_s")
 
 
 def bench_update(config: TrainConfig) -> Path:
     """Print gradient steps a second of each learner and our ratio to it; write update.csv and return it.
 
-    Same network widths, observations, actions, batches and buffers; one update is a sample, all losses, the
-    optimiser's step and the targets'. Peers are measured as they come and with our inner precision of
-    products. Rounds are interleaved; ratios are medians of the rounds' ratios.
+    Network widths, observations, actions, batches and buffers are equal; one update is a sample, all losses,
+    the optimiser's step and the targets'. Peers are measured at PyTorch's and at our matmul precision.
 
     Raises:
       ConfigError: Stable-Baselines3 is not installed.
     """
-    if find_spec("stable_baselines3") is None:
-        raise ConfigError("bench update needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
+    need_peers()
     torch.set_num_threads(1)
-    width = observation_width(config)
-    rates: list[list[object]] = []
-    for batch in BATCHES:
-        learners = {
-            name: at(precision or config.agent.matmul_precision, make(config.agent, width, batch))
+    sizes = observed_and_acted(config)
+
+    def learners(batch: int) -> dict[str, Rate]:
+        agent = replace(config.agent, batch_size=batch, buffer_size=STORED, critic_warmup_updates=0)
+        return {
+            name: timed(make(agent, sizes), precision or agent.matmul_precision)
             for name, (make, precision) in LEARNERS.items()
         }
-        for update in learners.values():
-            update()
-        for turn in range(ROUNDS):
-            rates += [[batch, name, turn, rate(update)] for name, update in learners.items()]
+
     path = Path(config.output) / "update.csv"
-    write_table(path, COLUMNS, rates)
-    print(table(read_table(path)), end="")
+    print(table(interleaved(path, COLUMNS, BATCHES, learners, ROUNDS)), end="")
     return path
 
 
-def table(rates: DataFrame) -> str:
+def table(frame: DataFrame) -> str:
     """Return the rows of update.csv as a Markdown table: medians, ranges and ratios."""
-    return medians(rates, COLUMNS, OURS, lambda theirs, ours: ours / theirs, "ours / theirs")
+    return ratios(frame, OURS, "ours / theirs", inverse=True)
 
 
-def observation_width(config: TrainConfig) -> int:
-    """Return how many numbers the policy of a training observes."""
+def observed_and_acted(config: TrainConfig) -> Sizes:
+    """Return the widths of a training's observations and actions."""
     engine = Engine(environment(config), 1, 0)
-    width = engine.episodes.subtask.observe(engine.reset()).shape[-1]
+    state = engine.reset()
+    sizes = engine.episodes.subtask.observe(state).shape[-1], state.joint_target.shape[-1]
     engine.close()
-    return width
+    return sizes
 
 
-def at(precision: str, update: Update) -> Update:
-    """Return the update with its float32 products computed at this inner precision."""
+def timed(update: Update, precision: str) -> Rate:
+    """Return the measurement of an update at this matmul precision, over at least SECONDS."""
 
-    def exact() -> None:
+    def rate() -> float:
         with matmul_precision(precision):
-            update()
+            update()  # warm up
+            began, count = time.perf_counter(), 0
+            while time.perf_counter() - began < SECONDS:
+                update()
+                count += 1
+            return count / (time.perf_counter() - began)
 
-    return exact
-
-
-def rate(update: Update) -> float:
-    """Return calls a second, over at least SECONDS."""
-    began, count = time.perf_counter(), 0
-    while time.perf_counter() - began < SECONDS:
-        update()
-        count += 1
-    return count / (time.perf_counter() - began)
+    return rate
 
 
-def transitions(width: int, actions: int = 6) -> dict[str, Tensor]:
-    """Return STORED made-up transitions."""
+def transitions(sizes: Sizes) -> TensorDict:
+    """Return STORED random transitions."""
     generator = torch.Generator().manual_seed(0)
-    before, after = torch.randn(2, STORED, width, generator=generator)
-    action = torch.rand(STORED, actions, generator=generator) * 2 - 1
-    reward = torch.randn(STORED, generator=generator)
-    terminated = torch.rand(STORED, generator=generator) < 0.05
-    return {"before": before, "after": after, "action": action, "reward": reward, "terminated": terminated}
+    before, after = torch.randn(2, STORED, sizes[0], generator=generator)
+    action = torch.rand(STORED, sizes[1], generator=generator) * 2 - 1
+    reward = torch.randn(STORED, 1, generator=generator)
+    terminated = torch.rand(STORED, 1, generator=generator) < 0.05
+    then = {"observation": after, "reward": reward, "terminated": terminated, "done": terminated}
+    return TensorDict({"observation": before, "action": action, "next": then}, batch_size=[STORED])
 
 
-def ours(agent: AgentConfig, width: int, batch: int) -> Update:
+def ours(agent: AgentConfig, sizes: Sizes) -> Update:
     """Return an update of this project's learner."""
-    return learner(agent, width, batch).update
-
-
-def learner(agent: AgentConfig, width: int, batch: int) -> SAC:
-    """Return this project's learner, its buffer filled with made-up transitions."""
-    agent = replace(agent, batch_size=batch, buffer_size=STORED, critic_warmup_updates=0)
-    one = SAC(replace(agent, demonstrator=None, demonstrator_envs=0), width, 6)
-    data = transitions(width)
-    steps = torch.full((STORED,), 5)
-    one.remember(data["before"], data["action"], data["reward"], data["after"], data["terminated"], steps)
-    return one
-
-
-def torchrl(agent: AgentConfig, width: int, batch: int) -> Update:
-    """Return an update by TorchRL's loss, SoftUpdate and replay buffer, one fused Adam for all losses."""
-    cells, activation = list(agent.hidden), nn.ReLU
-    body = nn.Sequential(MLP(width, 12, num_cells=cells, activation_class=activation), NormalParamExtractor())
-    policy = ProbabilisticActor(
-        TensorDictModule(body, in_keys=["observation"], out_keys=["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        distribution_class=TanhNormal,
-        return_log_prob=True,
+    learner = SAC(agent, *sizes)
+    data, steps = transitions(sizes), torch.full((STORED,), 5)
+    after = data["next"]
+    learner.remember(
+        data["observation"],
+        data["action"],
+        after["reward"][:, 0],
+        after["observation"],
+        after["terminated"][:, 0],
+        steps,
     )
-    critic = MLP(width + 6, 1, num_cells=cells, activation_class=activation)
-    loss = SACLoss(
-        policy,
-        ValueOperator(critic, in_keys=["observation", "action"]),
-        loss_function="l2",
-        target_entropy=-6.0,
-    )
-    loss.make_value_estimator(gamma=agent.gamma)
-    target = SoftUpdate(loss, tau=agent.tau)
-    optimiser = torch.optim.Adam(loss.parameters(), lr=agent.learning_rate, fused=True)
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(STORED), batch_size=batch)
-    data = transitions(width)
-    ended = data["terminated"][:, None]
-    after = {
-        "observation": data["after"],
-        "reward": data["reward"][:, None],
-        "terminated": ended,
-        "done": ended,
-    }
-    now: dict[str, Any] = {"observation": data["before"], "action": data["action"], "next": after}
-    buffer.extend(TensorDict(now, batch_size=[STORED]))
-
-    def update() -> None:
-        losses = loss(buffer.sample())
-        optimiser.zero_grad(set_to_none=True)
-        (losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]).backward()
-        optimiser.step()
-        target.step()
-
-    return update
+    return learner.update
 
 
-def stable_baselines3(agent: AgentConfig, width: int, batch: int) -> Update:
+def torchrl(agent: AgentConfig, sizes: Sizes) -> Update:
+    """Return an update of TorchRL's SAC."""
+    learner = TorchRLSAC(agent, *sizes, gamma=agent.gamma)
+    learner.remember(transitions(sizes))
+    return learner.update
+
+
+def stable_baselines3(agent: AgentConfig, sizes: Sizes) -> Update:
     """Return an update of Stable-Baselines3's SAC."""
     import gymnasium
     import numpy as np
     from gymnasium.spaces import Box
-    from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
 
     class Blank(gymnasium.Env[Any, Any]):
-        """Says how wide observations and actions are."""
+        """Environment of nothing but spaces."""
 
-        observation_space = Box(-np.inf, np.inf, (width,), np.float32)
-        action_space = Box(-1.0, 1.0, (6,), np.float32)
+        observation_space = Box(-np.inf, np.inf, sizes[:1], np.float32)
+        action_space = Box(-1.0, 1.0, sizes[1:], np.float32)
 
-    cells = list(agent.hidden)
-    model = SAC(
-        "MlpPolicy", Blank(), buffer_size=STORED, batch_size=batch, gamma=agent.gamma, tau=agent.tau,
-        learning_rate=agent.learning_rate, policy_kwargs={"net_arch": cells}, device="cpu",
-    )  # fmt: skip
+    model = stable_baselines3_sac(agent, Blank(), agent.gamma)
     model.set_logger(configure(None, []))
-    data = {name: values.numpy() for name, values in transitions(width).items()}
-    assert model.replay_buffer is not None
-    before, after, action, reward, ended = (
-        data[name] for name in ("before", "after", "action", "reward", "terminated")
-    )
-    for k in range(STORED):
-        at = slice(k, k + 1)
-        model.replay_buffer.add(before[at], after[at], action[at], reward[at], ended[at], [{}])
-    return lambda: model.train(gradient_steps=1, batch_size=batch)
+    data = {key: value.numpy() for key, value in transitions(sizes).flatten_keys(".").items()}
+    names = ("observation", "next.observation", "action", "next.reward", "next.terminated")
+    for row in zip(*(data[name] for name in names), strict=True):
+        model.replay_buffer.add(*row, [{}])
+    return lambda: model.train(gradient_steps=1, batch_size=agent.batch_size)
 
 
 OURS = "hrl-comfort"
-LEARNERS: dict[str, tuple[Callable[[AgentConfig, int, int], Update], str | None]] = {
+LEARNERS: dict[str, tuple[Callable[[AgentConfig, Sizes], Update], str | None]] = {
     OURS: (ours, None),
     "TorchRL SACLoss": (torchrl, "highest"),
     "Stable-Baselines3": (stable_baselines3, "highest"),
-    "TorchRL SACLoss, our products": (torchrl, None),
-    "Stable-Baselines3, our products": (stable_baselines3, None),
+    "TorchRL SACLoss, our precision": (torchrl, None),
+    "Stable-Baselines3, our precision": (stable_baselines3, None),
 }
-"""Name -> what makes its update, and its inner precision of products: `agent.matmul_precision` if None."""
+"""Name -> function that makes its update, and its matmul precision: `agent.matmul_precision` if None."""

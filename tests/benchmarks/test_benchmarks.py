@@ -1,123 +1,213 @@
-"""Benchmarks measure every contestant in every round; tables give medians and ratios. No time is asserted."""
+"""Every contestant runs in every round, races end by their rules, and tables say what the rows say."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from time import perf_counter, sleep
 
+import numpy as np
+import pandas as pd
 import pytest
+import torch
 from pandas import DataFrame
 
 from hrl_comfort.__main__ import main
-from hrl_comfort.benchmarks import env as bench
+from hrl_comfort.benchmarks import env as bench_env
+from hrl_comfort.benchmarks import measure
 from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
+from hrl_comfort.benchmarks.peers import TorchRLSAC
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import compose, environment
-from hrl_comfort.files.tables import read_table
+
+SMALL = ("agent.hidden=[16,16]", "agent.batch_size=16")
 
 
-def test_every_loop_of_the_environment_is_measured_in_every_round(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(bench, "ROWS", (1, 4))
-    monkeypatch.setattr(bench, "DECISIONS", 8)
-    assert main(["bench", "env", f"output={tmp_path}"]) == 0
-    rows = read_table(tmp_path / "env.csv")
-    loops = rows[rows["round"] == 0]
-    assert list(loops["loop"][loops["rows"] == 1]) == ["engine", "bare mujoco.rollout", "dm_control front"]
-    assert list(loops["loop"][loops["rows"] == 4]) == ["engine", "bare mujoco.rollout"]
-    assert len(rows) == bench.REPEATS * len(loops) and (rows["policy_steps_per_s"] > 0).all()
+def test_contestants_take_turns_in_every_round(tmp_path: Path) -> None:
+    calls: list[tuple[int, str]] = []
+
+    def make(size: int) -> dict[str, measure.Rate]:
+        return {name: lambda name=name: calls.append((size, name)) or size * 10.0 for name in "ab"}
+
+    frame = measure.interleaved(tmp_path / "x.csv", ("size", "who", "round", "rate"), (1, 2), make, rounds=2)
+    assert calls == [(size, name) for size in (1, 2) for _ in range(2) for name in "ab"]
+    assert frame["rate"].tolist() == [10.0] * 4 + [20.0] * 4
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "x.csv"), frame)
 
 
 def test_ratios_are_the_medians_of_those_of_each_round() -> None:
     rates = {"engine": (8, 30, 10), "bare mujoco.rollout": (10, 10, 20)}
-    rows = [
-        {"rows": 4, "loop": name, "round": k, "policy_steps_per_s": rate}
-        for name, each in rates.items()
-        for k, rate in enumerate(each)
-    ]
-    lines = bench.table(DataFrame(rows)).splitlines()
-    assert lines[2:] == [
+    rows = [(4, name, turn, rate) for name, each in rates.items() for turn, rate in enumerate(each)]
+    frame = DataFrame(rows, columns=list(bench_env.COLUMNS))
+    assert bench_env.table(frame).splitlines() == [
+        "| num_envs | loop | policy_steps/s | of bare rollout |",
+        "| --- | --- | --- | --- |",
         "| 4 | engine | 10 (8 to 30) | 0.80 (0.50 to 3.00) |",
         "| 4 | bare mujoco.rollout | 10 (10 to 20) |  |",
     ]
+    frame.columns = list(bench_update.COLUMNS)
+    frame["learner"] = frame["learner"].replace({"bare mujoco.rollout": "hrl-comfort"})
+    line = bench_update.table(frame).splitlines()[2]
+    assert line == "| 4 | engine | 10 (8 to 30) | 1.25 (0.33 to 2.00) |", "ours / theirs"
 
 
-@pytest.mark.parametrize("name", [name for name in bench_update.LEARNERS if "Stable" not in name])
-def test_every_learner_learns(name: str) -> None:
-    agent = compose("train", ["agent.hidden=[16,16]"]).agent
+def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(bench_env, "NUM_ENVS", (1, 4))
+    monkeypatch.setattr(bench_env, "POLICY_STEPS", 8)
+    made: dict[int, int] = {}
+    step = bench_env.Engine.step
+
+    def counted(engine, action):
+        made[len(action)] = made.get(len(action), 0) + 1
+        return step(engine, action)
+
+    monkeypatch.setattr(bench_env.Engine, "step", counted)
+    assert main(["bench", "env", f"output={tmp_path}"]) == 0
+    frame = pd.read_csv(tmp_path / "env.csv")
+    loops = ["engine", "bare mujoco.rollout"]
+    expected = [(1, name) for name in [*loops, "dm_control front"]] + [(4, name) for name in loops]
+    for turn in range(bench_env.ROUNDS):
+        rows = frame[frame["round"] == turn]
+        assert [*zip(rows["num_envs"], rows["loop"], strict=True)] == expected
+    # 8 steps of one cell, at least 4 of four cells, and one to warm up
+    assert made == {1: 9 * bench_env.ROUNDS, 4: 5 * bench_env.ROUNDS}
+
+
+@pytest.mark.parametrize("name", list(bench_update.LEARNERS))
+def test_an_update_of_every_learner_changes_its_networks(name: str, monkeypatch) -> None:
+    if "Stable" in name:
+        pytest.importorskip("stable_baselines3", reason="in the extra bench")
+    monkeypatch.setattr(bench_update, "STORED", 40)
+    monkeypatch.setattr(bench_update, "SECONDS", 0.0)
+    stepped: list[str] = []
+    adam = torch.optim.Adam.step
+
+    def step(optimiser: torch.optim.Adam, *rest: object) -> object:
+        stepped.append(torch.get_float32_matmul_precision())
+        return adam(optimiser, *rest)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", step)
     make, precision = bench_update.LEARNERS[name]
-    bench_update.at(precision or "medium", make(agent, 9, 8))()
+    bench_update.timed(make(compose("train", list(SMALL)).agent, (9, 6)), precision or "medium")()
+    optimisers = 3 if "Stable" in name else 1  # Stable-Baselines3 has one for each loss
+    assert stepped == [precision or "medium"] * optimisers, "one update to warm up, none in no time"
 
 
-def test_the_peer_from_stable_baselines_learns() -> None:
-    pytest.importorskip("stable_baselines3", reason="in the extra bench")
-    agent = compose("train", ["agent.hidden=[16,16]"]).agent
-    bench_update.LEARNERS["Stable-Baselines3"][0](agent, 9, 8)()
+def test_torchrls_sac_learns_towards_the_reward() -> None:
+    torch.manual_seed(0)
+    agent = compose("train", [*SMALL, "agent.learning_rate=3e-3", "agent.buffer_size=64"]).agent
+    learner = TorchRLSAC(agent, 9, 6, gamma=0.9)
+    learner.remember(bench_update.transitions((9, 6))[:64])
+    before = [p.detach().clone() for p in learner.loss.target_qvalue_network_params.values(True, True)]
+    for _ in range(3):
+        learner.update()
+    after = list(learner.loss.target_qvalue_network_params.values(True, True))
+    assert all(not torch.equal(p, q) for p, q in zip(before, after, strict=True))
 
 
-def test_without_the_peer_one_line_says_what_to_install(monkeypatch, capsys) -> None:
-    monkeypatch.setattr(bench_update, "find_spec", lambda _: None)
-    assert main(["bench", "update"]) == 1
+@pytest.mark.parametrize("what", ["update", "train"])
+def test_without_the_peer_one_line_says_what_to_install(what: str, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(measure, "find_spec", lambda _: None)
+    assert main(["bench", what]) == 1
     assert "pip install 'hrl-comfort[bench]'" in capsys.readouterr().err
 
 
-def race_config(folder: Path) -> TrainConfig:
-    """Return a training whose first update comes at once; nobody wins or loses by it."""
-    overrides = ["task=reach", "curriculum=off", "agent.learning_starts=20", "agent.batch_size=16"]
-    return compose("train", [*overrides, "agent.hidden=[16,16]", "engine.num_envs=4", f"output={folder}"])
+def race_config(folder: Path, policy_steps: int = 120) -> TrainConfig:
+    """Return a training whose first update comes at once and that ends soon."""
+    overrides = ["task=reach", "curriculum=off", "agent.learning_starts=20", f"agent.policy_steps={policy_steps}"]
+    return compose("train", [*overrides, *SMALL, "engine.num_envs=4", f"output={folder}"])
 
 
-def test_a_race_ends_at_success_or_at_the_limit_and_checks_are_not_timed(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(bench_train, "LIMIT", 120)
-    monkeypatch.setattr(bench_train, "CHECK_GROWTH", 2)  # checks are due past 40 decisions, then past 88
-    checks = iter([False, True])
-    clock = bench_train.Clock(lambda act: next(checks), warmup=20)
-    assert bench_train.race(race_config(tmp_path), clock) == 92 and clock.reached
-    late = bench_train.Clock(lambda act: False, warmup=20)
-    assert bench_train.race(race_config(tmp_path), late) == 120 and not late.reached
+def over_after(shares: list[float]) -> tuple[int, bool]:
+    """Return the policy steps at which a race with these checks is over, and whether it was won."""
+    checks: Iterator[float] = iter(shares)
+    clock = bench_train.Clock(lambda act: next(checks), first=10, limit=20)
+    clock.start()
+    return next(steps for steps in range(1, 100) if clock.done(np.asarray, steps)), clock.reached
 
-    made: list[None] = []
-    slow = bench_train.Clock(lambda act: made.append(sleep(0.2)) is not None, warmup=20)
+
+def test_a_race_is_won_by_two_checks_in_a_row_and_lost_at_the_limit() -> None:
+    assert over_after([0.95, 0.95]) == (12, True)
+    assert over_after([0.95, 0.94, 1.0, 0.96]) == (14, True)
+    assert over_after([0.95, 0.9] * 10) == (20, False)
+    assert over_after([0.0] * 8 + [0.95, 0.95]) == (20, True)
+
+
+def test_checks_are_not_timed() -> None:
+    clock = bench_train.Clock(lambda act: sleep(0.2) or 1.0, first=1, limit=99)
     began = perf_counter()
-    bench_train.race(race_config(tmp_path), slow)
-    assert len(made) == 2 and slow.seconds < perf_counter() - began - 0.4
+    clock.start()
+    assert [clock.done(np.asarray, steps) for steps in (2, 4)] == [False, True]
+    assert clock.seconds < perf_counter() - began - 0.4
 
 
-def test_the_peer_races_on_the_same_cells(tmp_path: Path, monkeypatch) -> None:
-    pytest.importorskip("stable_baselines3", reason="in the extra bench")
-    monkeypatch.setattr(bench_train, "LIMIT", 60)
-    monkeypatch.setattr(bench_train, "CHECK_GROWTH", 2)
+@pytest.mark.parametrize("name", list(bench_train.RACES))
+def test_every_learner_races_to_the_limit_on_the_task_it_is_checked_on(name: str, tmp_path: Path, monkeypatch) -> None:
+    if "Stable" in name:
+        pytest.importorskip("stable_baselines3", reason="in the extra bench")
+    monkeypatch.setattr(bench_train, "CHECK_GROWTH", 2.0)
     monkeypatch.setattr(bench_train, "CHECK_EPISODES", 2)
-    config = race_config(tmp_path)
-    env = environment(config)
+    config = race_config(tmp_path, 64)
     shares: list[float] = []
+    width = bench_update.observed_and_acted(config)[0]
 
-    def check(act: bench_train.Act) -> bool:
-        shares.append(bench_train.success(env, act))
-        return False
+    def check(act: bench_train.Act) -> float:
+        actions = act(np.zeros((3, width), dtype=np.float32))
+        assert actions.shape == (3, 6) and np.abs(actions).max() <= 1.0
+        assert np.array_equal(actions, act(np.zeros((3, width), dtype=np.float32))), "no exploration"
+        shares.append(bench_train.success(environment(config), act))
+        return shares[-1]
 
-    made = bench_train.race_of_peer(config, env, 0, bench_train.Clock(check, 20), cells=2, updates=1)
-    assert made == 60 and len(shares) == 1 and 0.0 <= shares[0] <= 1.0
+    clock = bench_train.Clock(check, config.agent.learning_starts, config.agent.policy_steps)
+    assert bench_train.RACES[name](config, clock) == 64
+    assert len(shares) == 2 and clock.reached == (min(shares) >= bench_train.GOAL)
 
 
-def test_who_does_not_arrive_gets_no_time() -> None:
+def test_every_learner_races_with_every_seed_once_and_a_stopped_benchmark_goes_on(tmp_path: Path, monkeypatch) -> None:
+    raced: list[tuple[str, int]] = []
+    stop = 3
+
+    def race(config: TrainConfig, clock: bench_train.Clock, name: str) -> int:
+        if len(raced) == stop:
+            raise KeyboardInterrupt
+        assert config.curriculum.kind == "off" and config.agent.learning_rate_end is None
+        assert torch.get_float32_matmul_precision() == config.agent.matmul_precision
+        raced.append((name, config.train_seed))
+        return 100
+
+    races = {name: partial(race, name=name) for name in ("hrl-comfort", "other")}
+    monkeypatch.setattr(bench_train, "RACES", races)
+    monkeypatch.setattr(bench_train, "SEEDS", range(2))
+    monkeypatch.setattr(bench_train, "need_peers", lambda: None)
+    words = ["bench", "train", "task=reach", "agent.learning_rate_end=1e-4", f"output={tmp_path}"]
+    assert main(words) == 130
+    stop = 99
+    assert main(words) == 0
+    assert raced == [(name, seed) for seed in range(2) for name in races]
+    frame = pd.read_csv(tmp_path / "train.csv")
+    assert [*zip(frame["learner"], frame["seed"], strict=True)] == raced and set(frame["task"]) == {"reach"}
+
+
+def test_the_race_is_told_in_times_ours_with_an_interval_and_lower_bounds() -> None:
+    seconds = {"hrl-comfort": (1, 2, 3), "other": (4, 8, 6), "late": (50, 60, 70)}
     rows = [
         {
+            "task": "pick",
             "learner": name,
             "seed": seed,
-            "reached": reached,
+            "reached": name != "late",
             "policy_steps": 100,
-            "seconds": float(seconds),
+            "seconds": value,
         }
-        for name, seconds, reached in (
-            ("hrl-comfort", "2", True),
-            ("other", "6", True),
-            ("late", "50", False),
-        )
-        for seed in range(2)
+        for name, each in seconds.items()
+        for seed, value in enumerate(each)
     ]
-    lines = bench_train.table(DataFrame(rows)).splitlines()
-    late_ours = [{**row, "reached": row["learner"] != "hrl-comfort"} for row in rows]
-    assert bench_train.table(DataFrame(late_ours)).splitlines()[3].endswith("| 6.0 (6.0 to 6.0) | - |")  # nor a ratio
-    assert lines[3] == "| other | 2 of 2 | 100 (100 to 100) | 6.0 (6.0 to 6.0) | 3.00 (3.00 to 3.00) |"
-    assert lines[4] == "| late | 0 of 2 | - | - | - |"
+    frame = DataFrame(rows)
+    lines = bench_train.table(frame).splitlines()[2:]
+    assert lines[0] == "| pick | hrl-comfort | 3 of 3 | 100 (100 to 100) | 2.0 (1.0 to 3.0) |  |"
+    assert lines[1] == "| pick | other | 3 of 3 | 100 (100 to 100) | 6.0 (4.0 to 8.0) | 3.00 [1.33, 8.00] |"
+    assert lines[2].startswith("| pick | late | 0 of 3 | ≥ 100 (100 to 100) | ≥ 60.0 (50.0 to 70.0) | ≥ 30.00 [")
+    frame["reached"] = frame["learner"] != "hrl-comfort"
+    assert bench_train.table(frame).splitlines()[3].endswith("| 6.0 (4.0 to 8.0) | - |"), "nor a ratio"
