@@ -86,7 +86,7 @@ class SAC:
         self.target_updater = SoftUpdate(self.loss, tau=config.tau)  # begins with equal networks
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
-        self._averaged = [*self.average.parameters()], [*self.actor.parameters()]
+        self._averaged: tuple[list[Tensor], list[Tensor]] = ([*self.average.parameters()], [*self.actor.parameters()])
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = self._new_optimiser()
         self.buffer = self._new_buffer()
