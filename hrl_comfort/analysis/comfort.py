@@ -161,7 +161,7 @@ def mean_at_levels(data: Paired, name: str, over: str) -> list[dict[str, Any] | 
     """Return mean, ci95 and number of episodes of a measure at each level; None where it has no value."""
     found: list[dict[str, Any] | None] = []
     for values in data.over(name, over).T:
-        estimate = data.clusters.estimate(values, bounds=SHARE if name in RATES else UNBOUNDED)
+        estimate = data.clusters.estimate(values, bounds=SHARE if name in (*RATES, "waiting_share") else UNBOUNDED)
         found.append(None if estimate is None else {**estimate, "episodes": int(np.isfinite(values).sum())})
     return found
 

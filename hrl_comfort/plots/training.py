@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.learning_curve import curve_of
 from hrl_comfort.files.tables import Floats, column
-from hrl_comfort.plots.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, around, curve, panels, styled
+from hrl_comfort.plots.style import BLACK, BLUE, GREEN, GREY, OUTLINE, PURPLE, VERMILLION, around, curve, panels, styled
 
 DIAGNOSTICS = (("return", "return", BLUE), ("q_mean", "mean Q", GREEN), ("entropy", "entropy (nats)", PURPLE))
 CONTROLLER = (("success", "success (share)", BLUE), ("steps", "steps", GREEN), ("return", "return", PURPLE))
@@ -23,7 +24,7 @@ def _thousands(table: DataFrame) -> Floats:
 
 
 def _stages(axes: Sequence[Axes], table: DataFrame) -> None:
-    """Draw a line at every boundary of curriculum stages, with the name of each stage in the first axis."""
+    """Draw a line at every boundary of curriculum stages, with the name of each stage in the last axis."""
     if "stage" not in table or table["stage"].nunique() < 2:
         return
     x, names = _thousands(table), table["stage"].fillna("").to_numpy()
@@ -32,9 +33,10 @@ def _stages(axes: Sequence[Axes], table: DataFrame) -> None:
         for k in begins:
             axis.axvline(x[k - 1], color=GREY, linewidth=0.8, linestyle=":")
     for k in (0, *begins):
-        across = axes[0].get_xaxis_transform()
+        across = axes[-1].get_xaxis_transform()
         left = x[k - 1] if k else 0.0
-        axes[0].text(left, 0.02, f" {names[k]}", transform=across, fontsize=7, color=GREY, rotation=90, va="bottom")
+        look: dict[str, Any] = {"fontsize": 7, "color": GREY, "path_effects": [OUTLINE]}
+        axes[-1].text(left, 0.04, f" {names[k]}", transform=across, **look)
 
 
 def learning_curves(tables: Mapping[str, DataFrame]) -> Figure:

@@ -306,7 +306,7 @@ def test_boundaries_of_curriculum_stages_are_drawn_and_named():
     assert not [line for line in plain.axes[0].lines if line.get_linestyle() == ":"]
     dotted = [line for axis in staged.axes for line in axis.lines if line.get_linestyle() == ":"]
     assert {float(line.get_xdata()[0]) for line in dotted} == {10.0} and len(dotted) == 2
-    assert [text.get_text().strip() for text in staged.axes[0].texts] == ["far", "near"]
+    assert [text.get_text().strip() for text in staged.axes[1].texts] == ["far", "near"]
 
 
 def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
