@@ -1,16 +1,12 @@
-"""How a policy is taught."""
+"""Configuration of the curriculum and of the learner."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
-from hrl_comfort.config.checks import ConfigError, between, one_of, widths
-
-CURRICULA = ("off", "linear", "adaptive")
-DEVICES = ("cpu", "cuda")
-MATMUL_PRECISIONS = ("highest", "high", "medium")
+from hrl_comfort.config.checks import ConfigError, check_fields, choice, widths, within
 
 
 @dataclass(frozen=True)
@@ -19,21 +15,19 @@ class StageConfig:
 
     name: str
     """Written to the column `stage` of metrics.csv."""
-    policy_steps: int
+    policy_steps: Annotated[int, within(1, 1e9)]
     """Policy calls of this stage, over all environments."""
     set: dict[str, Any] = field(default_factory=dict)
     """Values by their dotted keys (`reward.pick: 20`), in force in this stage alone."""
-    replay: str = "clear"
-    """`clear` empties the replay buffer as the stage begins; `keep` goes on with it, old rewards included."""
-    optimiser: str = "fresh"
-    """`fresh` forgets the optimiser's moments as the stage begins; `keep` goes on with them."""
+    replay: Annotated[str, choice("keep", "clear")] = "clear"
+    """`clear` empties the replay buffer at the start of the stage; `keep` keeps it, old rewards included."""
+    optimiser: Annotated[str, choice("keep", "fresh")] = "fresh"
+    """`fresh` resets the optimiser's moments at the start of the stage; `keep` keeps them."""
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[\w.-]+", self.name):
             raise ConfigError(f"curriculum.stages: name={self.name!r} must be letters, digits and ._- only")
-        between(f"curriculum.stages ({self.name}): policy_steps", self.policy_steps, 1, 1e9)
-        one_of(f"curriculum.stages ({self.name}): replay", self.replay, ("keep", "clear"))
-        one_of(f"curriculum.stages ({self.name}): optimiser", self.optimiser, ("keep", "fresh"))
+        check_fields(f"curriculum.stages ({self.name})", self)
 
 
 @dataclass(frozen=True)
@@ -44,110 +38,90 @@ class CurriculumConfig:
     """
 
     stages: list[StageConfig]
-    """In the order in which they are trained; none: one stage of `agent.policy_steps`."""
-
-    kind: str
-    start_m: float
-    end_m: float
-    step_m: float
-    """`adaptive`: how much one tightening takes off."""
-    threshold: float
-    """`adaptive`: success share over the last `window` episodes that tightens."""
-    window: int
-    fraction: float
+    """Stages in order; none: one stage of `agent.policy_steps`."""
+    kind: Annotated[str, choice("off", "linear", "adaptive")]
+    """Precision schedule."""
+    start_m: Annotated[float, within(0.005, 0.5)]
+    """First grasp tolerance, at least `end_m`."""
+    end_m: Annotated[float, within(0.005, 0.5)]
+    """Last grasp tolerance."""
+    step_m: Annotated[float, within(0.001, 0.5)]
+    """`adaptive`: reduction of the tolerance at one tightening."""
+    threshold: Annotated[float, within(0.0, 1.0)]
+    """`adaptive`: success rate over the last `window` episodes that tightens."""
+    window: Annotated[int, within(1, 100_000)]
+    """`adaptive`: number of episodes."""
+    fraction: Annotated[float, within(0.01, 1.0)]
     """`linear`: share of the stage after which `end_m` is reached."""
 
     def __post_init__(self) -> None:
+        check_fields("curriculum", self)
+        within(self.end_m, 0.5)("curriculum.start_m", self.start_m)
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ConfigError(f"curriculum.stages are named {', '.join(names)}; give each a name of its own")
-        one_of("curriculum.kind", self.kind, CURRICULA)
-        between("curriculum.end_m", self.end_m, 0.005, 0.5)
-        between("curriculum.start_m", self.start_m, self.end_m, 0.5)
-        between("curriculum.step_m", self.step_m, 0.001, 0.5)
-        between("curriculum.threshold", self.threshold, 0.0, 1.0)
-        between("curriculum.window", self.window, 1, 100_000)
-        between("curriculum.fraction", self.fraction, 0.01, 1.0)
 
 
 @dataclass(frozen=True)
 class AgentConfig:
-    """Soft actor-critic (Haarnoja et al. 2018), the paper's network and rates by default."""
+    """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
-    policy_steps: int
-    """Policy calls to train for, over all rows."""
-    learning_starts: int
-    """Uniformly random decisions before the first update."""
-    updates_per_policy_step: float
-    critic_warmup_updates: int
-    """Updates in which the critics learn alone. Where training goes on from a policy under other rewards, the
-    old critics would spoil it first."""
-    batch_size: int
+    policy_steps: Annotated[int, within(1, 1e9)]
+    """Policy calls to train for, over all environments."""
+    learning_starts: Annotated[int, within(0, 1e8)]
+    """Policy steps with random actions before the first update."""
+    updates_per_policy_step: Annotated[float, within(0.0, 16.0)]
+    """Updates a policy step."""
+    critic_warmup_updates: Annotated[int, within(0, 1e9)]
+    """First updates of a training or stage that train the critics alone, for rewards that the policy does not know."""
+    batch_size: Annotated[int, within(1, 65536)]
+    """Transitions a batch."""
     buffer_size: int
-    learning_rate: float
-    learning_rate_end: float | None
-    """The learning rate falls linearly to this over the stage; null keeps it."""
+    """Capacity of the replay buffer in transitions, at least `batch_size`."""
+    learning_rate: Annotated[float, within(0.0, 1.0)]
+    """Learning rate of Adam."""
+    learning_rate_end: Annotated[float | None, within(0.0, 1.0)]
+    """Learning rate at the end of the stage, reached linearly; null keeps it."""
     critic_layer_norm: bool
     """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
-    tau: float
-    ema_rate: float
-    """Share of the newest actor, at each update, in the mean that policy files keep (Polyak and Juditsky
-    1992); 1 keeps the newest."""
-    gamma: float
-    """Discount per control step; a decision of k steps discounts by gamma**k."""
-    hidden: list[int]
-    entropy_coefficient: float
-    """Initial value; it is learned from there."""
-    target_entropy: float
+    tau: Annotated[float, within(0.0, 1.0)]
+    """Update rate of the target critics."""
+    ema_rate: Annotated[float, within(1e-6, 1.0)]
+    """Weight of the latest actor in the moving average that is saved (Polyak and Juditsky 1992); 1 saves the latest."""
+    gamma: Annotated[float, within(0.0, 1.0)]
+    """Discount a control step; a decision of k steps has gamma**k."""
+    hidden: Annotated[list[int], widths]
+    """Widths of the hidden layers."""
+    entropy_coefficient: Annotated[float, within(1e-8, 100.0)]
+    """Initial entropy coefficient, which is learned."""
+    target_entropy: Annotated[float, within(-1000.0, 1000.0)]
+    """Target entropy, nats."""
     normalise: bool
-    device: str
-    """Where the learner's networks and buffer live; the cells are simulated on the CPU."""
-    matmul_precision: str
-    """Inner precision of the learner's float32 matrix products (`torch.set_float32_matmul_precision`)."""
+    """Normalise observations by their running mean and variance."""
+    device: Annotated[str, choice("cpu", "cuda")]
+    """Device of the networks and the replay buffer; the simulation runs on the CPU."""
+    matmul_precision: Annotated[str, choice("highest", "high", "medium")]
+    """Inner precision of float32 matrix products (`torch.set_float32_matmul_precision`)."""
     demonstrator: str | None
-    """Policy that acts in `demonstrator_envs` environments: `potential_field`, `expert` or a run folder. Transitions
-    go to the replay buffer like all others."""
-    demonstrator_envs: int
-    """Of `engine.num_envs`; they count in no success share and in no row of metrics.csv."""
-    bc_weight: float
-    """Weight of the actor's squared distance from the guide's action, where the critics prefer that."""
+    """Policy in `demonstrator_envs` environments: `potential_field`, `expert` or a run folder; null for none."""
+    demonstrator_envs: Annotated[int, within(0, 65535)]
+    """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
+    bc_weight: Annotated[float, within(0.0, 1e6)]
+    """Weight of the actor's squared distance from demonstrated actions that the critics prefer."""
     next_skill: str | None
-    """The policy that takes over where this one succeeds: what that is worth to it counts as well."""
-    log_every: int
-    """Decisions between two rows of metrics.csv."""
-    checkpoint_every: int
-    """Decisions between two checkpoints."""
-    keep_checkpoints: int
+    """Run folder of the policy that follows a success; its value of the terminal state adds to the target."""
+    log_every: Annotated[int, within(1, 1e9)]
+    """Policy steps between two rows of metrics.csv."""
+    checkpoint_every: Annotated[int, within(1, 1e9)]
+    """Policy steps between two checkpoints."""
+    keep_checkpoints: Annotated[int, within(1, 1000)]
+    """Number of checkpoints to keep."""
 
     def __post_init__(self) -> None:
-        between("agent.policy_steps", self.policy_steps, 1, 1e9)
-        between("agent.learning_starts", self.learning_starts, 0, 1e8)
-        between("agent.updates_per_policy_step", self.updates_per_policy_step, 0.0, 16.0)
-        between("agent.critic_warmup_updates", self.critic_warmup_updates, 0, 1e9)
-        between("agent.batch_size", self.batch_size, 1, 65536)
-        between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
-        between("agent.learning_rate", self.learning_rate, 0.0, 1.0)
-        if self.learning_rate_end is not None:
-            between("agent.learning_rate_end", self.learning_rate_end, 0.0, 1.0)
-        between("agent.tau", self.tau, 0.0, 1.0)
-        between("agent.ema_rate", self.ema_rate, 1e-6, 1.0)
-        between("agent.gamma", self.gamma, 0.0, 1.0)
-        widths("agent.hidden", self.hidden)
-        between("agent.entropy_coefficient", self.entropy_coefficient, 1e-8, 100.0)
-        between("agent.target_entropy", self.target_entropy, -1000.0, 1000.0)
-        one_of("agent.device", self.device, DEVICES)
-        one_of("agent.matmul_precision", self.matmul_precision, MATMUL_PRECISIONS)
-        between("agent.demonstrator_envs", self.demonstrator_envs, 0, 65535)
-        if self.demonstrator == "":
-            raise ConfigError("agent.demonstrator='' names nobody; say agent.demonstrator=null for none")
+        check_fields("agent", self)
+        within(self.batch_size, 1e8)("agent.buffer_size", self.buffer_size)
         if (self.demonstrator is None) != (self.demonstrator_envs == 0):
             raise ConfigError(
                 f"agent.demonstrator_envs={self.demonstrator_envs} does not go with "
-                f"agent.demonstrator={self.demonstrator}"
+                f"agent.demonstrator={self.demonstrator}; give both, or null and 0"
             )
-        if self.next_skill == "":
-            raise ConfigError("agent.next_skill='' names nobody; say agent.next_skill=null for none")
-        between("agent.bc_weight", self.bc_weight, 0.0, 1e6)
-        between("agent.log_every", self.log_every, 1, 1e9)
-        between("agent.checkpoint_every", self.checkpoint_every, 1, 1e9)
-        between("agent.keep_checkpoints", self.keep_checkpoints, 1, 1000)

@@ -1,4 +1,4 @@
-"""Teach a controller above frozen policies which option to run: a thin loop over OptionEnv and QLearner."""
+"""`hrl-comfort train meta_controller`: the loop over OptionEnv and QLearner, above frozen policies."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ COLUMNS = ("options", "updates", "episodes", "success", "placed", "return", "ste
 def train_meta_controller(config: MetaControllerTrainConfig) -> Path:
     """Train as `config` says; return the run folder.
 
-    With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
-    it had never stopped (but for skills that act at random).
+    With `config.resume`, the training in that folder continues with its own config.yaml, bit for bit unless a
+    skill acts at random.
 
     Raises:
       ConfigError: a choice is not allowed, a policy is missing, or the folder is taken.
@@ -55,7 +55,7 @@ class ControllerTraining:
     """One training in progress."""
 
     _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
-    """Of its state, what is a number, a text or a list of them."""
+    """State that is numbers, texts or lists of them."""
 
     def __init__(self, config: MetaControllerTrainConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
@@ -83,7 +83,7 @@ class ControllerTraining:
         """Success, balls placed, undiscounted return and control steps of episodes since the last row."""
         self.returns = torch.zeros(config.engine.num_envs, dtype=torch.float64)
         self.now: TensorDictBase = self.env.reset()
-        """What the next options are chosen on."""
+        """Observations and masks of the next choice."""
         self._rows: list[str] = []
         """Lines of meta_controller_metrics.csv."""
         self._logged = 0
@@ -139,7 +139,7 @@ class ControllerTraining:
         return agent.exploration_start + share * (agent.exploration_end - agent.exploration_start)
 
     def step(self) -> None:
-        """Let options begin where rows decide, until the next ones end."""
+        """Start options where an environment awaits one, and step until the next options end."""
         now = self.now
         chosen: Tensor = self.learner.choose(now["observation"], now["action_mask"], self.exploration)
         stepped, self.now = self.env.step_and_maybe_reset(now.set("action", chosen))

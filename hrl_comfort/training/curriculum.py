@@ -1,24 +1,51 @@
-"""The precision asked for, as training goes on."""
+"""Stages of a training, and the precision schedule within a stage."""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
-from hrl_comfort.config import CurriculumConfig, PrecisionConfig
+from hrl_comfort.config import CurriculumConfig, PrecisionConfig, StageConfig, TrainConfig
+from hrl_comfort.config.stages import stages_of
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a training."""
+
+    setting: StageConfig
+    config: TrainConfig
+    """In force in this stage."""
+    begin: int
+    """Policy steps of the training at which it begins, over all environments; so the next two."""
+    end: int
+    replay_begin: int
+    """At which the replay buffer was last empty."""
+
+
+def stage_list(config: TrainConfig) -> list[Stage]:
+    """Return the stages of a training in order."""
+    stages: list[Stage] = []
+    begin = replay_begin = 0
+    for setting, changed in stages_of(config):
+        replay_begin = begin if setting.replay == "clear" else replay_begin
+        stages.append(Stage(setting, changed, begin, begin + setting.policy_steps, replay_begin))
+        begin = stages[-1].end
+    return stages
 
 
 class Curriculum:
-    """Precision schedule over one training of `decisions` decisions.
+    """Precision schedule over one stage of `policy_steps`.
 
-    `off` stays at the task's own precision; `linear` goes from start to end over a share of the
-    training; `adaptive` takes `step_m` off when the success share over the last `window` episodes
-    at the current precision reaches the threshold.
+    `off` stays at the task's own precision; `linear` goes from start to end over a share of the stage;
+    `adaptive` subtracts `step_m` when the success rate over the last `window` episodes at the current
+    precision reaches the threshold.
     """
 
     def __init__(self, config: CurriculumConfig, precision: PrecisionConfig, policy_steps: int) -> None:
         self._config = config
-        self._decisions = policy_steps
+        self._policy_steps = policy_steps
         self._precision_m = precision.grasp_tolerance_m if config.kind == "off" else config.start_m
         self._outcomes: deque[bool] = deque(maxlen=config.window)
 
@@ -29,18 +56,18 @@ class Curriculum:
 
     @property
     def finished(self) -> bool:
-        """True once nothing tighter will be asked for."""
+        """True at the tightest precision of the schedule."""
         return self._config.kind == "off" or self._precision_m <= self._config.end_m
 
     def advance(self, policy_steps: int, finished: list[tuple[float, bool]]) -> None:
-        """Take in the decisions made so far and (precision, success) of the episodes that just finished."""
+        """Update by the policy steps of the stage so far and (precision, success) of episodes that just ended."""
         config = self._config
         if config.kind == "linear":
-            share = min(1.0, policy_steps / (config.fraction * self._decisions))
+            share = min(1.0, policy_steps / (config.fraction * self._policy_steps))
             self._precision_m = config.start_m + share * (config.end_m - config.start_m)
         elif config.kind == "adaptive":
             for precision_m, success in finished:
-                # Episodes begun before the last tightening were easier: they say nothing of this one.
+                # Episodes that began before the last tightening were easier.
                 if precision_m == self._precision_m:
                     self._outcomes.append(success)
                     self._tighten_if_mastered()

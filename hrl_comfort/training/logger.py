@@ -1,4 +1,4 @@
-"""What a training leaves behind: its claim on a folder, and the rows of metrics.csv."""
+"""Files of a training: the lock on its folder, and the rows of metrics.csv."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def _begun(folder: Path) -> bool:
 
 
 class MetricsLog:
-    """The rows of metrics.csv, timing.csv and TensorBoard; each row averages what came since the one before.
+    """Rows of metrics.csv, timing.csv and TensorBoard; each averages over the time since the one before.
 
-    A column of which nothing came (no episode finished, no update done) is an empty cell, never a zero.
+    Without an episode or an update in that time, their columns are empty, never zero.
     """
 
     def __init__(self, folder: Path, reward_names: tuple[str, ...]) -> None:
@@ -72,7 +72,7 @@ class MetricsLog:
         self._board: SummaryWriter | None = None
 
     def start(self, policy_steps: int) -> None:
-        """Cut the files back to the rows that this log knows of, and open TensorBoard at `decisions`."""
+        """Cut the files back to the rows that this log knows of, and open TensorBoard at `policy_steps`."""
         for name, columns in (("metrics.csv", self.columns), ("timing.csv", TIMING)):
             path = self._folder / name
             lines = path.read_text().splitlines(keepends=True)[1 : self._rows + 1] if self._rows else []

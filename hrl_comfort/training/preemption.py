@@ -1,4 +1,4 @@
-"""SIGTERM, by which a cluster takes its machine back, as a wish to stop between two decisions."""
+"""Stopping between two decisions at SIGTERM, the signal by which a cluster preempts a job."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from contextlib import contextmanager
 
 
 class Preempted(BaseException):
-    """A training has stopped because it was told to; its checkpoint says where it goes on.
+    """A training stopped at SIGTERM, after writing a checkpoint.
 
-    No `Exception`: a sweep that notes the failures of its jobs stops too.
+    It is no `Exception`, so that a sweep, which records the failures of its jobs, stops too.
     """
 
 
 @contextmanager
 def asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Yield what tells whether SIGTERM has come since; outside the main thread, it never has."""
+    """Yield a function that returns whether SIGTERM has come; outside the main thread it never does."""
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked.is_set

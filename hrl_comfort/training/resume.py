@@ -1,4 +1,4 @@
-"""Going on with a training that was stopped: under its own configuration, from its newest good checkpoint."""
+"""Resuming a training: its own configuration and its newest good checkpoint."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ C = TypeVar("C", TrainConfig, MetaControllerTrainConfig)
 WHAT = {TrainConfig: "a subtask", MetaControllerTrainConfig: "a controller"}
 VERB = {TrainConfig: "train", MetaControllerTrainConfig: "train meta_controller"}
 MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError)
-"""What torch, TorchRL and this program raise at a state that is not the one they know."""
+"""Errors of torch, TorchRL and this program when a state does not fit."""
 
 
 class Resumable(Protocol):
-    """A training that `state_dict` describes to the bit."""
+    """A training that can continue bit for bit."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
 
 
 def stopped_config(folder: Path, kind: type[C]) -> C:
-    """Return the configuration under which the training in `folder` goes on there.
+    """Return the configuration of the stopped training in `folder`.
 
     Raises:
-        ConfigError: the folder is not that of such a training, or this is finished.
+        ConfigError: the folder has no such training, or it is finished.
     """
     config = load_config(folder)
     if not isinstance(config, TrainConfig | MetaControllerTrainConfig):
@@ -44,7 +44,7 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
 
 
 def go_on(training: Resumable, folder: Path) -> None:
-    """Let `training` continue from the newest good checkpoint in `folder`.
+    """Continue `training` from the newest good checkpoint in `folder`.
 
     Raises:
         ConfigError: there is none, or it belongs to another configuration.
@@ -61,5 +61,5 @@ def go_on(training: Resumable, folder: Path) -> None:
 
 
 def _first(error: BaseException) -> BaseException:
-    """Return what an error was raised from, and that from, to the beginning."""
+    """Return the first error in a chain of causes."""
     return error if error.__cause__ is None else _first(error.__cause__)

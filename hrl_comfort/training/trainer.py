@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,12 @@ import torchrl
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
-from hrl_comfort.config import StageConfig, TrainConfig
+from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import save_config
-from hrl_comfort.config.stages import stages_of
 from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.training.collector import Collector, Transition, make_collector
-from hrl_comfort.training.curriculum import Curriculum
+from hrl_comfort.training.curriculum import Curriculum, stage_list
 from hrl_comfort.training.logger import MetricsLog, claim
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 from hrl_comfort.training.progress import training_line
@@ -37,8 +35,7 @@ MakeCollector = Callable[[TrainConfig], Collector]
 def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
     """Train as `config` says and return the run folder.
 
-    With `config.resume`, the training in that folder goes on under its own config.yaml, bit for bit as if
-    it had never stopped.
+    With `config.resume`, the training in that folder continues with its own config.yaml, bit for bit.
 
     Raises:
         ConfigError: a choice is not allowed, or the folder is taken.
@@ -46,7 +43,7 @@ def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
     torch.set_num_threads(1)
-    torchrl.logger.setLevel("WARNING")  # it reports on every buffer that it allocates
+    torchrl.logger.setLevel("WARNING")  # it logs every buffer that it allocates
     folder = Path(config.resume or config.output)
     resumes = config.resume is not None
     with claim(folder, resume=resumes):
@@ -55,31 +52,6 @@ def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
             go_on(training, folder)
         training.run()
     return folder
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One stage of a training."""
-
-    setting: StageConfig
-    config: TrainConfig
-    """In force in this stage."""
-    begin: int
-    """Policy steps of the training at which it begins, over all environments; so the next two."""
-    end: int
-    replay_begin: int
-    """At which the replay buffer was last empty."""
-
-
-def stage_list(config: TrainConfig) -> list[Stage]:
-    """Return the stages of a training in order."""
-    stages: list[Stage] = []
-    begin = replay_begin = 0
-    for setting, changed in stages_of(config):
-        replay_begin = begin if setting.replay == "clear" else replay_begin
-        stages.append(Stage(setting, changed, begin, begin + setting.policy_steps, replay_begin))
-        begin = stages[-1].end
-    return stages
 
 
 class Training:
