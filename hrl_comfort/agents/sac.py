@@ -13,9 +13,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.objectives import SoftUpdate
 
-from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
+from hrl_comfort.agents.loss import FusedSoftUpdate, TwinSACLoss, bc_loss
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -83,7 +82,7 @@ class SAC:
             self.actor, self.critics, self.targets, config.gamma, config.target_entropy, config.entropy_coefficient
         )
         self.log_alpha = self.loss.log_alpha
-        self.target_updater = SoftUpdate(self.loss, tau=config.tau)  # begins with equal networks
+        self.target_updater = FusedSoftUpdate(self.loss, tau=config.tau)  # begins with equal networks
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
         self._averaged: tuple[list[Tensor], list[Tensor]] = ([*self.average.parameters()], [*self.actor.parameters()])
@@ -108,7 +107,7 @@ class SAC:
         self.config, self._stage_begin = config, self.updates
         self.load_networks(self.policy_state())
         self.loss.gamma, self.loss.target_entropy = config.gamma, config.target_entropy
-        self.target_updater = SoftUpdate(self.loss, tau=config.tau)
+        self.target_updater = FusedSoftUpdate(self.loss, tau=config.tau)
         if not keep_optimiser:
             self.optimiser = self._new_optimiser()
         self.optimiser.param_groups[0]["lr"] = config.learning_rate

@@ -13,7 +13,7 @@ from torch import nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
+from hrl_comfort.agents.loss import FusedSoftUpdate, TwinSACLoss, bc_loss
 from hrl_comfort.agents.networks import Actor, TwinCritics
 
 B, D, A = 64, 7, 3
@@ -130,11 +130,11 @@ def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(layer_norm: 
     assert not expected
 
 
-def test_training_is_that_of_torchrls_loss_with_the_same_target_updater() -> None:
+def test_training_is_that_of_torchrls_loss_and_target_updater() -> None:
     ours = twin_loss()
     finals = []
-    for loss in (torchrl_loss(ours), ours):
-        target = SoftUpdate(loss, tau=0.1)
+    for loss, updater in ((torchrl_loss(ours), SoftUpdate), (ours, FusedSoftUpdate)):
+        target = updater(loss, tau=0.1)
         optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
         for seed in range(10):
             data = batch(seed)
