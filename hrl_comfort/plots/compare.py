@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import Clusters
+from hrl_comfort.analysis.intervals import SHARE, UNBOUNDED, Clusters
 from hrl_comfort.analysis.tables import Quantity
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.run_folder import Run
@@ -28,13 +28,14 @@ def pooled(runs: Sequence[Run]) -> DataFrame:
     return pd.concat([run.episodes for run in runs if run.episodes is not None], ignore_index=True)
 
 
-def described(who: DataFrame, values: DataFrame, names: Sequence[str]) -> dict[str, Any]:
+def described(who: DataFrame, values: DataFrame, names: Sequence[str], shares: Collection[str] = ()) -> dict[str, Any]:
     """Return mean and 95 % interval of columns of values (n), whose rows are of the episodes `who` (n).
 
-    NaN is left out; so is a column without a value.
+    NaN is left out; so is a column without a value. Intervals of `shares` stay within 0 and 1.
     """
     clusters = Clusters.of(who)
-    estimates = {name: clusters.estimate(column(values, name)) for name in names}
+    bounds = {name: SHARE if name in shares else UNBOUNDED for name in names}
+    estimates = {name: clusters.estimate(column(values, name), bounds=bounds[name]) for name in names}
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 

@@ -77,7 +77,8 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     (first, own), *rest = ((label, earnings(runs)) for label, runs in groups.items())
     numbers: dict[str, Any] = {"controllers": {}, "differences": {}}
     for label, frame in ((first, own), *rest):
-        numbers["controllers"][label] = {"episodes": len(frame), **panels.described(frame, frame, list(PARTS))}
+        means = panels.described(frame, frame, list(PARTS), shares=("success",))
+        numbers["controllers"][label] = {"episodes": len(frame), **means}
     for label, frame in rest:
         panels.check_paired((first, label), own, frame)
         for mine, other in zip(groups[first], groups[label], strict=False):

@@ -88,7 +88,7 @@ def compare(groups: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
     numbers: dict[str, Any] = {"divisions": {}, "differences": {}}
     for label, frame in ((first, own), *rest):
         cost = DataFrame([trained(run) for run in groups[label]]).mean().to_dict()
-        means = panels.described(frame, frame, names)
+        means = panels.described(frame, frame, names, shares=("success", "moving"))
         numbers["divisions"][label] = {"episodes": len(frame), **cost, **means}
     for label, frame in rest:
         panels.check_paired((first, label), own, frame)
