@@ -23,6 +23,7 @@ from hrl_comfort.config.compose import compose
 PAGE = Path(__file__).resolve().parent / "configuration.md"
 COMMANDS = {
     "train": compose("train"),
+    "train hierarchy": compose("train_hierarchy"),
     "train meta_controller": compose("train_meta_controller"),
     "evaluate": compose("evaluate"),
     "report": compose("report", ["run=RUN"]),

@@ -1,4 +1,4 @@
-"""Fill the marked tables of docs/reproduce.md and docs/benchmarks.md: `python docs/tables.py`.
+"""Fill the marked tables of docs/tables/*.md and docs/benchmarks.md: `python docs/tables.py`.
 
 A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the
 kind `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of
@@ -23,7 +23,7 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots import controllers, divisions, handover
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (ROOT / "docs" / "reproduce.md", ROOT / "docs" / "benchmarks.md")
+PAGES = (ROOT / "docs" / "benchmarks.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
 REFERENCE = ROOT / "runs" / "reference"
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",

@@ -14,7 +14,7 @@ from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation.rollout import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OVERLAYS = sorted((ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
@@ -54,8 +54,17 @@ def test_tables_are_those_of_the_committed_evaluations() -> None:
         assert tables["filled"](page) == page, "run python docs/tables.py"
 
 
-def test_every_link_between_pages_leads_somewhere() -> None:
+def test_every_link_leads_to_a_file_and_a_heading() -> None:
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-            if not target.startswith("http"):
-                assert (page.parent / target).exists(), f"{page.name}: {target}"
+        for target, heading in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", page.read_text(encoding="utf-8")):
+            if target.startswith("http"):
+                continue
+            file = page.parent / target if target else page
+            assert file.exists(), f"{page.name}: {target}"
+            assert not heading or heading in headings(file), f"{page.name}: {target}#{heading}"
+
+
+def headings(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    lines = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines}

@@ -6,15 +6,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import ROOT, commands, run
+from tests.commands import ROOT, add_subtask, commands, run
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+FEW = {"env.ROUNDS": 1, "update.ROUNDS": 1, "update.SECONDS": 0.01, "update.BATCHES": (32,), "train.SEEDS": range(1)}
+"""Rounds and seeds of the benchmarks."""
 
 
 def check(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
+    for name, few in FEW.items():
+        monkeypatch.setattr(f"hrl_comfort.benchmarks.{name}", few)
+    package = None
+    if page.stem == "add_a_task":
+        package = folder / "copy"
+        add_subtask(page, package)
     for line in commands(page):
-        run(line)
+        run(line, package)
 
 
 def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
