@@ -59,7 +59,15 @@ def groups(root: str) -> dict[str, tuple[str, ...]]:
     """Return the choices of every group of `root`, by group."""
     defaults = OmegaConf.load(config_dir() / f"{root}.yaml").defaults
     names = [str(key) for entry in defaults if isinstance(entry, DictConfig) for key in entry]
-    return {name: choices(name) for name in names}
+    found = {name: choices(name) for name in names}
+    if "experiment" in found:
+        whole = root == "train_hierarchy"
+        found["experiment"] = tuple(name for name in found["experiment"] if _of_hierarchy(name) is whole)
+    return found
+
+
+def _of_hierarchy(experiment: str) -> bool:
+    return "hierarchy" in OmegaConf.load(config_dir() / "experiment" / f"{experiment}.yaml")
 
 
 def choices(group: str) -> tuple[str, ...]:
@@ -119,6 +127,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     if key in allowed:
         for value in parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]:
             if str(value) not in allowed[key] and not (key == "experiment" and value is None):
+                if key == "experiment" and str(value) in choices(key):
+                    verb = "train" if root == "train_hierarchy" else "train hierarchy"
+                    raise ConfigError(f"{line} is for another command: hrl-comfort {verb} {line}")
                 near = _near(str(value), allowed[key])
                 raise ConfigError(f"{key}={value} is not a choice{near}; choose one of {', '.join(allowed[key])}")
         return line

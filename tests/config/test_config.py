@@ -19,7 +19,11 @@ OWN = {
 NEEDED = {"playback": ["human.file=walk.csv"]}
 """Required overrides of choices."""
 CHOICES = [
-    (root, group, name) for root in ("train", "evaluate") for group, names in groups(root).items() for name in names
+    (root, group, name)
+    for root in ("train", "train_hierarchy", "evaluate")
+    for group, names in groups(root).items()
+    for name in names
+    if (root, group) != ("train_hierarchy", "task")  # it sets the task of each option itself
 ]
 
 
