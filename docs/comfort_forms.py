@@ -22,7 +22,7 @@ STYLES = dict(zip(LEVELS, ("-", "--", "-.", ":"), strict=True))
 COLOURS = dict(zip(LEVELS, ("#440154", "#31688e", "#35b779", "#d9a400"), strict=True))
 """Dark to light, as in viridis; the style of the line tells them apart too."""
 THRESHOLD = {"reference": "reference", "target_distance": "levels", "target_distance_one_sided": "levels"}
-"""What goes with a form; the others take `range`, which fits the paper's example."""
+"""Threshold of a form; the others take `range`, which fits the paper's example."""
 
 
 def draw(output: Path) -> None:

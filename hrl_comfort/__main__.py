@@ -164,7 +164,7 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "figure": figure,
     "bench": bench,
 }
-"""What each verb runs, alone or with the word after it."""
+"""Function of each verb, alone or with the word after it."""
 SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
 

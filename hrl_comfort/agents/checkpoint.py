@@ -22,7 +22,7 @@ DAMAGED = (
     RuntimeError, EOFError, OSError, KeyError, ValueError, struct.error, zlib.error, BadZipFile,
     pickle.UnpicklingError,
 )  # fmt: skip
-"""What zipfile and torch raise at a file with wrong bytes in it."""
+"""Errors of zipfile and torch at a damaged file."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 
 

@@ -1,4 +1,4 @@
-"""How episodes end, in words, and how far their chains of options get."""
+"""Terminations of episodes in words, and lengths of their chains of options."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from hrl_comfort.files.tables import column, read_table
 from hrl_comfort.plots.style import BLACK, CYCLE, styled
 
 STARTS = ("own", "previous", "expert")
-"""Where a subtask takes over: its own starts in training, where the policy before it stops, or the expert."""
+"""Starts of a subtask: its own in training, the terminal states of the policy before it, or of the expert."""
 SEAMS, CHAIN = "handover_episodes.csv", "chain.csv"
 
 

@@ -20,7 +20,7 @@ from hrl_comfort.plots.style import BLACK, CYCLE, around, styled
 SHOWN_TIMELINES = 12
 """Episodes of an option timeline, where none are named."""
 KINDS = ("pick", "place", "return", "retreat", "wait")
-"""What options do, in the order of their colours: the same in every timeline."""
+"""Kinds of options, in the order of their colours; the same in every timeline."""
 MARKS = {"failure": "X", "preempted": "D"}
 """Marks of options that did not succeed."""
 

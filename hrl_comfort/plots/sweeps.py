@@ -18,7 +18,7 @@ from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.plots.style import BLACK, CYCLE, band, smoothed, styled
 
 LOOKS = [(colour, dashes) for dashes, colour in product(("-", "--", ":", "-."), CYCLE)]
-"""How lines are told apart; so many can be drawn."""
+"""Line styles; as many combinations are drawn."""
 Points = tuple[Floats, Floats]
 """Progress in thousands and the score, as it is drawn; both (n,)."""
 

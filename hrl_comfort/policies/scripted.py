@@ -1,4 +1,4 @@
-"""Where scripted policies send the arm."""
+"""Goals of scripted policies."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def tool_distance(goal: StateFunction) -> StateFunction:
 
 @dataclass(frozen=True)
 class Subtask:
-    """What a policy observes, what it is paid for, when it has succeeded and where it starts."""
+    """Observations, rewards, success and start of one task."""
 
     name: str
     stages: tuple[Stage, ...]

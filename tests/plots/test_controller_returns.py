@@ -1,4 +1,4 @@
-"""What controllers earn, and by how much one earns more than another."""
+"""Returns of controllers and their differences."""
 
 from __future__ import annotations
 
