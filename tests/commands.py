@@ -66,6 +66,8 @@ def budget(words: list[str]) -> tuple[str, ...]:
     verb = " ".join(words[:2])
     if any(word.startswith(("resume=", "-h", "--")) for word in words):
         return ()
+    if any(word.startswith("terminal_states=") for word in words):
+        return ("episodes=8",)  # a ball of each colour
     return BUDGETS.get(verb, BUDGETS.get(words[0], ()) if words else ())
 
 

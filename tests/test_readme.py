@@ -9,7 +9,10 @@ import pytest
 from tests.commands import ROOT, add_subtask, commands, run
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-FEW = {"env.ROUNDS": 1, "update.ROUNDS": 1, "update.SECONDS": 0.01, "update.BATCHES": (32,), "train.SEEDS": range(1)}
+FEW = {
+    "env.ROUNDS": 1, "env.NUM_ENVS": (1, 4), "update.ROUNDS": 1, "update.SECONDS": 0.01, "update.BATCHES": (32,),
+    "train.SEEDS": range(1), "train.CHECK_EPISODES": 4, "train.CHECK_GROWTH": 4,
+}  # fmt: skip
 """Rounds and seeds of the benchmarks."""
 
 
