@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EnvConfig, HierarchyTrainConfig, TrainConfig
 from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
 from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze, schema
@@ -53,7 +53,7 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
 def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
     """Return the configuration `cls` of a composed `node`, with its stages checked and their budget settled.
 
-    A budget among the `overrides` scales the stages; else it is their sum.
+    A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
     """
     if not issubclass(cls, TrainConfig):
         return freeze(cls, node)
@@ -63,7 +63,17 @@ def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Confi
         node.agent.policy_steps = sum(stage.policy_steps for stage in stages)
     config = freeze(cls, node)
     stages_of(config)
-    return with_budget(config, total) if asked else config
+    if not asked:
+        return config
+    if isinstance(config, HierarchyTrainConfig) and stages:
+        share = total / config.agent.policy_steps
+        again = [
+            dataclasses.replace(each, policy_steps=max(1, round(share * each.policy_steps)))
+            for each in config.hierarchy.refinement
+        ]
+        hierarchy = dataclasses.replace(config.hierarchy, refinement=again)
+        config = dataclasses.replace(config, hierarchy=hierarchy)
+    return with_budget(config, total)
 
 
 def environment(config: EnvConfig) -> EnvConfig:
@@ -142,11 +152,12 @@ def run_folder(policy: str) -> Path | None:
     return next((folder for folder in candidates if (folder / "config.yaml").is_file()), None)
 
 
-def _evaluation_folder(policy: str | None, task: str) -> str:
+def _evaluation_folder(policy: str | None, task: str, split: str) -> str:
+    suffix = "" if split == "paper" else f"_{split}"
     folder = run_folder(policy) if policy else None
     if folder:
-        return str(folder / "eval")
-    return f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}"
+        return str(folder / f"eval{suffix}")
+    return f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}{suffix}"
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)

@@ -95,3 +95,18 @@ def test_a_sweep_runs_in_subprocesses(tmp_path, capsys):
     out = capsys.readouterr().out
     assert [line.split(":")[1].strip() for line in out.splitlines()] == ["policy=/no/a", "policy=/no/b"]
     assert "/no/a" in out.splitlines()[0].split(": ", 2)[2]
+
+
+def test_a_budget_scales_the_refinement_of_a_hierarchy_too():
+    whole = compose("train_hierarchy", ["experiment=comfort_cycle"])
+    cut = compose(
+        "train_hierarchy", ["experiment=comfort_cycle", f"agent.policy_steps={whole.agent.policy_steps // 10}"]
+    )
+    assert [stage.policy_steps for stage in cut.hierarchy.refinement] == [
+        stage.policy_steps // 10 for stage in whole.hierarchy.refinement
+    ]
+
+
+def test_splits_are_evaluated_in_folders_of_their_own():
+    folders = [compose("evaluate", ["policy=expert", f"split={split}"]).output for split in ("paper", "validation")]
+    assert folders == ["runs/evaluate/pick/expert", "runs/evaluate/pick/expert_validation"]
