@@ -1,4 +1,4 @@
-"""Whatever is in the file of a policy or a controller: one line, or finite actions and what can start."""
+"""Damaged files of policies and controllers get one line; the others give finite actions and choices."""
 
 from __future__ import annotations
 

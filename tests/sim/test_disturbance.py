@@ -1,4 +1,4 @@
-"""What goes wrong on purpose, and that controllers get over it."""
+"""Disturbances, and recovery from them by meta-controllers."""
 
 from __future__ import annotations
 
