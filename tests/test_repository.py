@@ -15,10 +15,8 @@ from hrl_comfort.policies.actor import load_policy
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
 MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.35
-SUPERSEDED_MB = 125.0
-"""Policies of superseded results, without a config.yaml beside them. They are to be deleted; then this is 0."""
 CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
-POLICIES = sorted(path for path in REFERENCE.rglob("policy.pt") if path.with_name("config.yaml").exists())
+POLICIES = sorted(REFERENCE.rglob("policy.pt"))
 
 
 def named(path: Path) -> str:
@@ -34,11 +32,8 @@ def test_committed_results_are_few_and_small() -> None:
     if listed.returncode != 0:
         pytest.skip("no git repository here")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
-    superseded = [path for path in files if path.name == "policy.pt" and path not in POLICIES]
-    kept = [path for path in files if path not in superseded]
-    assert len(kept) <= MAX_FILES
-    assert megabytes(kept) <= MAX_MB
-    assert megabytes(superseded) <= SUPERSEDED_MB
+    assert len(files) <= MAX_FILES
+    assert megabytes(files) <= MAX_MB
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=named)
