@@ -1,7 +1,8 @@
 """Registration of every subtask with Gymnasium on import (extra `gymnasium`).
 
 `gymnasium.make("hrl_comfort/Pick-v0", human="arc")` gives one cell,
-`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch.
+`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch. Without an import of this module the id is
+`"hrl_comfort.gym:hrl_comfort/Pick-v0"`.
 """
 
 from __future__ import annotations
@@ -13,20 +14,33 @@ from hrl_comfort.envs.gymnasium import CellGym, CellVector
 from hrl_comfort.tasks import SUBTASKS
 
 
-def make(task: str, **choices: object) -> CellGym:
-    """Return `task` as a Gymnasium environment of one cell; `choices` as in `hrl_comfort.load`."""
-    return CellGym(environment_of(task, choices))
+class TaskEnv(CellGym):
+    """A subtask by name as an environment of one cell; `choices` as in `hrl_comfort.load`."""
+
+    def __init__(self, task: str, render_mode: str | None = None, **choices: object) -> None:
+        """Build the cell.
+
+        Raises:
+          ConfigError: a choice is not allowed.
+          TypeError: an unknown keyword.
+        """
+        super().__init__(environment_of(task, choices), render_mode)
 
 
-def make_vec(task: str, num_envs: int = 1, **choices: object) -> CellVector:
-    """Return `task` as a Gymnasium vector environment of `num_envs` cells in one batch."""
-    return CellVector(environment_of(task, choices), num_envs)
+class TaskVectorEnv(CellVector):
+    """A subtask by name as a vector environment of `num_envs` cells in one batch; `choices` as of `TaskEnv`."""
+
+    def __init__(self, task: str, num_envs: int = 1, render_mode: str | None = None, **choices: object) -> None:
+        """Build the cells; raise as `TaskEnv` does, and ConfigError for a `num_envs` that is not allowed."""
+        super().__init__(environment_of(task, choices), num_envs, render_mode)
 
 
 IDS = {task: f"hrl_comfort/{task.title().replace('_', '')}-v0" for task in SUBTASKS if task != "sort"}
 """Gymnasium id of each subtask; `sort` is an environment of options (`hrl_comfort.hierarchy.option_env`)."""
 
 for _task, _id in IDS.items():
-    gymnasium.register(_id, f"{__name__}:make", vector_entry_point=f"{__name__}:make_vec", kwargs={"task": _task})
+    gymnasium.register(
+        _id, f"{__name__}:TaskEnv", vector_entry_point=f"{__name__}:TaskVectorEnv", kwargs={"task": _task}
+    )
 
-__all__ = ["IDS", "make", "make_vec"]
+__all__ = ["IDS", "TaskEnv", "TaskVectorEnv"]

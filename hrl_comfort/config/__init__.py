@@ -12,6 +12,7 @@ from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.commands import (
     DISTURBANCES,
     FIGURES,
+    SPLITS,
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
@@ -35,7 +36,7 @@ from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, Task
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError",
+    "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError",
     "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HierarchyConfig",
     "HierarchyTrainConfig", "HumanConfig",
     "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",

@@ -26,6 +26,14 @@ class ConfigError(ValueError):
         super().__init__(line if len(line) <= MAX_LINE else f"{line[:half]} … {line[-half:]}")
 
 
+class UnknownKeyError(ConfigError):
+    """A `key` that the configuration does not have."""
+
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
+
+
 def filled(key: str, value: object) -> None:
     """Raise ConfigError if `value` is an empty text."""
     if value == "":

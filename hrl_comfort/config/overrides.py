@@ -26,6 +26,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
+from hrl_comfort.config.checks import UnknownKeyError
 
 Config = TrainConfig | HierarchyTrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
 ROOTS: dict[str, type[Config]] = {
@@ -144,7 +145,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         if name not in fields:
             inside = ".".join(parts[:depth]) or root.replace("_", " ")
             names = sorted({*fields, *(allowed if depth == 0 else ())})
-            raise ConfigError(f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}")
+            line = f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}"
+            raise UnknownKeyError(line, key)
         kind = fields[name]
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")

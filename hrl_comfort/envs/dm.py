@@ -12,6 +12,7 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.envs.inputs import checked_action, episode_seed
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -58,7 +59,7 @@ class CellTask(control.Task):
     """A subtask as a dm_control task, for the episodes of one row."""
 
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
-        self.episodes = Episodes(scene, config, rows=1, seed=seed)
+        self.episodes = Episodes(scene, config, rows=1, seed=episode_seed(seed))
         self.outcome: StepResult | None = None
 
     def initialize_episode(self, physics: CellPhysics) -> None:
@@ -67,8 +68,8 @@ class CellTask(control.Task):
         self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
-        """Queue the controls of the decision."""
-        physics.queue(self.episodes.apply_action(np.asarray(action, dtype=np.float64)[None])[0])
+        """Queue the controls of the decision; raise ValueError unless `action` is (6,) finite numbers."""
+        physics.queue(self.episodes.apply_action(checked_action(action, (6,))[None])[0])
 
     def after_step(self, physics: CellPhysics) -> None:
         """Compute the result of the decision."""
@@ -78,7 +79,7 @@ class CellTask(control.Task):
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
         """Return the action spec: (6,) in [-1, 1]."""
-        return specs.BoundedArray((6,), np.float64, -1.0, 1.0, name="action")
+        return specs.BoundedArray((6,), np.float64, np.full(6, -1.0), np.full(6, 1.0), name="action")
 
     def get_observation(self, physics: CellPhysics) -> OrderedDict[str, Array]:
         """Return the named observation terms, unbatched."""
@@ -100,10 +101,14 @@ class CellTask(control.Task):
         return 1.0 if self.outcome.truncated[0] else None
 
 
-def make_environment(config: EnvConfig, seed: int) -> control.Environment:
+def make_environment(config: EnvConfig, seed: int, flat_observation: bool = False) -> control.Environment:
     """Return the subtask of `config` as a dm_control environment with the episodes of row 0 of `seed`.
 
-    A `step` is a decision. At `task.max_episode_steps` an episode ends with discount 1 (truncation).
+    A `step` is a decision. At `task.max_episode_steps` an episode ends with discount 1 (truncation). With
+    `flat_observation` the terms of the observation are one array, `observations`.
+
+    Raises:
+      ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
     """
     scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
@@ -112,7 +117,7 @@ def make_environment(config: EnvConfig, seed: int) -> control.Environment:
     task.initialize_episode(physics)
     task.episodes.rewind()
     decision_s = CONTROL_STEP_S * config.task.action_repeat
-    return control.Environment(physics, task, control_timestep=decision_s)
+    return control.Environment(physics, task, control_timestep=decision_s, flat_observation=flat_observation)
 
 
 __all__ = ["CellPhysics", "CellTask", "make_environment"]

@@ -6,59 +6,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import torch
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
-from torch import Tensor
 
-from hrl_comfort.comfort.metrics import present
-from hrl_comfort.config import FIRST_SEED, ConfigError, EnvConfig
-from hrl_comfort.envs.columns import step_columns
-from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.tasks import State
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.envs.cells import RENDER_MODES, Array, Cells
 
-Array = NDArray[np.float32]
 Info = dict[str, Any]
-
-
-class _Cells:
-    """N cells, shared by both fronts."""
-
-    def __init__(self, config: EnvConfig, rows: int) -> None:
-        self.engine = Engine(config, rows, 0)
-        width = self.observe(self.engine.reset()).shape[-1]
-        self.observation = Box(-np.inf, np.inf, (width,), np.float32)
-        self.action = Box(-1.0, 1.0, (6,), np.float32)
-        self._begun = False
-
-    def reset(self, seed: int | None, rng: np.random.Generator) -> Array:
-        """Start the next episode in every row, the first of `seed` if given; the first seed is random."""
-        if seed is None and not self._begun:
-            seed = int(rng.integers(FIRST_SEED))
-        if seed is not None:
-            if seed >= FIRST_SEED:
-                raise ConfigError(
-                    f"seed={seed} must be below {FIRST_SEED}; larger seeds are those of the evaluation set"
-                )
-            self.engine.episodes.sampler.seed = seed
-            self.engine.episodes.rewind()
-        self._begun = True
-        return self.observe(self.engine.reset()).copy()
-
-    def observe(self, state: State) -> Array:
-        """Return the observations (N, D)."""
-        observed: Array = self.engine.episodes.subtask.observe(state).float().numpy()
-        return observed
-
-
-def _info(outcome: StepResult) -> dict[str, Tensor]:
-    """Return `step_columns`, with NaN for the distance without a human."""
-    columns = step_columns(outcome)
-    columns["human_distance"] = columns["human_distance"].where(present(outcome.state.human_pos), torch.nan)
-    return columns
+Picture = NDArray[np.uint8]
 
 
 class CellGym(gymnasium.Env[Array, Array]):
@@ -66,31 +24,50 @@ class CellGym(gymnasium.Env[Array, Array]):
 
     Action (6,) in [-1, 1], observation (D,) float32. `info` holds the values of `step_columns`; `human_distance`
     is NaN without a human. `reset(seed=s)` starts the episodes of `hrl_comfort.load(task, seed=s)`; a reset without
-    a seed starts the next one.
+    a seed starts the next one. `reset(options={"episode": 3, "split": "validation"})` replays an episode of an
+    evaluation split.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
 
-    def __init__(self, config: EnvConfig) -> None:
-        self._cells = _Cells(config, 1)
-        self.observation_space, self.action_space = self._cells.observation, self._cells.action
+    def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
+        """Build the cell; `render_mode` is `rgb_array`, `human` (MuJoCo's viewer) or None."""
+        self._cells = Cells(config, 1, render_mode)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": self._cells.frames_per_s}
+        self.observation_space, self.action_space = spaces(self._cells)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:
-        """Start an episode; raise ConfigError if `seed` is one of the evaluation set."""
+        """Start an episode; raise ConfigError if `seed` or an option is not allowed."""
         super().reset(seed=seed)
-        return self._cells.reset(seed, self.np_random)[0], {}
+        return self._cells.reset(seed, self.np_random, options)[0], {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
-        """Run one decision."""
-        outcome = self._cells.engine.step(np.asarray(action, dtype=np.float64)[None])
-        info = {name: values[0].item() for name, values in _info(outcome).items()}
-        observation = self._cells.observe(outcome.state)[0].copy()
-        ended = bool(outcome.terminated[0]), bool(outcome.truncated[0])
-        return observation, float(outcome.reward[0]), *ended, info
+        """Run one decision.
+
+        Raises:
+          ValueError: `action` is not (6,) finite numbers.
+          ResetNeeded: there is no episode yet.
+        """
+        _check_reset(self._cells)
+        result, observation, values = self._cells.step(action, (6,))
+        info = {name: column[0].item() for name, column in values.items()}
+        ended = bool(result.terminated[0]), bool(result.truncated[0])
+        return observation[0], float(result.reward[0]), *ended, info
+
+    def render(self) -> Picture | None:  # type: ignore[override]
+        """Return the picture (360, 480, 3) in mode `rgb_array`; the window of `human` needs no call.
+
+        Raises:
+          PicturesUnavailableError: there is no off-screen OpenGL.
+          ResetNeeded: there is no episode yet.
+        """
+        _check_reset(self._cells)
+        return self._cells.pictures()[0] if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Stop the engine's threads."""
-        self._cells.engine.close()
+        """Stop the engine's threads and the pictures."""
+        self._cells.close()
 
 
 class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
@@ -100,44 +77,81 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     also holds `final_obs` (N,) of (D,) or None and `final_info`, masked by `_final_obs` and `_final_info` (N,) bool.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+    autoreset_mode = AutoresetMode.SAME_STEP
 
-    def __init__(self, config: EnvConfig, num_envs: int) -> None:
-        self.num_envs = num_envs
-        self._cells = _Cells(config, num_envs)
-        self.single_observation_space, self.single_action_space = self._cells.observation, self._cells.action
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+    def __init__(self, config: EnvConfig, num_envs: int, render_mode: str | None = None) -> None:
+        """Build the cells.
+
+        Raises:
+          ConfigError: `num_envs` is not a whole number from 1 to 65536, or `render_mode` is neither None nor rgb_array.
+        """
+        if render_mode == "human":
+            raise ConfigError("render_mode='human' shows one cell; choose rgb_array for a batch")
+        self._cells = Cells(config, num_envs, render_mode)
+        self.num_envs = self._cells.engine.num_envs
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": self._cells.frames_per_s}
+        self.single_observation_space, self.single_action_space = spaces(self._cells)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: Info | None = None) -> tuple[Array, Info]:
         """Start an episode in every row; the episodes of row r do not depend on the number of rows.
 
+        `options={"episode": k, "split": ...}` replay episode k + r of a split in row r.
+
         Raises:
-          ConfigError: `seed` is one of the evaluation set, or a list.
+          ConfigError: `seed` is a list or not allowed, or an option is not.
         """
         if isinstance(seed, list):
             raise ConfigError(f"seed={seed} must be one number; it determines the episodes of all rows")
         super().reset(seed=seed)
-        return self._cells.reset(seed, self.np_random), {}
+        return self._cells.reset(seed, self.np_random, options), {}
 
     def step(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], Info]:
-        """Run one decision in every row."""
-        outcome = self._cells.engine.step(np.asarray(actions, dtype=np.float64))
-        info: Info = {name: values.numpy().copy() for name, values in _info(outcome).items()}
-        observation, done = self._cells.observe(outcome.state), outcome.done.numpy()
+        """Run one decision in every row.
+
+        Raises:
+          ValueError: `actions` are not (N, 6) finite numbers.
+          ResetNeeded: there is no episode yet.
+        """
+        _check_reset(self._cells)
+        result, observation, values = self._cells.step(actions, (self.num_envs, 6))
+        info: Info = dict(values)
+        done = result.done.numpy()
         if done.any():
-            last = np.full(self.num_envs, None, dtype=object)
+            last: NDArray[Any] = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(done):
                 last[row] = observation[row].copy()
-            final = {name: values.copy() for name, values in info.items()}
-            final |= {f"_{name}": done.copy() for name in info}
+            final = {name: column.copy() for name, column in values.items()}
+            final |= {f"_{name}": done.copy() for name in values}
             info |= {"final_obs": last, "_final_obs": done.copy(), "final_info": final, "_final_info": done.copy()}
-            observation = self._cells.observe(self._cells.engine.reset(np.flatnonzero(done)))
+            observation = self._cells.restart(np.flatnonzero(done))
         reward, terminated, truncated = (
-            each.numpy().copy() for each in (outcome.reward, outcome.terminated, outcome.truncated)
+            each.numpy().copy() for each in (result.reward, result.terminated, result.truncated)
         )
-        return observation.copy(), reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> tuple[Picture, ...] | None:  # type: ignore[override]
+        """Return a picture (360, 480, 3) of each cell in mode `rgb_array`; raise as `CellGym.render` does."""
+        _check_reset(self._cells)
+        return tuple(self._cells.pictures()) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **_: Any) -> None:
-        """Stop the engine's threads."""
-        self._cells.engine.close()
+        """Stop the engine's threads and the pictures."""
+        self._cells.close()
+
+
+def spaces(cells: Cells) -> tuple[Box[Any], Box[Any]]:
+    """Return the spaces of an observation (D,) and of an action (6,) of one cell."""
+    return Box(-np.inf, np.inf, (cells.width,), np.float32), Box(-1.0, 1.0, (6,), np.float32)
+
+
+def _check_reset(cells: Cells) -> None:
+    if not cells.ready:
+        raise ResetNeeded("there is no episode yet: call reset before step and render")

@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase
 from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.envs.columns import step_columns
+from hrl_comfort.envs.inputs import checked_action, episode_seed
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
@@ -31,7 +32,7 @@ class CellEnv(EnvBase):
 
     def __init__(self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, seed, evaluation)
+        self.engine = Engine(config, rows, episode_seed(seed), evaluation)
         self.task_name = config.task.name
         self.reward_names = self.engine.episodes.reward_names
         self.last: StepResult | None = None
@@ -75,7 +76,7 @@ class CellEnv(EnvBase):
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        outcome = self.engine.step(tensordict["action"].double().numpy())
+        outcome = self.engine.step(checked_action(tensordict["action"], (self.rows, 6)))
         self.last = outcome
         columns = step_columns(outcome)
         columns |= {"steps": columns["steps"].clone(), "human_distance": columns["human_distance"].float()}
@@ -92,7 +93,7 @@ class CellEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.engine.episodes.sampler.seed = seed
+            self.engine.episodes.sampler.seed = episode_seed(seed)
             self.engine.episodes.rewind()
 
     @property

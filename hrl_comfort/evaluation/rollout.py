@@ -22,7 +22,7 @@ from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
-from hrl_comfort.humans import EvaluationSet, load_evaluation_set, validation_set
+from hrl_comfort.humans import EvaluationSet, split_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -130,9 +130,7 @@ def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
 
 def split(config: EvaluateConfig) -> EvaluationSet:
     """Return the episodes that `config` asks for."""
-    if config.split == "validation":
-        return validation_set(config.first_seed, config.episodes)
-    return load_evaluation_set().reseeded(config.first_seed).part(0, config.episodes)
+    return split_set(config.split, config.episodes, config.first_seed)
 
 
 def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:

@@ -9,7 +9,7 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanCon
 from hrl_comfort.config.checks import one_of
 from hrl_comfort.humans.approach import approach
 from hrl_comfort.humans.arc import arc
-from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, validation_set
+from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
 from hrl_comfort.humans.none import none
 from hrl_comfort.humans.patrol import patrol
 from hrl_comfort.humans.playback import playback, read_motion
@@ -165,6 +165,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin", "gait",
-    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "training_spawn",
-    "training_spawns", "validation_set",
+    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "split_set",
+    "training_spawn", "training_spawns", "validation_set",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import FIRST_SEED, ConfigError
+from hrl_comfort.config import FIRST_SEED, SPLITS, ConfigError
 
 FILE = "humans/evaluation_set.csv"
 COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
@@ -34,7 +34,11 @@ class EvaluationSet:
 
     def part(self, start: int, stop: int) -> EvaluationSet:
         """Return the entries from `start` to `stop`, exclusive."""
-        return EvaluationSet(**{name: value[start:stop] for name, value in vars(self).items()})
+        return self.at(slice(start, stop))
+
+    def at(self, index: slice | NDArray[np.int64]) -> EvaluationSet:
+        """Return the entries that `index` selects."""
+        return EvaluationSet(**{name: value[index] for name, value in vars(self).items()})
 
     @property
     def drawn(self) -> bool:
@@ -44,6 +48,14 @@ class EvaluationSet:
     def reseeded(self, seed: int) -> EvaluationSet:
         """Return the same spawns and motions with episode seeds from `seed` on."""
         return replace(self, episode_seed=self.episode_seed - FIRST_SEED + seed)
+
+
+def split_set(split: str, episodes: int, first_seed: int | None = None) -> EvaluationSet:
+    """Return the first `episodes` of a split, one of SPLITS, the first from `first_seed`, by default the split's."""
+    seed = SPLITS[split][0] if first_seed is None else first_seed
+    if split == "validation":
+        return validation_set(seed, episodes)
+    return load_evaluation_set().reseeded(seed).part(0, episodes)
 
 
 def validation_set(seed: int, episodes: int) -> EvaluationSet:

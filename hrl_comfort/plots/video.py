@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import os
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,35 +17,12 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConf
 from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
+from hrl_comfort.scene.camera import Camera
 from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.tasks import SUBTASKS, Ball
 
-WIDTH, HEIGHT = 480, 360
 FRAMES_PER_S = 25
-PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
-_BACKENDS = ("egl", "osmesa")
-
-
-class PicturesUnavailableError(RuntimeError):
-    """There is no way to draw: no EGL library; the message names the packages that bring one."""
-
-
-def _open_screen() -> Any:
-    """Return a current off-screen OpenGL context, EGL unless MUJOCO_GL says osmesa.
-
-    It is made here, not by mujoco.Renderer, whose back end is fixed when mujoco is first imported.
-    """
-    asked = os.environ.get("MUJOCO_GL", "").lower()
-    backend = asked if asked in _BACKENDS else "egl"
-    try:
-        screen = importlib.import_module(f"mujoco.{backend}").GLContext(WIDTH, HEIGHT)
-        screen.make_current()
-    except (ImportError, AttributeError, RuntimeError, OSError) as error:
-        raise PicturesUnavailableError(
-            f"no video: off-screen OpenGL ({backend}) is not available here ({type(error).__name__}); "
-            f"on Debian or Ubuntu: apt-get install {PACKAGES}"
-        ) from error
-    return screen
+ELEVATION_DEG, DISTANCE_M = -27.0, 2.9
 
 
 def resample(path: DataFrame, frames_per_s: int = FRAMES_PER_S) -> dict[str, Floats]:
@@ -92,7 +68,7 @@ def _azimuth_deg(path: DataFrame) -> float:
 def frames(
     path: DataFrame, robot: RobotConfig, cell: CellConfig, task: str, colour: str
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures (HEIGHT, WIDTH, 3) of one episode, FRAMES_PER_S a second of its time.
+    """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of one episode, FRAMES_PER_S a second of its time.
 
     Args:
       path: the episode's rows of paths.csv.
@@ -106,25 +82,13 @@ def frames(
     """
     scene = build_scene(robot, cell, substeps=2)
     model, data = scene.model, mujoco.MjData(scene.model)
-    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.35
-    model.vis.map.znear = 0.05 / model.stat.extent  # the extent holds what is put far away
-    model.light_cutoff[:] = 85  # the lamp lights the whole floor
-    screen = _open_screen()
-    context = None
-    try:
-        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-        view, camera, option = mujoco.MjvScene(model, maxgeom=500), mujoco.MjvCamera(), mujoco.MjvOption()
-        camera.lookat[:] = (0.0, 0.0, 0.2)
-        camera.distance, camera.azimuth, camera.elevation = 2.9, _azimuth_deg(path), -27
-        rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-        shown = resample(_with_gait(path))
-        x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
-        limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
-        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
-        joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
-        ball = scene.mocap.index(f"{colour}_ball")
-        picture = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    shown = resample(_with_gait(path))
+    x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
+    limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
+    goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+    joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
+    ball = scene.mocap.index(f"{colour}_ball")
+    with closing(Camera(model, _azimuth_deg(path), ELEVATION_DEG, DISTANCE_M)) as camera:
         for i in range(len(shown["step"])):
             data.qpos[joints] = [shown[f"q{j}"][i] for j in range(6)]
             data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
@@ -133,14 +97,7 @@ def frames(
             if where != Ball.NOWHERE:
                 data.mocap_pos[ball] = goals.get(where, tool)
             mujoco.mj_forward(model, data)
-            mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, view)
-            mujoco.mjr_render(rectangle, view, context)
-            mujoco.mjr_readPixels(picture, None, rectangle, context)
-            yield picture[::-1].copy()
-    finally:
-        if context is not None:
-            context.free()
-        screen.free()
+            yield camera.picture(data)
 
 
 def write_video(file: Path, pictures: Iterator[NDArray[np.uint8]]) -> Path:

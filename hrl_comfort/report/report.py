@@ -195,6 +195,7 @@ def _video(runs: Sequence[Run], draw: bool) -> tuple[Picture | None, str]:
 def _draw(run: Run, file: Path) -> tuple[str, str]:
     """Draw the first recorded success to `file`; return its caption, and why it could not be drawn."""
     from hrl_comfort.plots import video
+    from hrl_comfort.scene.camera import PicturesUnavailableError
 
     recorded = recorded_paths(run, SEARCHED_PATHS)
     successes = [key for key, ended in _endings(run, recorded).items() if ended == "success"]
@@ -207,7 +208,7 @@ def _draw(run: Run, file: Path) -> tuple[str, str]:
     try:
         robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
         video.write_video(file, video.frames(recorded[episode], robot, cell, task, colour))
-    except video.PicturesUnavailableError as error:
+    except PicturesUnavailableError as error:
         return "", str(error)
     except (TypeError, ConfigError) as error:
         return "", f"No video: {run.name}/config.yaml does not fit this version ({error})."

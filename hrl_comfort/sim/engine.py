@@ -40,11 +40,17 @@ class Engine:
         self.physics = np.zeros((rows, self.scene.nstate))
         """(N, nstate) mjSTATE_FULLPHYSICS: time, qpos, qvel."""
 
-    def reset(self, rows: NDArray[np.int64] | None = None) -> State:
-        """Begin the next episode of `rows` (all by default) and return the state of every row."""
+    def reset(self, rows: NDArray[np.int64] | None = None, entries: EvaluationSet | None = None) -> State:
+        """Begin the next episode of `rows` (all by default) and return the state of every row.
+
+        With `entries` (r,) of an evaluation split the rows begin these; see `Episodes.replay`.
+        """
         rows = np.arange(self.num_envs) if rows is None else rows
         if len(rows):
-            start = self.episodes.begin(rows, self._probe)
+            if entries is None:
+                start = self.episodes.begin(rows, self._probe)
+            else:
+                start = self.episodes.replay(rows, entries, self._probe)
             self.physics[rows] = self._physics_of(start)
         assert self.episodes.state is not None
         return self.episodes.state

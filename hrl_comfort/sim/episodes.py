@@ -7,7 +7,7 @@ episode; every random number of it comes from (seed, row, episode).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -15,13 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.linalg import vector_norm
 
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
-from hrl_comfort.comfort.metrics import human_distance
-from hrl_comfort.comfort.sources import SourceInput, make_source
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.comfort.sources import make_source
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
@@ -31,7 +29,7 @@ from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.initial_state import InitialState
 from hrl_comfort.sim.sensors import Sensors
-from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights
+from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
@@ -72,6 +70,7 @@ class Episodes:
 
         n = rows
         self.episode = np.full(n, -1, dtype=np.int64)
+        self._ready = np.zeros(n, dtype=bool)
         self.noise = np.zeros((n, self.sampler.horizon, humans.NOISE))
         self.source = make_source(config.comfort, n)
         paid = config.comfort.distance == "arm" and config.comfort.source != "none"
@@ -100,8 +99,18 @@ class Episodes:
           ConfigError: no such start was found.
         """
         self.episode[rows] += 1
+        return self._begin(rows, {row: self.sampler.attempts(int(row), int(self.episode[row])) for row in rows}, probe)
+
+    def replay(self, rows: NDArray[np.int64], entries: EvaluationSet, probe: Probe) -> Array:
+        """Begin the episodes `entries` (r,) of an evaluation split in `rows` (r,); return as `begin` does.
+
+        The next episode that the rows begin is the one that they would have begun now.
+        """
+        sampler = EpisodeSampler(self.scene, self.config, self.subtask, 0, entries)
+        return self._begin(rows, {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}, probe)
+
+    def _begin(self, rows: NDArray[np.int64], attempts: dict[int, Iterator[Draw]], probe: Probe) -> Array:
         self.steps[rows], self.precision[rows] = 0, self.precision_m
-        attempts = {row: self.sampler.attempts(int(row), int(self.episode[row])) for row in rows}
         pending = rows
         for _ in range(ATTEMPTS):
             for row in pending:
@@ -120,12 +129,14 @@ class Episodes:
             bad = (solved | self.subtask.failure(state)).numpy()
             pending = pending[bad]
             if not len(pending):
+                self._ready[rows] = True
                 return self.start[rows, :12]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def rewind(self) -> None:
-        """Restart each row from its first episode."""
+        """Restart each row from its first episode, which is to begin before the next decision."""
         self.episode[:] = -1
+        self._ready[:] = False
 
     def _take(self, row: int, draw: Draw) -> None:
         self.balls[row], self.colours[row], self.noise[row] = draw.balls, draw.colours, draw.noise
@@ -147,7 +158,12 @@ class Episodes:
         """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
 
         Joint targets are ramped at up to `max_step_deg` a control step; the human walks on meanwhile.
+
+        Raises:
+          RuntimeError: a row has no episode yet.
         """
+        if not self._ready.all():
+            raise RuntimeError("there is no episode yet: call reset before step")
         task, substeps = self.config.task, self.config.engine.substeps
         steps = task.action_repeat
         action = np.minimum(np.maximum(action, -1.0), 1.0)
@@ -245,17 +261,7 @@ class Episodes:
         assert self.state is not None
         if self.config.comfort.source == "none":
             return self.state.level
-        travelled = vector_norm(result.state.tcp_pos - self.state.tcp_pos, dim=-1)
-        taken = result.decision_steps
-        speed = travelled / (taken * CONTROL_STEP_S)
-        distance = human_distance(result.state.tcp_pos, result.state.human_pos)
-        now = SourceInput(
-            time_s=result.state.steps.numpy() * CONTROL_STEP_S,
-            passed_s=taken.numpy() * CONTROL_STEP_S,
-            distance_m=distance.numpy(),
-            speed_m_s=speed.numpy(),
-        )
-        return torch.from_numpy(self.source.advance(now))
+        return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
     def _begun(self, rows: NDArray[np.int64], walk: humans.Walk, limbs: Array, sensed: Array) -> State:
         """Return the first instant of the episodes of `rows` (r,), with the humans at `walk`."""
@@ -311,3 +317,4 @@ class Episodes:
         self._disturbance.load_state_dict(saved["disturbance"])
         for name in self._ARRAYS:
             setattr(self, name, saved[name].numpy().copy())
+        self._ready[:] = True

@@ -7,10 +7,12 @@ from functools import lru_cache
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from hrl_comfort.comfort.adapt import TERM
 from hrl_comfort.comfort.metrics import human_distance
-from hrl_comfort.config import RewardConfig
+from hrl_comfort.comfort.sources import SourceInput
+from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
 from hrl_comfort.tasks import State, Subtask
 
 MOVING_RAD_S = 0.05
@@ -121,6 +123,18 @@ def compute_step(
         truncated=(ended.steps >= max_episode_steps) & ~terminated,
         valid=valid,
         instants=after,
+    )
+
+
+def source_input(before: State, result: StepResult) -> SourceInput:
+    """Return what a source of levels sees of a decision that began in the state `before`."""
+    taken = result.decision_steps
+    travelled = vector_norm(result.state.tcp_pos - before.tcp_pos, dim=-1)
+    return SourceInput(
+        time_s=result.state.steps.numpy() * CONTROL_STEP_S,
+        passed_s=taken.numpy() * CONTROL_STEP_S,
+        distance_m=human_distance(result.state.tcp_pos, result.state.human_pos).numpy(),
+        speed_m_s=(travelled / (taken * CONTROL_STEP_S)).numpy(),
     )
 
 

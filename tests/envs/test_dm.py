@@ -92,15 +92,6 @@ def test_collision_terminates_with_discount_zero() -> None:
     assert step.last() and step.discount == 0.0
 
 
-def test_torchrl_takes_the_environment() -> None:
-    from torchrl.envs import DMControlWrapper
-
-    env = DMControlWrapper(hrl_comfort.load("pick"))
-    rollout = env.rollout(4)
-    assert rollout["next", "reward"].isfinite().all()
-    assert rollout.batch_size[0] == 4
-
-
 def test_a_viewer_can_read_and_reset_the_physics() -> None:
     # As dm_control.viewer does between frames: read the model, pause, restart the episode.
     env = hrl_comfort.load("cycle")

@@ -20,6 +20,7 @@ from hrl_comfort.files.tables import records_of
 from hrl_comfort.plots import training, video
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
+from hrl_comfort.scene.camera import PicturesUnavailableError
 
 CONFIG = """\
 robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0]}
@@ -323,7 +324,7 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
     try:
         file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))
-    except video.PicturesUnavailableError as error:
+    except PicturesUnavailableError as error:
         pytest.skip(f"nothing can be drawn off screen here: {error}")
     data = file.read_bytes()
     assert data[4:8] == b"ftyp"

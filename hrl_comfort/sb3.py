@@ -1,0 +1,135 @@
+"""Stable-Baselines3 over the batched engine (extra `sb3`).
+
+`make_vec_env("hrl_comfort/Pick-v0", 64)` is a `VecEnv` of 64 cells in one batch, with a `VecMonitor` around it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import Wrapper
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from hrl_comfort import environment_of
+from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import one_of
+from hrl_comfort.envs.cells import Array, Cells
+from hrl_comfort.envs.gymnasium import spaces
+from hrl_comfort.gym import IDS
+
+
+def make_vec_env(
+    env_id: str, n_envs: int = 1, seed: int | None = None, render_mode: str | None = None, **choices: object
+) -> VecMonitor:
+    """Return `n_envs` cells of `env_id` as a monitored `VecEnv`.
+
+    Args:
+      env_id: Gymnasium id, one of `hrl_comfort.gym.IDS`.
+      n_envs: number of cells, from 1 to 65536.
+      seed: seed of the episodes of all cells; random by default.
+      render_mode: `rgb_array` for pictures, or None.
+      choices: as of `hrl_comfort.load`.
+
+    Raises:
+      ConfigError: an id, number, seed or choice that is not allowed.
+      TypeError: an unknown keyword.
+    """
+    tasks = {each: task for task, each in IDS.items()}
+    name = env_id.removeprefix("hrl_comfort.gym:")
+    one_of("env_id", name, tuple(tasks))
+    if render_mode == "human":
+        raise ConfigError("render_mode='human' shows one cell; choose rgb_array for a batch")
+    cells = CellVecEnv(Cells(environment_of(tasks[name], choices), n_envs, render_mode))
+    if seed is not None:
+        cells.seed(seed)
+    return VecMonitor(cells)
+
+
+class CellVecEnv(VecEnv):
+    """N cells as a `VecEnv`; a row that ends restarts within the same step.
+
+    Action (N, 6) in [-1, 1], observation (N, D) float32. The info of a row holds the values of `step_columns` and
+    `is_success`; at the end of its episode also `terminal_observation` and `TimeLimit.truncated`.
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        self.cells = cells
+        self._rng = np.random.default_rng()
+        super().__init__(cells.engine.num_envs, *spaces(cells))
+        self.metadata: dict[str, Any] = {**self.metadata, "render_fps": cells.frames_per_s}
+
+    def reset(self) -> Array:
+        """Begin an episode in every row, with the seed and the options set before; return the observations (N, D).
+
+        The first of the seeds determines the episodes of all rows. The options of a row are an `episode` and a
+        `split`, one split for all.
+
+        Raises:
+          ConfigError: the seed or an option is not allowed.
+        """
+        observation = self.cells.reset(self._seeds[0], self._rng, _merged(self._options))
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions (N, 6) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Run one decision in every row.
+
+        Raises:
+          RuntimeError: there is no episode yet.
+          ValueError: the actions are not (N, 6) finite numbers.
+        """
+        result, observation, values = self.cells.step(self._actions, (self.num_envs, 6))
+        columns = {**values, "is_success": values["success"]}
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        infos: list[dict[str, Any]] = [dict(zip(columns, row, strict=True)) for row in rows]
+        done = result.done.numpy()
+        for row in np.flatnonzero(done):
+            infos[row]["terminal_observation"] = observation[row].copy()
+            infos[row]["TimeLimit.truncated"] = bool(result.truncated[row])
+        if done.any():
+            observation = self.cells.restart(np.flatnonzero(done))
+        return observation, result.reward.float().numpy(), done.copy(), infos
+
+    def get_images(self) -> Sequence[NDArray[np.uint8]]:
+        """Return a picture (360, 480, 3) of each cell; raise PicturesUnavailableError without off-screen OpenGL."""
+        return self.cells.pictures()
+
+    def close(self) -> None:
+        """Stop the engine's threads and the pictures."""
+        self.cells.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of the cells, which is the same for every row."""
+        return [getattr(self.cells, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raise AttributeError: the rows are one batch."""
+        raise AttributeError(f"{attr_name} cannot be set: the rows are one batch; pass it to make_vec_env")
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Raise AttributeError: the rows are one batch."""
+        raise AttributeError(f"{method_name} cannot be called on one row: the rows are one batch")
+
+    def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Return False for every row."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def _merged(options: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the options of all rows as those of a batch: one number `episode` a row, one `split`."""
+    if not any(options):
+        return {}
+    keys, splits = {key for each in options for key in each}, {each.get("split") for each in options}
+    if keys != {"episode", "split"} or len(splits) > 1:
+        raise ConfigError(f"options[0]={options[0]!r}: every row takes an episode, and all the same split")
+    return {"episode": [each.get("episode") for each in options], "split": splits.pop()}
