@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from os import PathLike, fspath
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
+    from pandas import DataFrame
 
     from hrl_comfort.config import EnvConfig
+    from hrl_comfort.policies.external import Function, ObservationPolicy
 
 __version__ = "0.2.0"
 
@@ -53,4 +56,46 @@ def load(task: str = "pick", seed: int = 0, flat_observation: bool = False, **ch
     return make_environment(environment_of(task, choices), seed, flat_observation)
 
 
-__all__ = ["__version__", "environment_of", "load"]
+def load_policy(source: str | PathLike[str]) -> ObservationPolicy:
+    """Return a policy as a function: observations (N, D) to actions (N, A), or one observation (D,) to one action (A,).
+
+    `source` is what `policy=` takes: a run folder, a checkpoint, a policy file, `sb3:FILE.zip` or
+    `package.module:callable`.
+
+    Raises:
+      ConfigError: there is none, or it acts on the state of the cell (`expert`, `potential_field`, `random`).
+    """
+    from hrl_comfort.policies.load import observation_policy
+
+    return observation_policy(fspath(source))
+
+
+def evaluate(
+    policy: str | PathLike[str] | Function,
+    task: str = "pick",
+    episodes: int = 100,
+    levels: Sequence[int] = (),
+    **choices: object,
+) -> DataFrame:
+    """Return the episodes of a policy on the evaluation set, the columns of episodes.csv (docs/metrics.md).
+
+    Args:
+      policy: what `policy=` takes, a policy from `load_policy`, or any callable from observations (N, D), float32, to
+        actions (N, A) in [-1, 1]. docs/bring_your_own.md has the layout of the observations.
+      task: the subtask.
+      episodes: number of episodes, at each level.
+      levels: comfort levels to evaluate on the same episodes.
+      choices: overrides of `hrl-comfort evaluate`, such as `human="arc"` or `split="validation"`.
+
+    Raises:
+      ConfigError: a choice is not allowed, or the policy does not fit.
+    """
+    from hrl_comfort.evaluation.evaluate import evaluate_policy
+    from hrl_comfort.policies.external import ObservationPolicy
+
+    source = policy.source if isinstance(policy, ObservationPolicy) else policy
+    given = source if callable(source) else fspath(source)
+    return evaluate_policy(given, {"task": task, "episodes": episodes, "levels": list(levels), **choices})
+
+
+__all__ = ["__version__", "environment_of", "evaluate", "load", "load_policy"]

@@ -19,6 +19,8 @@ TRAINING = (
     "agent.policy_steps=640", "agent.learning_starts=64", "agent.hidden=[16]", "agent.batch_size=32",
     "agent.log_every=320", "agent.checkpoint_every=320",
 )  # fmt: skip
+LONG = "200000"
+"""Steps of trainings by scripts of the documentation."""
 BUDGETS = {
     "train": TRAINING,
     "train hierarchy": (*TRAINING, "hierarchy.episodes=2", "hierarchy.terminal_states_episodes=8"),
@@ -48,6 +50,7 @@ def run(line: str, package: Path | None = None) -> None:
     if line.startswith(NOT_RUN):
         return
     words = shlex.split(line, comments=True)
+    line = line.replace(LONG, "200")
     if words[0] == "make":
         words = ["hrl-comfort", *shlex.split(_recipe(words[1]))]
     if words[0] == "hrl-comfort":
@@ -59,6 +62,13 @@ def run(line: str, package: Path | None = None) -> None:
     paths = {"PYTHONPATH": str(package or ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     done = subprocess.run(line, shell=True, env={**os.environ, **paths}, capture_output=True, text=True)
     assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+
+
+def write_files(page: Path, folder: Path) -> None:
+    """Write the page's blocks that begin with `# FILE`, a name without folders, to `folder`."""
+    text = page.read_text(encoding="utf-8")
+    for name, content in re.findall(r"^```\w+\n# ([\w.]+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        (folder / name).write_text(content, encoding="utf-8")
 
 
 def budget(words: list[str]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import ROOT, add_subtask, commands, run
+from tests.commands import ROOT, add_subtask, commands, run, write_files
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 FEW = {
@@ -22,6 +22,7 @@ def check(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"hrl_comfort.benchmarks.{name}", few)
     (folder / "runs").mkdir()
     (folder / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")  # committed, so there in every clone
+    write_files(page, folder)
     package = None
     if page.stem == "add_a_task":
         package = folder / "copy"

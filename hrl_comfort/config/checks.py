@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+import sys
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from typing import Any, get_type_hints
 
 MAX_LINE = 1000
@@ -93,6 +97,29 @@ def each(check: Check) -> Check:
             check(f"{key}[{index}]", entry)
 
     return entries
+
+
+def is_object(value: str) -> bool:
+    """Return whether `value` has the form `package.module:name`."""
+    return re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", value) is not None
+
+
+def import_object(key: str, value: str) -> Any:
+    """Return the Python object `package.module:name`; modules of the working directory come last.
+
+    Raises:
+      ConfigError: there is no such module, it imports what is not installed, or it has no such name.
+    """
+    module, name = value.split(":")
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    try:
+        found = import_module(module)
+    except ImportError as error:
+        raise ConfigError(f"{key}={value!r} cannot be imported: {error}") from error
+    if not hasattr(found, name):
+        raise ConfigError(f"{key}={value!r}: {found.__file__ or module} has no {name}")
+    return getattr(found, name)
 
 
 def check_fields(section: str, config: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -157,7 +158,8 @@ def _evaluation_folder(policy: str | None, task: str, split: str) -> str:
     folder = run_folder(policy) if policy else None
     if folder:
         return str(folder / f"eval{suffix}")
-    return f"runs/evaluate/{task}/{Path(policy).stem if policy else 'chain'}{suffix}"
+    name = re.sub(r"\W+", "_", re.sub(r"\.(pt|zip)$", "", Path(policy).name)) if policy else "chain"
+    return f"runs/evaluate/{task}/{name}{suffix}"
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
+from pandas import DataFrame
 from rich.console import Console
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout
 from hrl_comfort.files.tables import write_table
+from hrl_comfort.policies.load import Source
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -34,6 +39,18 @@ def evaluate(config: EvaluateConfig) -> Path:
     what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
     Console().print(f"{output}: {what}", soft_wrap=True)
     return output
+
+
+def evaluate_policy(policy: Source, choices: Mapping[str, object]) -> DataFrame:
+    """Return the episodes of `policy` under `choices`, overrides of `hrl-comfort evaluate`; write nothing.
+
+    Raises:
+      ConfigError: a choice is not allowed, or the policy does not fit.
+    """
+    named = {"policy": policy} if isinstance(policy, str) else {}
+    config = compose("evaluate", [override(key, value) for key, value in {**named, **choices}.items()])
+    assert isinstance(config, EvaluateConfig)
+    return rollout(config, policy).table
 
 
 def check_folder(output: Path) -> None:

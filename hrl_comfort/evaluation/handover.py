@@ -26,7 +26,6 @@ from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy
-from hrl_comfort.policies.load import SCRIPTED
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 
@@ -51,10 +50,9 @@ def handover(config: EvaluateConfig) -> Path:
             "give meta_controller=scripted task=cycle policies.*"
         )
     check_given(config)
-    scripted = [name for name in names if config.policies[name] in SCRIPTED]
-    if scripted:
-        name = scripted[0]
-        raise ConfigError(f"policies.{name}={config.policies[name]} was not trained: it has no own starts")
+    for name in names:
+        if not Path(config.policies[name]).exists():
+            raise ConfigError(f"policies.{name}={config.policies[name]} is no run folder: it has no own starts")
     if config.levels:
         raise ConfigError(f"levels={list(config.levels)} does not go with handover; choose comfort.level=")
     if config.disturbance != "none":

@@ -23,6 +23,7 @@ from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, split_set
+from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -107,7 +108,7 @@ class Result:
         write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
 
 
-def rollout(config: EvaluateConfig, policy: str | None = None) -> Result:
+def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
     """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
     entries = split(config)
     result = Result([], [], [])
@@ -143,15 +144,17 @@ def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
 class EvaluationBatch:
     """Episodes that run side by side, one a row; they are appended to a `Result`."""
 
-    def __init__(self, config: EvaluateConfig, policy: str | None, entries: EvaluationSet, result: Result) -> None:
+    def __init__(self, config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result) -> None:
         self.config, self.entries, self.result = config, entries, result
-        self.label = policy or config.policy or f"meta_controller={config.meta_controller.name}"
+        acting = config.policy if policy is None else policy
+        self.label = f"meta_controller={config.meta_controller.name}" if acting is None else name_of(acting)
         rows = len(entries.episode)
         env = environment(config)
         self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
         self.executor, self.choose = make_executor(config, policy, self.engine, int(entries.episode_seed[0]))
-        acting = policy or config.policy or config.policies.get("meta_controller")
-        self.train_seed = train_seed(acting or next(iter(config.policies.values()), None))
+        if acting is None:
+            acting = config.policies.get("meta_controller") or next(iter(config.policies.values()), None)
+        self.train_seed = train_seed(acting) if isinstance(acting, str) else None
 
     def run(self, advance: Callable[[int], None]) -> None:
         """Run every row to the end of its episode."""
@@ -291,9 +294,9 @@ def rounded(value: float) -> float:
     return round(float(value), 6)
 
 
-def train_seed(source: str | None) -> int | None:
+def train_seed(source: str) -> int | None:
     """Return the training seed of the run that a policy belongs to; None if it was not trained."""
-    folder = run_folder(source) if source else None
+    folder = run_folder(source)
     if folder is None:
         return None
     trained = load_config(folder)

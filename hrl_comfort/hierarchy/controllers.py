@@ -8,13 +8,13 @@ from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
 from hrl_comfort.hierarchy.options import Option, chain
 from hrl_comfort.hierarchy.q_learning import load_choice
 from hrl_comfort.hierarchy.sort import sorting_options
-from hrl_comfort.policies.load import SCRIPTED, make_policy
+from hrl_comfort.policies.load import CHOICES, Source, make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import Subtask, subtask
 
 
 def make_executor(
-    config: EvaluateConfig, policy: str | None, engine: Engine, seed: int
+    config: EvaluateConfig, policy: Source | None, engine: Engine, seed: int
 ) -> tuple[OptionExecutor, Choose]:
     """Return the options of a lone policy, a chain or `sort`, and what chooses among them; `seed` is for random ones.
 
@@ -24,9 +24,9 @@ def make_executor(
     env, episodes, meta_controller = engine.episodes.config, engine.episodes, config.meta_controller
     task = episodes.subtask
     if meta_controller.name == "none":
-        source = policy or config.policy
+        source = config.policy if policy is None else policy
         if source is None:
-            raise ConfigError(f"policy=null: give a run folder, a checkpoint, a policy.pt, {' or '.join(SCRIPTED)}")
+            raise ConfigError(f"policy=null: give {CHOICES}")
         alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed))
         return OptionExecutor([alone], config.task.max_episode_steps, episodes, retries=0), in_order
     limit = meta_controller.time_limit_steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -10,28 +11,96 @@ from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config.checks import is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
+from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_module, from_sb3
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Act = Callable[[State], Tensor]
-"""State of N cells -> actions (N, 6) in [-1, 1]."""
+"""State of N cells -> actions (N, A) in [-1, 1]."""
+Source = str | Function
+"""What `policy=` says; from Python also a map from observations to actions."""
 
 
-def make_policy(source: str, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:
-    """Return the policy `source` for `task`: one of SCRIPTED, or the one in a folder or file.
+def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:
+    """Return the policy `source` for `task`: one of SCRIPTED, a trained one, or one made elsewhere.
 
     Raises:
-      ConfigError: there is no such policy, or it was trained for another subtask or decision length.
+      ConfigError: there is no such policy, or it does not fit the task, its observations or its actions.
+    """
+    if isinstance(source, str) and source in SCRIPTED:
+        return SCRIPTED[source](task, scene, config, seed)
+    if isinstance(source, str) and Path(source).exists():
+        return trained(source, task, config)
+    policy = from_function(name_of(source), source) if callable(source) else external(source)
+    return on_standard_observations(policy, task, config)
+
+
+def name_of(source: Source) -> str:
+    """Return what `policy=` says, or the name of a callable or of its class."""
+    if isinstance(source, str):
+        return source
+    return str(getattr(source, "source", None) or getattr(source, "__name__", type(source).__name__))
+
+
+def external(source: str) -> ObservationPolicy:
+    """Return the policy `sb3:FILE.zip` or `package.module:callable`.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    if source.startswith(SB3):
+        return from_sb3(source)
+    if is_object(source):
+        return from_module(source)
+    raise ConfigError(f"policy={source!r} is not there; give {CHOICES}")
+
+
+def observation_policy(source: str) -> ObservationPolicy:
+    """Return the policy `source` as a map from observations to actions.
+
+    Raises:
+      ConfigError: there is none, or it acts on the state of the cell.
     """
     if source in SCRIPTED:
-        return SCRIPTED[source](task, scene, config, seed)
-    if Path(source).exists():
-        return trained(source, task, config)
-    known = " or ".join(SCRIPTED)
-    raise ConfigError(f"policy={source!r} is not there; give a run folder, a checkpoint, a policy.pt, {known}")
+        raise ConfigError(f"policy={source!r} acts on the state of the cell, not on observations; evaluate it by name")
+    if not Path(source).exists():
+        return external(source)
+    actor = load_policy(source)
+    sizes = actor.spec["observation_dim"], actor.spec["action_dim"]
+    return ObservationPolicy(source, lambda each: actor(torch.from_numpy(each)).numpy(), *sizes)
+
+
+def on_standard_observations(policy: ObservationPolicy, task: Subtask, config: EnvConfig) -> Act:
+    """Return the policy as a function of the state: it sees the observations of `config.task` and the level, if any.
+
+    Raises:
+      ConfigError: it takes observations or gives actions of another width.
+    """
+    seen = subtask(task.name, config.task.observation, config.task.balls)
+    if config.comfort.source != "none":
+        seen = with_level(seen, config.comfort.levels)
+
+    def act(state: State) -> Tensor:
+        observation = seen.observe(state)
+        if policy.observation_dim not in (None, observation.shape[-1]):
+            parts = ", ".join(f"{name} {term(state).shape[-1]}" for name, term in seen.observations.items())
+            raise ConfigError(
+                f"policy={policy.source!r} takes observations of {policy.observation_dim} numbers; "
+                f"task.name={task.name} gives {observation.shape[-1]}: {parts}"
+            )
+        width = 6 if config.task.action == "cartesian" else state.joint_pos.shape[-1]
+        if policy.action_dim not in (None, width):
+            raise ConfigError(
+                f"policy={policy.source!r} gives actions of {policy.action_dim} numbers; "
+                f"task.action={config.task.action} of robot.name={config.robot.name} takes {width}"
+            )
+        return torch.from_numpy(replace(policy, action_dim=width)(observation.numpy()))
+
+    return act
 
 
 def random(seed: int) -> Act:
@@ -86,3 +155,5 @@ SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "random": lambda task, scene, config, seed: random(seed),
 }
 """Value of `policy=` -> function that makes the policy."""
+CHOICES = f"a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, {' or '.join(SCRIPTED)}"
+"""What `policy=` takes."""
