@@ -16,11 +16,11 @@ from typing import Any
 
 import pandas as pd
 
+from hrl_comfort.analysis import comparison, handover
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown, series
 from hrl_comfort.benchmarks import env, train, update
 from hrl_comfort.files.tables import read_table
-from hrl_comfort.plots import controllers, divisions, handover
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "docs" / "benchmarks.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
@@ -70,8 +70,8 @@ KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
     "series": of_json(lambda found: series({label: each["each"] for label, each in found.items()})),
-    "controllers": of_json(controllers.table),
-    "divisions": of_json(divisions.table),
+    "controllers": of_json(comparison.table),
+    "divisions": of_json(comparison.table),
     "handover": of_json(handover.table),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),

@@ -7,7 +7,7 @@ over `all` over all of them, a failure's steps counted at the time limit, everyt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,6 +20,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.intervals import RESAMPLES, SHARE, UNBOUNDED, Clusters
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import Floats, column
 
 DISTANCE, STEPS, SPEED = "human_distance_mean_m", "steps", "joint_increment_mean_deg"
@@ -28,14 +29,12 @@ RATES = ("success", "moving_collision", "human_collision", "other_collision")
 """Shares of all episodes: success; the moving robot hit the person; any collision with the person; with cell
 or itself."""
 OVER = ("pairs", "all")
-SAME = ("task", "precision_m")
+SAME = ["task", "precision_m"]
 """Columns that everything compared must agree in."""
-ENTRY = ("train_seed", "human", "episode_seed", "episode")
+ENTRY = ["train_seed", "human", "episode_seed", "episode"]
 """Columns that tell an entry: one training seed's run of one entry of the evaluation set."""
-SAME_ENTRY = ("spawn_id", "motion_id", "colour")
+SAME_ENTRY = ["spawn_id", "motion_id", "colour"]
 """Columns that an entry must have alike at every level."""
-Limit = Callable[[int], int]
-"""An episode's time limit in control steps, by its level."""
 
 
 @dataclass(frozen=True)
@@ -61,28 +60,22 @@ class Paired:
     @property
     def entry(self) -> pd.Series:
         """(n,) entry of the evaluation set: the same for every training seed that ran it."""
-        return self.entries[list(ENTRY[1:])].astype("str").agg("/".join, axis=1)
-
-    @property
-    def mastered(self) -> set[str]:
-        """Entries that succeed at every level, for every training seed that ran them."""
-        failed = ~(self.values["success"] == 1).all(axis=1)
-        return set(self.entry) - set(self.entry[failed])
+        return self.entries[ENTRY[1:]].astype("str").agg("/".join, axis=1)
 
     def where(self, kept: NDArray[np.bool_]) -> Paired:
         """Return the entries that are kept (n,)."""
         values = {name: value[kept] for name, value in self.values.items()}
         return replace(self, entries=self.entries[kept].reset_index(drop=True), values=values)
 
-    def over(self, name: str, over: str, columns: Sequence[int] | None = None) -> Floats:
+    def over(self, name: str, over: str, levels: Sequence[int] = ()) -> Floats:
         """Return a measure (n, C) at some levels (default: every one), NaN for entries that do not count.
 
         Levels are compared over the same entries: one that lacks the value at any of them counts at none.
         Only the plain means over all episodes of each level take what there is.
         """
-        which = list(range(len(self.levels)) if columns is None else columns)
+        which = [self.levels.index(level) for level in levels or self.levels]
         values = self.values[name][:, which]
-        if over == "all" and columns is None:
+        if over == "all" and not levels:
             return values
         counts = np.isfinite(values).all(axis=1, keepdims=True)
         if over == "pairs":
@@ -90,35 +83,27 @@ class Paired:
         return np.where(counts, values, np.nan)
 
 
-def paired(tables: Sequence[tuple[DataFrame, Limit]]) -> Paired:
-    """Return the episodes of several evaluations, each with its time limit, side by side.
+def paired(runs: Sequence[Run]) -> Paired:
+    """Return the episodes of several evaluations side by side.
 
     Raises:
       ConfigError: an episode has no level, is there twice, or is of another task, precision or entry.
     """
-    if not any(len(episodes) for episodes, _ in tables):
-        raise ConfigError("there is no episode to compare")
-    frame = pd.concat([_measures(episodes, limit) for episodes, limit in tables], ignore_index=True)
+    frame = pd.concat([_measures(run, run.episodes) for run in runs if run.episodes is not None], ignore_index=True)
+    groups = frame.groupby(ENTRY, dropna=False, sort=False)
     for name in SAME:
         _check_alike(name, frame[name])
-    key = list(ENTRY)
-    groups = frame.groupby(key, dropna=False, sort=False)
     for name in SAME_ENTRY:
-        differ = groups[name].transform("nunique") > 1
-        _check_alike(name, frame.loc[differ, name])
-    twice = frame[frame.duplicated([*key, "comfort_level"])]
-    if len(twice):
-        row = twice.iloc[0]
+        _check_alike(name, frame.loc[groups[name].transform("nunique") > 1, name])
+    for _, row in frame[frame.duplicated([*ENTRY, "comfort_level"])].iterrows():
         raise ConfigError(
             f"train_seed={row['train_seed']} has episode {row['episode']} of level {row['comfort_level']} twice"
         )
-    levels = sorted(frame["comfort_level"].unique().tolist())
-    place = groups.ngroup().to_numpy(), np.searchsorted(levels, frame["comfort_level"].to_numpy(dtype=int))
-    values = {name: np.full((groups.ngroups, len(levels)), np.nan) for name in (*MEASURED, *RATES)}
-    for name, table in values.items():
-        table[place] = column(frame, name)
-    entries = frame.loc[~frame.duplicated(key), [*key, "spawn_id", "seen"]].reset_index(drop=True)
-    return Paired(tuple(levels), entries, values)
+    frame["entry"] = groups.ngroup()
+    wide = frame.pivot(index="entry", columns="comfort_level", values=[*MEASURED, *RATES])
+    entries = frame.drop_duplicates("entry")[[*ENTRY, "spawn_id", "seen"]].reset_index(drop=True)
+    levels = tuple(sorted(frame["comfort_level"].unique().tolist()))
+    return Paired(levels, entries, {name: wide[name].to_numpy(float) for name in (*MEASURED, *RATES)})
 
 
 def _check_alike(name: str, values: pd.Series) -> None:
@@ -128,21 +113,31 @@ def _check_alike(name: str, values: pd.Series) -> None:
         raise ConfigError(f"{name} is {' and '.join(map(repr, found))}: only like can be compared")
 
 
-def _measures(episodes: DataFrame, limit: Limit) -> DataFrame:
-    """Return episodes with MEASURED and RATES, a failure's steps counted at the time limit of its level."""
-    labels = [*SAME, *ENTRY, *SAME_ENTRY, "seen", "comfort_level"]
-    frame = episodes.reindex(columns=labels).copy()
+def _measures(run: Run, episodes: DataFrame) -> DataFrame:
+    """Return a run's episodes with MEASURED and RATES, a failure's steps counted at the time limit of its level."""
+    frame = episodes.reindex(columns=[*SAME, *ENTRY, *SAME_ENTRY, "seen", "comfort_level"])
     if frame["comfort_level"].isna().any():
         raise ConfigError("comfort_level='': evaluate at given levels, such as levels=[1,10]")
     for name in (*MEASURED, "success", "human_collision"):
         frame[name] = column(episodes, name)
-    limits = [limit(int(level)) for level in frame["comfort_level"]]
-    frame[STEPS] = frame[STEPS].where(frame["success"] > 0, limits)
+    frame[STEPS] = frame[STEPS].where(frame["success"] > 0, time_limit(run, column(frame, "comfort_level")))
     # The cell is empty where nobody was touched, which is no collision of a moving robot either.
     moving = column(episodes, "robot_moving_at_collision")
     frame["moving_collision"] = np.where(frame["human_collision"] == 0, 0.0, moving)
     frame["other_collision"] = (episodes["other_collision"].fillna("none") != "none").astype(float)
     return frame
+
+
+def time_limit(run: Run, levels: Floats) -> Floats:
+    """Return the time limit (n,), control steps, at levels (n,): as `comfort.adapt.max_episode_steps`.
+
+    It comes from the plain YAML, so that evaluations of other versions can be drawn too.
+    """
+    steps = run.config.get("task", {}).get("max_episode_steps")
+    if steps is None:
+        raise ConfigError(f"{run.folder}/config.yaml lacks task.max_episode_steps, at which failures count")
+    comfort = run.config.get("comfort", {})
+    return np.ceil(steps * comfort["levels"] / levels) if comfort.get("beta") else np.full(len(levels), float(steps))
 
 
 def common(groups: Mapping[str, Paired]) -> dict[str, Paired]:
@@ -151,41 +146,24 @@ def common(groups: Mapping[str, Paired]) -> dict[str, Paired]:
     Raises:
       ConfigError: there is no such entry.
     """
-    shared = set.intersection(*(data.mastered for data in groups.values()))
+    shared: set[str] = set.intersection(*(set(data.entry) for data in groups.values()))
+    for data in groups.values():
+        shared -= set(data.entry[~(data.values["success"] == 1).all(axis=1)])
     if not shared:
         raise ConfigError(f"no episode succeeds at every level of all of {', '.join(groups)}: over=all")
     return {label: data.where(data.entry.isin(shared).to_numpy()) for label, data in groups.items()}
 
 
-def mean_at_levels(data: Paired, name: str, over: str) -> list[dict[str, Any] | None]:
-    """Return mean, ci95 and number of episodes of a measure at each level; None where it has no value."""
-    found: list[dict[str, Any] | None] = []
-    for values in data.over(name, over).T:
-        estimate = data.clusters.estimate(values, bounds=SHARE if name in (*RATES, "waiting_share") else UNBOUNDED)
-        found.append(None if estimate is None else {**estimate, "episodes": int(np.isfinite(values).sum())})
-    return found
-
-
-def mean_by_seed(data: Paired, name: str, over: str) -> dict[int, Floats]:
-    """Return a measure's means (L,) of each training seed alone, NaN where it has no value."""
-    means = DataFrame(data.over(name, over)).groupby(data.entries["train_seed"]).mean()
-    return {int(seed): row.to_numpy() for seed, row in means.iterrows()}
-
-
 def change(data: Paired, name: str, over: str, start: int, end: int) -> dict[str, Any] | None:
     """Return the change of a measure from one level to another, in percent of its mean at the first."""
-    at = data.over(name, over, [data.levels.index(start), data.levels.index(end)])
+    at = data.over(name, over, [start, end])
     before, after = (data.clusters.estimate(values) for values in at.T)
     percent = data.clusters.estimate(*at.T, statistic=lambda a, b: 100 * (b / a - 1))
     if before is None or after is None or percent is None:
         return None
-    return {
-        "from": before["mean"],
-        "to": after["mean"],
-        "percent": percent["mean"],
-        "ci95": percent["ci95"],
-        "episodes": int(np.isfinite(at).all(axis=1).sum()),
-    }
+    episodes = int(np.isfinite(at).all(axis=1).sum())
+    means = {"from": before["mean"], "to": after["mean"], "percent": percent["mean"]}
+    return {**means, "ci95": percent["ci95"], "episodes": episodes}
 
 
 def verdict(found: Mapping[str, Any] | None) -> str | None:
@@ -209,12 +187,14 @@ def compare(data: Paired, start: int, end: int) -> dict[str, Any]:
 
 def of_spawns(data: Paired) -> dict[str, Any]:
     """Return means at each level and changes of some entries; a measure without a value is absent."""
-    means = {over: {name: mean_at_levels(data, name, over) for name in MEASURED} for over in OVER}
-    means["rates"] = {name: mean_at_levels(data, name, "all") for name in RATES}
     levels: list[dict[str, Any]] = [{"level": level} for level in data.levels]
-    for j, at in enumerate(levels):
-        for part, found in means.items():
-            at[part] = {name: values[j] for name, values in found.items() if values[j] is not None}
+    for part, names in {"pairs": MEASURED, "all": MEASURED, "rates": RATES}.items():
+        for name in names:
+            bounds = SHARE if name in (*RATES, "waiting_share") else UNBOUNDED
+            for at, values in zip(levels, data.over(name, "pairs" if part == "pairs" else "all").T, strict=True):
+                estimate = data.clusters.estimate(values, bounds=bounds)
+                told = {} if estimate is None else {name: {**estimate, "episodes": int(np.isfinite(values).sum())}}
+                at[part] = at.get(part, {}) | told
     steps = [compare(data, start, end) for start, end in pairwise(data.levels)]
     return {
         "entries": len(data.entries),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
@@ -23,9 +23,10 @@ from scipy import stats
 from hrl_comfort.files.tables import Floats, column
 
 RESAMPLES = 2000
-SHARE = (0.0, 1.0)
+Bounds = tuple[float, float]
+SHARE: Bounds = (0.0, 1.0)
 """Bounds of a share."""
-UNBOUNDED = (-math.inf, math.inf)
+UNBOUNDED: Bounds = (-math.inf, math.inf)
 Statistic = Callable[..., Any]
 """Means of one or more quantities, each (...), to a number (...)."""
 
@@ -35,28 +36,6 @@ class Estimate(TypedDict):
 
     mean: float
     ci95: list[float] | None
-
-
-def student(values: Floats, bounds: tuple[float, float] = UNBOUNDED) -> list[float] | None:
-    """Return Student's 95 % interval of the mean of `values` (n,), one a seed; None of fewer than two."""
-    low, high = _student(values[:, None])
-    return _interval(low[0], high[0], bounds)
-
-
-def _student(values: Floats) -> tuple[Floats, Floats]:
-    """Return Student's interval (T,) of the means of values (S, T), NaN left out; NaN of fewer than two."""
-    count = np.isfinite(values).sum(axis=0)
-    frame = DataFrame(values)
-    half = frame.sem().to_numpy() * stats.t.ppf(0.975, np.where(count > 1, count - 1, np.nan))
-    mean = frame.mean().to_numpy()
-    return mean - half, mean + half
-
-
-def _interval(low: float, high: float, bounds: tuple[float, float]) -> list[float] | None:
-    """Return the interval within its bounds; None where it is not finite or has no width."""
-    if not (np.isfinite(low) and np.isfinite(high)) or math.isclose(low, high, rel_tol=1e-9, abs_tol=1e-12):
-        return None
-    return [float(bound) for bound in np.clip((low, high), *bounds)]
 
 
 def itself(mean: Any) -> Any:
@@ -79,6 +58,11 @@ class Clusters:
         spawns[alone] = -1.0 - alone
         return cls(*(pd.factorize(each, use_na_sentinel=False)[0] for each in (seeds, spawns)))
 
+    @classmethod
+    def of_runs(cls, count: int) -> Clusters:
+        """Return the clusters of values that are of a training seed each."""
+        return cls(np.arange(count), np.arange(count))
+
     def bands(self, *columns: Floats, statistic: Statistic = itself) -> tuple[Floats, Floats, Floats]:
         """Return a statistic's mean, low and high, each (T,), NaN where they cannot be told.
 
@@ -86,43 +70,39 @@ class Clusters:
           *columns: K quantities, each (n, T). A row counts at t where it has all of them; else it is NaN.
           statistic: the number, from the means of the K quantities, each (...).
         """
-        values = np.stack(columns)
-        there = np.isfinite(values).all(axis=0)
+        there = np.isfinite(columns).all(axis=0)
         several = self.seed.max(initial=0) > 0
         groups = self.seed if several else self.spawn
-        size = int(groups.max(initial=0)) + 1
-        sums, counts = np.zeros((len(values), size, values.shape[2])), np.zeros((size, values.shape[2]))
-        for total, value in zip((*sums, counts), (*np.where(there, values, 0.0), there), strict=True):
-            np.add.at(total, groups, value)
+        parts = [DataFrame(each).groupby(groups).sum().to_numpy() for each in (*np.where(there, columns, 0), there)]
+
+        def whole(*parts: Floats, axis: int = 0) -> Any:
+            *totals, count = (part.sum(axis=axis) for part in parts)
+            return statistic(*(total / count for total in totals))
+
         with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # all spawn points agree: no interval
             if several:  # each seed's own number, NaN where it has no value
-                each = np.asarray(statistic(*(sums / counts)))
-                return (DataFrame(each).mean().to_numpy(), *_student(each))
-
-            def whole(*parts: Floats, axis: int = 0) -> Any:
-                *totals, count = (part.sum(axis=axis) for part in parts)
-                return statistic(*(total / count for total in totals))
-
-            mean = np.asarray(whole(*sums, counts))
-            if size < 2:
+                each = DataFrame(statistic(*(total / parts[-1] for total in parts[:-1])))
+                mean = each.mean().to_numpy()
+                half = each.sem().to_numpy() * stats.t.ppf(0.975, each.count() - 1)
+                return mean, mean - half, mean + half
+            mean = np.asarray(whole(*parts))
+            if len(parts[0]) < 2:
                 return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
-            found = stats.bootstrap(
-                (*sums, counts),
-                whole,
-                paired=True,
-                n_resamples=RESAMPLES,
-                batch=200,
-                method="percentile",
-                rng=np.random.default_rng(0),
-            ).confidence_interval
+            options: dict[str, Any] = {"n_resamples": RESAMPLES, "batch": 200, "rng": np.random.default_rng(0)}
+            found = stats.bootstrap(parts, whole, paired=True, method="percentile", **options).confidence_interval
         return mean, found.low, found.high
 
-    def estimate(
-        self, *columns: Floats, statistic: Statistic = itself, bounds: tuple[float, float] = UNBOUNDED
-    ) -> Estimate | None:
+    def estimate(self, *columns: Floats, statistic: Statistic = itself, bounds: Bounds = UNBOUNDED) -> Estimate | None:
         """Return a statistic of the means of columns (n,) and its interval; None where it has no value."""
         mean, low, high = (each[0] for each in self.bands(*(c[:, None] for c in columns), statistic=statistic))
         if not np.isfinite(mean):
             return None
-        return {"mean": float(mean), "ci95": _interval(low, high, bounds)}
+        told = np.isfinite(low) and np.isfinite(high) and not math.isclose(low, high, rel_tol=1e-9, abs_tol=1e-12)
+        return {"mean": float(mean), "ci95": np.clip((low, high), *bounds).tolist() if told else None}
+
+    def estimates(self, values: DataFrame, bounds: Mapping[str, Bounds] | None = None) -> dict[str, Estimate]:
+        """Return the mean of each column of `values` (n) that has one, with its interval within its bounds, if any."""
+        limits = {**dict.fromkeys(values, UNBOUNDED), **(bounds or {})}
+        found = {name: self.estimate(column(values, name), bounds=limits[name]) for name in values}
+        return {name: estimate for name, estimate in found.items() if estimate is not None}

@@ -6,15 +6,16 @@ Runs that are not finished are counted, and in no mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pandas import DataFrame
+from pandas import DataFrame, Series
 
-from hrl_comfort.analysis.intervals import SHARE, UNBOUNDED, student
+from hrl_comfort.analysis.comfort import DISTANCE, STEPS
+from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.analysis.learning_curve import LearningCurve, curve_of, training_end
 from hrl_comfort.analysis.tables import Quantity, cells
 from hrl_comfort.config import ConfigError
@@ -41,43 +42,31 @@ class Entry:
     run: Run | None
 
 
-def _trained(name: str) -> Callable[[Run], float | None]:
-    return lambda run: None if run.metrics is None else training_end(run.metrics).get(name)
-
-
-def _evaluated(name: str, successes: bool) -> Callable[[Run], float | None]:
-    def mean(run: Run) -> float | None:
-        if run.episodes is None or name not in run.episodes:
-            return None
-        values = column(run.episodes, name)
-        kept = values[np.isfinite(values) & ((column(run.episodes, "success") > 0) | (not successes))]
-        return float(kept.mean()) if len(kept) else None
-
-    return mean
-
-
+POSITIVE = (0.0, np.inf)
 QUANTITIES = {
-    "success": Quantity("training success (%)", 100, 1),
+    "success": Quantity("training success (%)", 100, 1, SHARE),
     "return": Quantity("return", digits=2),
-    "steps": Quantity("steps", digits=1),
-    "placed": Quantity("balls placed", digits=2),
-    "precision_m": Quantity("precision (cm)", 100, 1),
-    "minutes": Quantity("training (min)", digits=1),
-    "eval_success": Quantity("evaluated success (%)", 100, 1),
-    "eval_steps": Quantity("evaluated steps", digits=1),
-    "eval_human_distance_mean_m": Quantity("evaluated distance (m)"),
-    "eval_human_collision": Quantity("evaluated human collisions (%)", 100, 1),
+    "steps": Quantity("steps", digits=1, bounds=POSITIVE),
+    "placed": Quantity("balls placed", digits=2, bounds=POSITIVE),
+    "precision_m": Quantity("precision (cm)", 100, 1, POSITIVE),
+    "minutes": Quantity("training (min)", digits=1, bounds=POSITIVE),
+    "eval_success": Quantity("evaluated success (%)", 100, 1, SHARE),
+    "eval_steps": Quantity("evaluated steps", digits=1, bounds=POSITIVE),
+    "eval_human_distance_mean_m": Quantity("evaluated distance (m)", bounds=POSITIVE),
+    "eval_human_collision": Quantity("evaluated human collisions (%)", 100, 1, SHARE),
 }
-VALUES: dict[str, Callable[[Run], float | None]] = {
-    **{name: _trained(name) for name in ("success", "return", "steps", "placed", "precision_m")},
-    "minutes": lambda run: run.minutes,
-    "eval_success": _evaluated("success", False),
-    "eval_steps": _evaluated("steps", True),
-    "eval_human_distance_mean_m": _evaluated("human_distance_mean_m", True),
-    "eval_human_collision": _evaluated("human_collision", False),
-}
-"""Quantities to their value in a run; None where it has none."""
-SHARES = ("success", "eval_success", "eval_human_collision")
+
+
+def numbers_of(run: Run) -> dict[str, float | None]:
+    """Return the values of QUANTITIES in a run; NaN or None, or none at all, where it has none."""
+    found: dict[str, float | None] = {} if run.metrics is None else {**training_end(run.metrics)}
+    found["minutes"] = run.minutes
+    if run.episodes is not None:
+        won = column(run.episodes, "success") > 0
+        for name in ("success", STEPS, DISTANCE, "human_collision"):
+            values = Series(column(run.episodes, name))
+            found[f"eval_{name}"] = (values[won] if name in (STEPS, DISTANCE) else values).mean()
+    return found
 
 
 @dataclass(frozen=True)
@@ -87,17 +76,18 @@ class Row:
     combination: dict[str, str]
     """Swept key -> value; a dash where a job did not say."""
     entries: list[Entry]
-    means: dict[str, dict[str, Any]]
-    """Name of a quantity -> mean and ci95 (None of a single run)."""
+    means: dict[str, Estimate]
+    """Quantities to mean and interval over the finished runs."""
 
     @property
     def name(self) -> str:
         """The combination in words."""
         return ", ".join(f"{key}={value}" for key, value in self.combination.items()) or "all runs"
 
-    def count(self, state: str) -> int:
-        """Return how many of its jobs are `finished`, `unfinished` or `failed`."""
-        return sum(entry.state == state for entry in self.entries)
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many of its jobs are `finished`, `unfinished` or `failed`."""
+        return {state: sum(entry.state == state for entry in self.entries) for state in COUNTS}
 
 
 @dataclass(frozen=True)
@@ -150,37 +140,27 @@ def _told(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def _entry(folder: Path, where: Path, job: Job) -> Entry:
+    """Return a job that has begun, with its state and why it is not finished."""
     run = read_run(where)
-    state, why = _state(job, run)
+    if job.verb in ("train", "train meta_controller"):
+        finished = run.provenance is not None and run.provenance.finished
+    else:
+        finished = job.state == "done" and run.groups is not None
+    state, why = "unfinished", job.why or "running, or killed"
+    if finished:
+        state, why = "finished", ""
+    elif job.state == "failed":
+        state, why = "failed", job.why
+    elif run.metrics is not None:
+        progress = curve_of(run.metrics).progress
+        why += f", {run.metrics[progress].iloc[-1]:.0f} {progress.replace('_', ' ')} logged"
     return Entry(_told(job.overrides), str(where.relative_to(folder)), state, why, run)
 
 
-def _state(job: Job, run: Run) -> tuple[str, str]:
-    """Return which of COUNTS a job is, and why it is not finished."""
-    far = ""
-    if job.verb in ("train", "train meta_controller"):
-        finished = run.provenance is not None and run.provenance.finished
-        if run.metrics is not None:
-            name = curve_of(run.metrics).progress
-            far = f", {run.metrics[name].iloc[-1]:.0f} {name.replace('_', ' ')} logged"
-    else:
-        finished = job.state == "done" and run.groups is not None
-    if finished:
-        return "finished", ""
-    if job.state == "failed":
-        return "failed", job.why
-    return "unfinished", (job.why or "running, or killed") + far
-
-
-def _means(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
+def _means(entries: Sequence[Entry]) -> dict[str, Estimate]:
     runs = [entry.run for entry in entries if entry.state == "finished" and entry.run is not None]
-    found = {}
-    for name, value_of in VALUES.items():
-        values = np.array([value for run in runs if (value := value_of(run)) is not None])
-        if len(values):
-            bounds = SHARE if name in SHARES else UNBOUNDED if name == "return" else (0.0, np.inf)
-            found[name] = {"mean": float(values.mean()), "ci95": student(values, bounds)}
-    return found
+    values = DataFrame([numbers_of(run) for run in runs], columns=list(QUANTITIES), dtype=float)
+    return Clusters.of_runs(len(runs)).estimates(values, {name: each.bounds for name, each in QUANTITIES.items()})
 
 
 def table(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
@@ -188,11 +168,7 @@ def table(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
     there = {name: each for name, each in QUANTITIES.items() if any(name in row.means for row in sweep.rows)}
     heads = [*(list(sweep.rows[0].combination) or ["combination"]), *COUNTS, *(each.label for each in there.values())]
     lines = [
-        [
-            *(row.combination.values() or ["all runs"]),
-            *(str(row.count(state)) for state in COUNTS),
-            *cells(row.means, there),
-        ]
+        [*(row.combination.values() or ["all runs"]), *map(str, row.counts.values()), *cells(row.means, there)]
         for row in sweep.rows
     ]
     return heads, lines
@@ -200,26 +176,22 @@ def table(sweep: Sweep) -> tuple[list[str], list[list[str]]]:
 
 def not_finished(sweep: Sweep) -> list[list[str]]:
     """Return folder, overrides, state and reason of every job that is not finished."""
-    return [
-        [
-            entry.where or "–",
-            " ".join(f"{key}={value}" for key, value in entry.overrides.items() if key not in sweep.alike),
-            entry.state,
-            entry.why,
-        ]
-        for entry in sweep.entries
-        if entry.state != "finished"
-    ]
+    lines = []
+    for entry in sweep.entries:
+        if entry.state != "finished":
+            own = [f"{key}={value}" for key, value in entry.overrides.items() if key not in sweep.alike]
+            lines.append([entry.where or "–", " ".join(own), entry.state, entry.why])
+    return lines
 
 
 def as_csv(sweep: Sweep) -> str:
     """Return the table as CSV: swept keys, counts; NAME_mean, NAME_low, NAME_high, shares from 0 to 1."""
     lines = []
     for row in sweep.rows:
-        line: dict[str, Any] = {**row.combination, **{state: row.count(state) for state in COUNTS}}
-        for name in VALUES:
-            mean = row.means.get(name, {"mean": None, "ci95": None})
-            low, high = mean["ci95"] or (None, None)
-            line |= {f"{name}_mean": mean["mean"], f"{name}_low": low, f"{name}_high": high}
+        line: dict[str, Any] = {**row.combination, **row.counts}
+        for name in QUANTITIES:
+            each = row.means.get(name)
+            low, high = (each and each["ci95"]) or (None, None)
+            line |= {f"{name}_mean": each and each["mean"], f"{name}_low": low, f"{name}_high": high}
         lines.append(line)
     return str(DataFrame(lines).to_csv(index=False, float_format="%.6g", lineterminator="\n"))

@@ -6,46 +6,46 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hrl_comfort.analysis.comfort import DISTANCE, STEPS
+from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS
+from hrl_comfort.analysis.intervals import UNBOUNDED, Bounds
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity in a table or figure: its label with the unit, a factor, and the digits a table gives."""
+    """A quantity in a table or figure: its label with the unit, a factor, the digits that a table gives, its bounds."""
 
     label: str
     scale: float = 1.0
     digits: int = 3
+    bounds: Bounds = UNBOUNDED
 
 
-LEVELS: tuple[tuple[str, str, str, float, int], ...] = (
-    ("success, %", "rates", "success", 100, 1),
-    ("moving robot hit person, %", "rates", "moving_collision", 100, 1),
-    ("person touched, %", "rates", "human_collision", 100, 1),
-    ("distance, m (pairs)", "pairs", DISTANCE, 1, 3),
-    ("steps (pairs)", "pairs", STEPS, 1, 1),
-    ("distance, m (all)", "all", DISTANCE, 1, 3),
-    ("steps (all)", "all", STEPS, 1, 1),
-    ("waiting, % of steps", "pairs", "waiting_share", 100, 1),
-    ("joint increment, ° (pairs)", "pairs", "joint_increment_mean_deg", 1, 2),
-)
-"""Columns of the table of levels: heading, where the number is, its name, a factor, digits."""
-SERIES: tuple[tuple[str, str, int], ...] = (("distance, m", DISTANCE, 3), ("steps", STEPS, 1))
-"""Measures of the table of series: heading, name, digits."""
+LEVELS = {
+    ("rates", "success"): Quantity("success, %", 100, 1),
+    ("rates", "moving_collision"): Quantity("moving robot hit person, %", 100, 1),
+    ("rates", "human_collision"): Quantity("person touched, %", 100, 1),
+    ("pairs", DISTANCE): Quantity("distance, m (pairs)"),
+    ("pairs", STEPS): Quantity("steps (pairs)", digits=1),
+    ("all", DISTANCE): Quantity("distance, m (all)"),
+    ("all", STEPS): Quantity("steps (all)", digits=1),
+    ("pairs", "waiting_share"): Quantity("waiting, % of steps", 100, 1),
+    ("pairs", SPEED): Quantity("joint increment, ° (pairs)", digits=2),
+}
+"""Columns of the table of levels, by the part of the summary and the name in it."""
+SERIES = {DISTANCE: Quantity("distance, m"), STEPS: Quantity("steps", digits=1)}
+"""Measures of the table of series."""
 
 
-def cell(value: Mapping[str, Any] | None, scale: float = 1, digits: int = 1, key: str = "mean") -> str:
+def cell(value: Mapping[str, Any] | float | None, scale: float = 1, digits: int = 1, key: str = "mean") -> str:
     """Return `mean [low, high]`, scaled; without an interval `mean`, without a value a dash."""
     if value is None:
         return "–"
-    text = f"{scale * value[key]:.{digits}f}"
-    if value["ci95"] is not None:
-        low, high = (scale * bound for bound in value["ci95"])
-        text += f" [{low:.{digits}f}, {high:.{digits}f}]"
-    return text
+    mean, interval = (value[key], value["ci95"]) if isinstance(value, Mapping) else (value, None)
+    text = f"{scale * mean:,.{digits}f}"
+    return text if interval is None else f"{text} [{', '.join(f'{scale * each:,.{digits}f}' for each in interval)}]"
 
 
-def cells(means: Mapping[str, Any], quantities: Mapping[str, Quantity]) -> list[str]:
+def cells(means: Mapping[Any, Any], quantities: Mapping[Any, Quantity]) -> list[str]:
     """Return the cells of a table's line: the mean of each quantity with its interval."""
     return [cell(means.get(name), each.scale, each.digits) for name, each in quantities.items()]
 
@@ -55,18 +55,24 @@ def markdown(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in [heads, ["---"] * len(heads), *lines])
 
 
+def of_means(rows: Mapping[str, Mapping[str, Any]], quantities: Mapping[str, Quantity]) -> str:
+    """Return the means of each row, by its label, as a Markdown table; a quantity that no row has is left out."""
+    there = {name: each for name, each in quantities.items() if any(name in row for row in rows.values())}
+    heads = ["", *(each.label for each in there.values())]
+    return markdown(heads, ([label, *cells(row, there)] for label, row in rows.items()))
+
+
 def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:
     """Return the levels of a summary as a Markdown table, below them the change from first to last."""
     found = summary["spawns"][spawns]
     lines = [
-        [str(at["level"]), *(cell(at[part].get(name), scale, digits) for _, part, name, scale, digits in LEVELS)]
+        [str(at["level"]), *cells({(part, name): at[part].get(name) for part, name in LEVELS}, LEVELS)]
         for at in found["levels"]
     ]
     if (whole := found["first_to_last"]) is not None:
-        changes = (whole.get(part, {}).get(name) for _, part, name, *_ in LEVELS)
-        label = f"{whole['from']} to {whole['to']}, change in %"
-        lines.append([label, *(cell(each, key="percent") for each in changes)])
-    return markdown(["level", *(heading for heading, *_ in LEVELS)], lines)
+        changes = [cell(whole.get(part, {}).get(name), key="percent") for part, name in LEVELS]
+        lines.append([f"{whole['from']} to {whole['to']}, change in %", *changes])
+    return markdown(["level", *(each.label for each in LEVELS.values())], lines)
 
 
 def series(summaries: Mapping[str, Mapping[str, Any]]) -> str:
@@ -75,16 +81,16 @@ def series(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     Least success of any level, then distance and steps over all episodes: first level, last, change in %.
     """
     heads = ["", "least success, %"]
-    for heading, *_ in SERIES:
-        heads += [f"{heading}: first level", "last", "change, %"]
+    for measure in SERIES.values():
+        heads += [f"{measure.label}: first level", "last", "change, %"]
     lines = []
     for label, summary in summaries.items():
         found = summary["spawns"]["all"]
-        least = min(found["levels"], key=lambda at: at["rates"]["success"]["mean"])
-        cells = [f"{100 * least['rates']['success']['mean']:.1f} (level {least['level']})"]
-        for _, name, digits in SERIES:
+        success, level = min((at["rates"]["success"]["mean"], at["level"]) for at in found["levels"])
+        line = [label, f"{100 * success:.1f} (level {level})"]
+        for name, measure in SERIES.items():
             change = found["first_to_last"]["all"][name]
-            cells += [f"{change[end]:.{digits}f}" for end in ("from", "to")]
-            cells.append(cell(change, key="percent"))
-        lines.append([label, *cells])
+            line += [cell(change[end], measure.scale, measure.digits) for end in ("from", "to")]
+            line.append(cell(change, key="percent"))
+        lines.append(line)
     return markdown(heads, lines)

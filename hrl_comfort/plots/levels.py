@@ -14,93 +14,61 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from pandas import DataFrame
 
-from hrl_comfort.analysis.comfort import (
-    DISTANCE,
-    SPEED,
-    STEPS,
-    Paired,
-    change,
-    mean_by_seed,
-)
-from hrl_comfort.files.tables import Floats
-from hrl_comfort.plots.style import BLUE, CYCLE, GREEN, OUTLINE, VERMILLION, around, note, styled
+from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS, Paired, change
+from hrl_comfort.analysis.level_change import Jump
+from hrl_comfort.plots.style import BLUE, CYCLE, GREEN, OUTLINE, VERMILLION, around, band, note, points, styled
 
 WORDS = {
     DISTANCE: "mean distance to person (m)",
     STEPS: "control steps",
     SPEED: "mean joint increment (°/step)",
 }
+COLOURS = {DISTANCE: BLUE, STEPS: VERMILLION, SPEED: GREEN}
 MARKERS = ("o", "s", "^", "D", "v", "P")
 OVER_WORDS = {
     "pairs": "episodes that succeed at every level of the series",
     "all": "episodes, failures at the time limit",
 }
+LEAST_SHARE = 0.25
+"""Of the episodes that run at the jump; its figure ends where fewer still run."""
 
 
-def _means(data: Paired, name: str, over: str) -> tuple[Floats, Floats]:
-    """Return means (L,) and how far their intervals reach below and above (2, L)."""
-    mean, low, high = data.clusters.bands(data.over(name, over))
-    return mean, around(mean, low, high)
-
-
-def _changes(data: Paired, name: str, over: str) -> tuple[Floats, Floats]:
-    """Return low and high (L,) of the change from the first level, laid on the first level's mean."""
-    values = data.over(name, over)
-    first = np.broadcast_to(values[:, :1], values.shape)
-    _, low, high = data.clusters.bands(values, first, statistic=lambda at, before: at - before)
-    mean = data.clusters.bands(values[:, :1])[0]
-    return mean + low, mean + high
-
-
-def _by_level(axis: Axes, data: Paired, name: str, over: str, colour: str) -> None:
-    """Draw one measure by level, and say how it changes from the first level to the last."""
-    by_seed = mean_by_seed(data, name, over)
-    if len(by_seed) > 1:
-        for values in by_seed.values():
-            axis.plot(data.levels, values, color=colour, alpha=0.3, linewidth=0.8)
-    mean, reach = _means(data, name, over)
-    axis.errorbar(data.levels, mean, reach, color=colour, marker="o", markersize=4, capsize=2.5, elinewidth=1.0)
-    axis.vlines(data.levels[1:], *(b[1:] for b in _changes(data, name, over)), color=colour, alpha=0.3, lw=6)
-    axis.set(xlabel="comfort level (1: most cautious)", ylabel=WORDS[name])
-    axis.set_xticks(data.levels)
-    first, last = data.levels[0], data.levels[-1]
-    found = change(data, name, over, first, last) if first != last else None
-    if found is not None:
-        interval = "" if found["ci95"] is None else " [{:+.1f}, {:+.1f}]".format(*found["ci95"])
-        title = f"level {first} to {last}: {found['percent']:+.1f} %{interval}"
-        axis.set_title(title.replace("-", "−"), fontweight="normal")
-
-
-def levels(data: Paired, over: str) -> Figure:
-    """Draw distance to the person and steps by level (the paper's Figs. 5 and 6)."""
-    return _panels(data, over, {DISTANCE: BLUE, STEPS: VERMILLION})
-
-
-def speed(data: Paired, over: str) -> Figure:
-    """Draw how much the fastest joint turns a control step, by level."""
-    return _panels(data, over, {SPEED: GREEN})
-
-
-def _panels(data: Paired, over: str, measures: Mapping[str, str]) -> Figure:
-    """Draw measures, each in its colour, side by side."""
+def levels(data: Paired, over: str, *measures: str) -> Figure:
+    """Draw measures by level side by side: distance and steps are the paper's Figs. 5 and 6."""
     with styled():
         figure = Figure(figsize=(max(4.8, 0.4 + 3.6 * len(measures)), 3.0))
-        for axis, (name, colour) in zip(
-            figure.subplots(1, len(measures), squeeze=False)[0], measures.items(), strict=True
-        ):
-            _by_level(axis, data, name, over, colour)
+        for axis, name in zip(figure.subplots(1, len(measures), squeeze=False)[0], measures, strict=True):
+            _by_level(axis, data, name, over)
+        count = int(np.isfinite(data.over(STEPS, over)).all(axis=1).sum())
+        seeds = len(data.seeds)
+        trained = f"; {seeds} training seed{'s' * (seeds > 1)}" if seeds else ""
         bars = f"bars: 95 % of the mean (thin), of its change from level {data.levels[0]} (thick)"
-        note(figure, f"{_who(data, over)}\n{bars}")
+        note(figure, f"{count} of {len(data.entries)} {OVER_WORDS[over]}{trained}\n{bars}")
         return figure
 
 
-def _who(data: Paired, over: str) -> str:
-    """Say which episodes the means are over, in words."""
-    count = int(np.isfinite(data.over(STEPS, over)).all(axis=1).sum())
-    seeds = len(data.seeds)
-    trained = f"; {seeds} training seed{'s' * (seeds > 1)}" if seeds else ""
-    return f"{count} of {len(data.entries)} {OVER_WORDS[over]}{trained}"
+def _by_level(axis: Axes, data: Paired, name: str, over: str) -> None:
+    """Draw one measure by level, and say how it changes from the first level to the last."""
+    values, colour = data.over(name, over), COLOURS[name]
+    if len(data.seeds) > 1:
+        for of_seed in DataFrame(values).groupby(data.entries["train_seed"]).mean().to_numpy():
+            axis.plot(data.levels, of_seed, color=colour, alpha=0.3, linewidth=0.8)
+    mean, low, high = data.clusters.bands(values)
+    points(axis, data.levels, mean, low, high, color=colour, elinewidth=1.0)
+    first = np.broadcast_to(values[:, :1], values.shape)
+    _, fallen, risen = data.clusters.bands(values, first, statistic=lambda at, before: at - before)
+    begin = data.clusters.bands(values[:, :1])[0]
+    axis.vlines(data.levels[1:], begin + fallen[1:], begin + risen[1:], color=colour, alpha=0.3, linewidth=6)
+    axis.set(xlabel="comfort level (1: most cautious)", ylabel=WORDS[name])
+    axis.set_xticks(data.levels)
+    start, end = data.levels[0], data.levels[-1]
+    found = change(data, name, over, start, end) if start != end else None
+    if found is not None:
+        interval = "" if found["ci95"] is None else " [{:+.1f}, {:+.1f}]".format(*found["ci95"])
+        title = f"level {start} to {end}: {found['percent']:+.1f} %{interval}"
+        axis.set_title(title.replace("-", "−"), fontweight="normal")
 
 
 def plane(groups: Mapping[str, Paired], over: str) -> Figure:
@@ -110,10 +78,11 @@ def plane(groups: Mapping[str, Paired], over: str) -> Figure:
         axis = figure.subplots()
         for i, (label, data) in enumerate(groups.items()):
             look: dict[str, Any] = {"color": CYCLE[i % len(CYCLE)], "marker": MARKERS[i % len(MARKERS)]}
-            x, across = _means(data, STEPS, over)
-            y, up = _means(data, DISTANCE, over)
+            x, *across = data.clusters.bands(data.over(STEPS, over))
+            y, *up = data.clusters.bands(data.over(DISTANCE, over))
             axis.plot(x, y, label=label, markersize=5, linewidth=0.8, **look, zorder=4)
-            axis.errorbar(x, y, up, across, fmt="none", ecolor=look["color"], elinewidth=0.9, alpha=0.4)
+            crosses: dict[str, Any] = {"fmt": "none", "ecolor": look["color"], "elinewidth": 0.9, "alpha": 0.4}
+            axis.errorbar(x, y, around(y, *up), around(x, *across), **crosses)
             for level, at in zip(data.levels, zip(x, y, strict=True), strict=True):
                 text = axis.annotate(str(level), at, (4, 4), textcoords="offset points", zorder=5)
                 text.set(fontsize=7, color=look["color"], path_effects=[OUTLINE])
@@ -123,4 +92,30 @@ def plane(groups: Mapping[str, Paired], over: str) -> Figure:
         entries = len(set.union(*(set(data.entry) for data in groups.values())))
         which = f"{entries} episodes that succeed in all of them" if over == "pairs" else OVER_WORDS[over]
         note(figure, f"crosses: 95 % intervals; {which}")
+        return figure
+
+
+def jump(data: Jump) -> Figure:
+    """Draw distance and tool speed with a jump of the level and without (above), and their difference (below)."""
+    running = np.isfinite(data.values["human_distance_m"]).all(axis=0).sum(axis=0)
+    most = running[data.seconds >= 0].max()
+    shown = running >= max(1.0, LEAST_SHARE * most)
+    seconds = data.seconds[shown]
+    words = {"human_distance_m": ("distance to person", "m"), "tool_speed_m_s": ("tool speed", "m/s")}
+    with styled():
+        figure = Figure(figsize=(7.6, 4.4))
+        axes = figure.subplots(2, 2, sharex=True, height_ratios=(1.5, 1))
+        for (above, below), (name, (label, unit)) in zip(axes.T, words.items(), strict=True):
+            without, jumping = (values[:, shown] for values in data.values[name])
+            band(above, seconds, *data.clusters.bands(without), BLUE, label="without the jump")
+            band(above, seconds, *data.clusters.bands(jumping), VERMILLION, label="with the jump")
+            band(below, seconds, *data.clusters.bands(jumping - without), "#444444")
+            below.axhline(0, color="#999999", linewidth=0.7)
+            for axis in (above, below):
+                axis.axvline(0, color="#444444", linewidth=0.8, linestyle=":")
+            above.set_ylabel(f"{label} ({unit})")
+            below.set(xlabel="time from the jump (s)", ylabel=f"with − without ({unit})")
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+        share = f"to where {100 * LEAST_SHARE:.0f} % still do; bands: 95 % intervals"
+        note(figure, f"{most} episodes that run at the jump in both; {share}")
         return figure

@@ -113,7 +113,7 @@ def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, st
         return figure
 
 
-def paths(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int]) -> Figure:
+def at_levels(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int]) -> Figure:
     """Draw tool paths at some `levels` (default LEVELS) under one walk, a panel for each of `episodes`.
 
     Args:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,18 @@ def band(axis: Axes, x: Floats, mean: Floats, low: Floats, high: Floats, colour:
 def around(mean: Floats, low: Floats, high: Floats) -> Floats:
     """Return how far intervals reach below and above their means (2, n); 0 where a bound is NaN."""
     return np.nan_to_num(np.maximum(np.stack([mean - low, high - mean]), 0.0))
+
+
+def points(axis: Axes, x: Any, mean: Floats, low: Floats, high: Floats, **look: Any) -> None:
+    """Draw means (n,) joined by a line, with their intervals; a bound that is NaN is the mean."""
+    style = {"marker": "o", "markersize": 4, "capsize": 2.5, **look}
+    axis.errorbar(x, mean, around(mean, low, high), **style)
+
+
+def of_estimates(estimates: Sequence[Mapping[str, Any]], scale: float = 1.0) -> Floats:
+    """Return mean, low and high (3, n) of estimates, NaN where one has no interval."""
+    rows = [(each["mean"], *(each["ci95"] or (np.nan, np.nan))) for each in estimates]
+    return scale * np.array(rows, dtype=np.float64).reshape(-1, 3).T
 
 
 def panels(columns: int, heights: Sequence[float], height: float) -> tuple[Figure, Any]:

@@ -89,6 +89,5 @@ def mean_curve(curves: Sequence[Points], least: float, most: float) -> tuple[Flo
     fewest = min((x for x, _ in curves), key=len)
     x = np.unique([begin, *fewest[(fewest >= begin) & (fewest <= end)], max(begin, end)])
     values = np.array([np.interp(x, *curve) for curve in curves])
-    seed = np.arange(len(curves))
-    mean, low, high = Clusters(seed, seed).bands(values)
+    mean, low, high = Clusters.of_runs(len(curves)).bands(values)
     return x, np.clip(low, least, most), mean, np.clip(high, least, most)

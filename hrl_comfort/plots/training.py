@@ -12,7 +12,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.learning_curve import curve_of
 from hrl_comfort.files.tables import Floats, column
-from hrl_comfort.plots.style import BLACK, BLUE, GREEN, GREY, OUTLINE, PURPLE, VERMILLION, around, curve, panels, styled
+from hrl_comfort.plots.style import BLACK, BLUE, GREEN, GREY, OUTLINE, PURPLE, VERMILLION, curve, panels, points, styled
 
 DIAGNOSTICS = (("return", "return", BLUE), ("q_mean", "mean Q", GREEN), ("entropy", "entropy (nats)", PURPLE))
 CONTROLLER = (("success", "success (share)", BLUE), ("steps", "steps", GREEN), ("return", "return", PURPLE))
@@ -81,10 +81,9 @@ def success_by_checkpoint(tables: Mapping[str, DataFrame]) -> Figure:
     with styled():
         figure, axes = panels(len(tables), (1,), 2.6)
         for axis, (name, table) in zip(axes[0], tables.items(), strict=True):
-            y, low, high = (100 * column(table, each) for each in ("success", "success_low", "success_high"))
-            axis.errorbar(
-                _thousands(table), y, around(y, low, high), color=BLUE, marker="o", markersize=3.5, capsize=2.5
-            )
-            axis.set(title=name, xlabel="policy steps (thousands)", ylim=(-2, 102))
+            share = (100 * column(table, each) for each in ("success", "success_low", "success_high"))
+            points(axis, _thousands(table), *share, color=BLUE)
+            at = f", {100 * table['precision_m'].iloc[0]:g} cm" if "precision_m" in table else ""
+            axis.set(title=f"{name}{at}", xlabel="policy steps (thousands)", ylim=(-2, 102))
         axes[0, 0].set_ylabel("success (%)")
         return figure

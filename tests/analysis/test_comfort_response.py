@@ -1,13 +1,18 @@
 import json
+from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
-from pandas import DataFrame
+import torch
 from scipy import stats
 
 from hrl_comfort.analysis import comfort
 from hrl_comfort.analysis.tables import levels, series
+from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.compose import compose
+from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
 
 LIMIT = 100
@@ -38,16 +43,13 @@ def row(level: int, episode: int, **changes: object) -> dict[str, str]:
     return {name: str(value) for name, value in {**cells, **changes}.items()}
 
 
-def flat(limit: int) -> comfort.Limit:
-    return lambda level: limit
-
-
-def table(rows: list[dict[str, str]]) -> DataFrame:
-    return records_of(rows, "episodes") if rows else DataFrame()
+def evaluation(rows: list[dict[str, str]], limit: int = LIMIT, **config: object) -> Run:
+    task = {"max_episode_steps": limit}
+    return Run("run", Path("run"), config={"task": task, **config}, episodes=records_of(rows, "episodes"))
 
 
 def data(rows: list[dict[str, str]]) -> comfort.Paired:
-    return comfort.paired([(table(rows), flat(LIMIT))])
+    return comfort.paired([evaluation(rows)])
 
 
 def two_levels() -> comfort.Paired:
@@ -100,15 +102,17 @@ def test_series_are_compared_over_entries_that_all_of_them_master():
 
 
 def test_each_evaluation_brings_its_own_time_limit():
-    tables = [(table([row(level, 0, success=False)]), flat(limit)) for level, limit in ((1, 100), (10, 250))]
-    found = comfort.compare(comfort.paired(tables), 1, 10)["all"]["steps"]
+    runs = [evaluation([row(level, 0, success=False)], limit) for level, limit in ((1, 100), (10, 250))]
+    found = comfort.compare(comfort.paired(runs), 1, 10)["all"]["steps"]
     assert (found["from"], found["to"]) == (100, 250)
 
 
 def test_a_time_limit_that_grows_as_the_level_falls_is_that_of_the_level():
     rows = [row(level, 0, success=False) for level in (1, 10)]
-    found = comfort.compare(comfort.paired([(table(rows), lambda level: 1000 // level)]), 1, 10)["all"]["steps"]
-    assert (found["from"], found["to"]) == (1000, 100)
+    config = compose("evaluate", ["comfort=conditioned", "comfort.beta=1"]).comfort
+    run = evaluation(rows, 203, comfort=asdict(config))
+    found = comfort.compare(comfort.paired([run]), 1, 10)["all"]["steps"]
+    assert (found["from"], found["to"]) == tuple(max_episode_steps(torch.tensor([1.0, 10.0]), 203, config).tolist())
 
 
 def test_rates_are_over_all_episodes_and_tell_a_moving_robot_from_a_still_one():
@@ -134,10 +138,8 @@ def test_seen_and_unseen_spawns_are_told_apart():
 
 
 def test_levels_of_several_folders_pair_by_training_seed_and_episode():
-    folders = [
-        (table([row(level, e, train_seed=s) for e in range(3)]), flat(LIMIT)) for level in (1, 10) for s in (0, 1)
-    ]
-    found = comfort.paired(folders)
+    runs = [evaluation([row(level, e, train_seed=s) for e in range(3)]) for level in (1, 10) for s in (0, 1)]
+    found = comfort.paired(runs)
     assert found.levels == (1, 10)
     assert len(found.entries) == 6 and found.seeds == [0, 1]
     assert comfort.compare(found, 1, 10)["pairs"]["steps"]["episodes"] == 6
@@ -147,7 +149,7 @@ def test_an_episode_that_one_level_lacks_is_no_pair():
     found = data([row(1, 0, steps=40), row(1, 1, steps=80), row(10, 0, steps=20)])
     for over in comfort.OVER:
         assert comfort.compare(found, 1, 10)[over]["steps"]["percent"] == pytest.approx(-50)
-    assert comfort.mean_at_levels(found, "steps", "all")[0]["mean"] == 60
+    assert comfort.of_spawns(found)["levels"][0]["all"]["steps"]["mean"] == 60
 
 
 def test_missing_stays_missing():
@@ -204,12 +206,6 @@ def test_monotone_means_that_no_neighbour_rises():
     assert [step["pairs"]["distance"] for step in bent["neighbours"]] == ["falls", "rises"]
 
 
-def test_means_by_seed_are_those_of_each_training():
-    rows = [row(1, e, train_seed=s, steps=40 + 10 * s) for s in (0, 1) for e in range(2)]
-    found = comfort.mean_by_seed(data(rows), "steps", "all")
-    assert {seed: means.tolist() for seed, means in found.items()} == {0: [40.0], 1: [50.0]}
-
-
 def test_the_table_has_a_line_a_level_and_the_change():
     lines = levels(comfort.summarise(two_levels())).splitlines()
     assert len(lines) == 2 + 2 + 1
@@ -231,7 +227,6 @@ def test_the_table_of_series_has_a_line_a_series_and_its_least_success():
         ([row(1, 0), row(1, 0)], "level 1 twice"),
         ([row(1, 0, comfort_level="")], "comfort_level=''"),
         ([row(1, 0, success="")], "success= is missing"),
-        ([], "no episode"),
     ],
 )
 def test_episodes_that_do_not_compare_are_named(rows, says):

@@ -5,15 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from hrl_comfort import __main__ as commands
-from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.compose import compose, save_config
+from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.rollout import PATH_COLUMNS
-from hrl_comfort.files.run_folder import read_run
-from hrl_comfort.plots.figure import _limit, figure
+from hrl_comfort.plots.figure import figure
 
 CONFIG = """\
 cell:
@@ -261,15 +258,6 @@ def test_a_folder_without_the_time_limit_is_named(tmp_path):
     (folder / "config.yaml").write_text("task: {name: pick}\n")
     with pytest.raises(ConfigError, match=r"config.yaml lacks task.max_episode_steps"):
         draw(tmp_path / "f.png", "levels", [folder])
-
-
-def test_failures_count_at_the_time_limit_of_their_level(tmp_path):
-    folder = evaluation(tmp_path / "one", record=False)
-    config = compose("evaluate", ["comfort=conditioned", "comfort.beta=1", "task.max_episode_steps=203"])
-    save_config(config, folder / "config.yaml")
-    limit = _limit(read_run(folder))
-    levels = torch.arange(1, 11, dtype=torch.float64)
-    assert [limit(level) for level in range(1, 11)] == max_episode_steps(levels, 203, config.comfort).tolist()
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.plots.figure import figure
-from hrl_comfort.plots.options import timeline
+from hrl_comfort.plots.hierarchy import timeline
 
 
 def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, object]:

@@ -11,7 +11,7 @@ import pytest
 from pandas import DataFrame
 from scipy import stats
 
-from hrl_comfort.analysis.intervals import student
+from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.learning_curve import training_end
 from hrl_comfort.analysis.sweeps import read_sweep
 from hrl_comfort.config import ConfigError, ReportConfig
@@ -84,7 +84,7 @@ def reported(folder: Path) -> Path:
 def test_a_row_a_combination_counts_every_job_that_was_asked_for(sweep: Path) -> None:
     rows = {row.name: row for row in read_sweep(sweep).rows}
     assert list(rows) == [f"agent.learning_rate={rate}" for rate in RATES]
-    counts = [[row.count(state) for state in ("finished", "unfinished", "failed")] for row in rows.values()]
+    counts = [list(row.counts.values()) for row in rows.values()]
     assert counts == [[3, 0, 0], [2, 1, 0], [1, 1, 1]]
 
 
@@ -176,7 +176,7 @@ def test_a_sweep_of_controllers_is_compared_by_return_against_options(tmp_path: 
         make_controller(sweep / str(k), returns, finished=k < 2)
     table = read_sweep(sweep)
     (row,) = table.rows
-    assert [row.count(state) for state in ("finished", "unfinished", "failed")] == [2, 1, 0]
+    assert row.counts == {"finished": 2, "unfinished": 1, "failed": 0}
     assert table.entries[2].why == "running, or killed, 5000 options logged"
     ends = {name: row.means[name]["mean"] for name in ("return", "placed", "steps", "minutes")}
     assert ends == pytest.approx({"return": 1.5, "placed": 4, "steps": 500, "minutes": 30})
@@ -257,5 +257,7 @@ def test_the_end_of_a_training_weighs_rows_by_their_episodes_and_leaves_out_empt
 
 
 def test_the_interval_over_seeds_is_students_and_needs_two() -> None:
-    assert student(np.array([0.5])) is None
-    assert student(np.array([0.0, 1.0])) == pytest.approx([0.5 - 12.706 * 0.5, 0.5 + 12.706 * 0.5], abs=1e-3)
+    assert Clusters.of_runs(1).estimate(np.array([0.5]))["ci95"] is None
+    assert Clusters.of_runs(2).estimate(np.array([0.0, 1.0]))["ci95"] == pytest.approx(
+        [0.5 - 12.706 * 0.5, 0.5 + 12.706 * 0.5], abs=1e-3
+    )

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.__main__ import main
+from hrl_comfort.analysis.comparison import controllers, table
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
-from hrl_comfort.plots.controllers import compare, table
 from hrl_comfort.plots.figure import figure
 
 REWARD = {"place": 1.0, "step": -0.001, "progress": 0.0, "k1": 1.0}
@@ -30,7 +30,7 @@ def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward:
 
 
 def test_a_return_parts_into_balls_time_and_discomfort() -> None:
-    found = compare({"one": [evaluation([1.5, 1.7])]})["controllers"]["one"]
+    found = controllers({"one": [evaluation([1.5, 1.7])]})["controllers"]["one"]
     means = {part: value["mean"] for part, value in found.items() if part != "episodes"}
     assert means == pytest.approx({"success": 1, "return": 1.6, "placed": 2, "time": 0.2, "discomfort": 0.2})
 
@@ -38,39 +38,39 @@ def test_a_return_parts_into_balls_time_and_discomfort() -> None:
 def test_differences_are_of_the_same_episodes() -> None:
     better, worse = [1.5, 1.7, 1.1, 1.9], [1.4, 1.6, 1.0, 1.8]
     groups = {"a": [evaluation(better), evaluation(better, seed="1")]}
-    found = compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="1")]})["differences"]["a - b"]
+    found = controllers({**groups, "b": [evaluation(worse), evaluation(worse, seed="1")]})["differences"]["a - b"]
     assert found["return"]["mean"] == pytest.approx(0.1)
     assert found["return"]["ci95"] is None, "all differ by the same, though the episodes differ by far more"
     assert found["return_percent"]["mean"] == pytest.approx(100 * 0.1 / 1.45)
     with pytest.raises(ConfigError, match="must have run the same episodes"):
-        compare({**groups, "b": [evaluation(worse), evaluation(worse, seed="2")]})
+        controllers({**groups, "b": [evaluation(worse), evaluation(worse, seed="2")]})
 
 
 def test_a_return_of_other_parts_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes .* reward=sort"):
-        compare({"one": [evaluation([1.0], progress=3.0)]})
+    with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes one level with reward=sort"):
+        controllers({"one": [evaluation([1.0], progress=3.0)]})
 
 
 def test_controllers_that_are_paid_otherwise_are_not_compared() -> None:
     with pytest.raises(ConfigError, match="differ in reward; compare like with like"):
-        compare({"a": [evaluation([1.5])], "b": [evaluation([1.5], step=-0.002)]})
+        controllers({"a": [evaluation([1.5])], "b": [evaluation([1.5], step=-0.002)]})
 
 
 def test_an_evaluation_of_several_levels_is_refused() -> None:
     run = evaluation([1.0])
     run.config["levels"] = [1, 4]
     with pytest.raises(ConfigError, match="several comfort levels; kind=controllers takes"):
-        compare({"one": [run]})
+        controllers({"one": [run]})
 
 
 def test_no_share_is_given_of_a_return_that_may_be_nothing() -> None:
-    found = compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([-0.1, 0.3])]})
+    found = controllers({"a": [evaluation([1.5, 1.7])], "b": [evaluation([-0.1, 0.3])]})
     assert "return_percent" not in found["differences"]["a - b"]
-    assert table(found).splitlines()[-1].endswith("| – |")
+    assert "return, %" not in table(found)
 
 
 def test_the_table_has_a_line_a_controller_and_a_difference() -> None:
-    text = table(compare({"a": [evaluation([1.5, 1.7])], "b": [evaluation([1.4, 1.6])]}))
+    text = table(controllers({"a": [evaluation([1.5, 1.7])], "b": [evaluation([1.4, 1.6])]}))
     assert [line.split(" | ")[0] for line in text.splitlines()] == ["| ", "| ---", "| a", "| b", "| a - b"]
 
 

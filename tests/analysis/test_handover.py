@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from hrl_comfort.__main__ import main
+from hrl_comfort.analysis.handover import CHAIN, SEAMS, summarise, table
 from hrl_comfort.config import ConfigError
-from hrl_comfort.plots.handover import CHAIN, SEAMS, summarise, table
 
 
 def handover(folder: Path, wins: dict[str, list[bool]], chain: list[float]) -> Path:
@@ -36,7 +36,7 @@ def folders(tmp_path: Path) -> list[Path]:
 
 
 def test_success_is_pooled_over_seeds_and_told_as_a_share_of_the_own_starts(folders: list[Path]) -> None:
-    found = summarise({"after": folders})["after"]
+    found = summarise(folders)
     previous = found["seams"]["place"]["previous"]
     assert previous["mean"] == pytest.approx(0.75) and previous["of_own"]["mean"] == pytest.approx(0.75)
     shares = [0.5, 1.0]
@@ -48,20 +48,20 @@ def test_success_is_pooled_over_seeds_and_told_as_a_share_of_the_own_starts(fold
 
 
 def test_the_table_has_a_line_a_label_and_subtask(folders: list[Path]) -> None:
-    lines = table(summarise({"before": folders[:1], "after": folders[1:]})).splitlines()
+    lines = table({"before": summarise(folders[:1]), "after": summarise(folders[1:])}).splitlines()
     assert [line.split(" | ")[:2] for line in lines[2:]] == [["| before", "place"], ["| after", "place"]]
     assert lines[3].endswith("| 100.0, 90.0 |")
 
 
 def test_a_folder_without_handovers_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"handover_episodes\.csv is not there or empty; kind=handover takes"):
-        summarise({"after": [tmp_path]})
+        summarise([tmp_path])
 
 
 def test_starts_of_other_episodes_are_refused(tmp_path: Path) -> None:
     wins = {"own": [True] * 3, "previous": [True] * 2, "expert": [True] * 3}
     with pytest.raises(ConfigError, match="place has not the same episodes from every start"):
-        summarise({"after": [handover(tmp_path / "x", wins, [1.0])]})
+        summarise([handover(tmp_path / "x", wins, [1.0])])
 
 
 def test_the_figure_is_drawn_with_its_numbers(folders: list[Path], tmp_path: Path) -> None:

@@ -1,0 +1,180 @@
+"""Groups of evaluations side by side: controllers by their return, divisions of a task by result and training cost.
+
+Differences are those of the first group from each other one, over the same episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas import DataFrame
+
+from hrl_comfort.analysis.intervals import SHARE, Clusters
+from hrl_comfort.analysis.tables import Quantity, of_means
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.config.compose import load_config, run_folder
+from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.run_folder import Run
+from hrl_comfort.files.tables import column
+
+PARTS = ("success", "return", "placed", "time", "discomfort")
+"""Success and return of a controller, and the parts of its return: placed balls, costs of time and discomfort."""
+RESULTS = ("success", "moving", "steps", "distance")
+"""Results of a division; steps and mean distance to the person of episodes that succeed."""
+QUANTITIES = {
+    "networks": Quantity("networks", digits=0),
+    "policy_steps": Quantity("policy steps", digits=0),
+    "minutes": Quantity("training, min", digits=0),
+    "success": Quantity("success, %", 100, 1, SHARE),
+    "moving": Quantity("moving robot hit person, %", 100, 1, SHARE),
+    "steps": Quantity("steps", digits=1),
+    "distance": Quantity("distance, m"),
+    "return": Quantity("return"),
+    "placed": Quantity("balls placed"),
+    "time": Quantity("cost of time"),
+    "discomfort": Quantity("cost of discomfort"),
+    "return_percent": Quantity("return, %", digits=1),
+}
+SAME = ("robot", "cell", "human", "comfort", "task", "reward", "disturbance")
+"""Sections of the configuration in which evaluations must agree to be compared."""
+EPISODE = ["train_seed", "episode", "spawn_id"]
+"""Columns that tell which episode of which training seed a row is of."""
+REWARDED = ("place", "step", "k1", "k2", "k3")
+"""Weights of the reward that may differ from zero: of balls, time and discomfort."""
+Groups = Mapping[str, Sequence[Run]]
+Numbers = dict[str, dict[str, Any]]
+
+
+def controllers(groups: Groups) -> dict[str, Numbers]:
+    """Return the means of every controller's PARTS, and the first one's differences from the others.
+
+    Differences are with the same skills; in per cent of the other's return where the interval of that is positive.
+
+    Raises:
+      ConfigError: an evaluation has several levels, another reward or no `balls_placed`; or two did not run the
+        same episodes in the same way with the same skills.
+    """
+    frames = {label: _earnings(runs) for label, runs in groups.items()}
+    means, differences = _compare(groups, frames, PARTS)
+    (first, own), *others = frames.items()
+    for label, frame in others:
+        for mine, other in zip(groups[first], groups[label], strict=False):
+            if _skills(mine) != _skills(other):
+                raise ConfigError(f"{mine.folder} and {other.folder} differ in policies; compare like with like")
+        whole = means[label].get("return")
+        if whole and (whole["ci95"] or [whole["mean"]])[0] > 0:
+            earned = column(own, "return"), column(frame, "return")
+            percent = Clusters.of(own).estimate(*earned, statistic=lambda mine, other: 100 * (mine / other - 1))
+            differences[f"{first} - {label}"]["return_percent"] = percent
+    return {"controllers": means, "differences": differences}
+
+
+def _earnings(runs: Sequence[Run]) -> DataFrame:
+    """Return the episodes of evaluations and, in the columns PARTS, the parts of their return."""
+    for run in runs:
+        if (wrong := _unfit(run)) is not None:
+            raise ConfigError(f"{run.folder}: {wrong}; kind=controllers takes one level with reward=sort")
+    frame, reward = _pooled(runs), runs[0].config["reward"]
+    placed, time = reward["place"] * column(frame, "balls_placed"), -reward["step"] * column(frame, "steps")
+    return frame.assign(placed=placed, time=time, discomfort=placed - time - column(frame, "return"))
+
+
+def _unfit(run: Run) -> str | None:
+    """Return why the parts of an evaluation's return cannot be told, None where they can."""
+    reward = run.config.get("reward")
+    if not reward:
+        return "no reward in its config.yaml"
+    if run.config.get("levels"):
+        return "several comfort levels"
+    if run.episodes is None or np.isnan(column(run.episodes, "balls_placed")).any():
+        return "no balls_placed in its episodes.csv"
+    other = (f"reward.{name}={weight}" for name, weight in reward.items() if weight and name not in REWARDED)
+    return next(other, None)
+
+
+def _skills(run: Run) -> dict[str, str]:
+    return {name: policy for name, policy in (run.config.get("policies") or {}).items() if name != "meta_controller"}
+
+
+def divisions(groups: Groups) -> dict[str, Numbers]:
+    """Return every division's means of RESULTS, its training cost, and how the first differs from the others.
+
+    Differences of steps and distance are over episodes where both succeed. The cost is the mean over training seeds.
+
+    Raises:
+      ConfigError: as `training_cost`, or the divisions did not run the same episodes in the same way.
+    """
+    frames = {}
+    for label, runs in groups.items():
+        frame = _pooled(runs)
+        hit, won = column(frame, "human_collision"), column(frame, "success") > 0
+        frames[label] = frame.assign(
+            moving=np.where(hit > 0, column(frame, "robot_moving_at_collision"), hit),
+            steps=np.where(won, column(frame, "steps"), np.nan),
+            distance=np.where(won, column(frame, "human_distance_mean_m"), np.nan),
+        )
+    means, differences = _compare(groups, frames, RESULTS)
+    for label, runs in groups.items():
+        means[label] |= DataFrame([training_cost(run) for run in runs]).mean().to_dict()
+    return {"divisions": means, "differences": differences}
+
+
+def training_cost(run: Run) -> dict[str, float]:
+    """Return how many policies an evaluation chains and what their training took: policy steps and minutes.
+
+    A policy that another was begun from (`initial_policy`) counts too, once.
+
+    Raises:
+      ConfigError: a policy was not trained to its end, or its folder is not there.
+    """
+    policies = list((run.config.get("policies") or {}).values()) or [run.config.get("policy")]
+    spent: dict[Path, tuple[int, float]] = {}
+    left = list(policies)
+    while left:
+        policy = left.pop()
+        folder = run_folder(policy) if policy else None
+        if folder is None:
+            raise ConfigError(f"{run.folder}: policy={policy!r} is not a run folder, so its training cost is unknown")
+        config, provenance = load_config(folder), read_provenance(folder)
+        if not isinstance(config, TrainConfig) or not provenance.finished:
+            raise ConfigError(f"{folder} is not finished, or no training, so its training cost is unknown")
+        spent[folder.resolve()] = provenance.policy_steps, provenance.wall_seconds / 60
+        left += [config.initial_policy] if config.initial_policy else []
+    policy_steps, minutes = map(sum, zip(*spent.values(), strict=True))
+    return {"networks": len(policies), "policy_steps": policy_steps, "minutes": minutes}
+
+
+def _pooled(runs: Sequence[Run]) -> DataFrame:
+    """Return the episodes of several evaluations, one table."""
+    frame = pd.concat([run.episodes for run in runs if run.episodes is not None], ignore_index=True)
+    return frame.assign(success=column(frame, "success"))
+
+
+def _compare(groups: Groups, frames: Mapping[str, DataFrame], names: Sequence[str]) -> tuple[Numbers, Numbers]:
+    """Return the means of columns of each group's episodes, and of the first one's differences from the others."""
+    one, *others = [run for runs in groups.values() for run in runs]
+    for run in others:
+        for section in SAME:
+            if one.config.get(section) != run.config.get(section):
+                raise ConfigError(f"{one.folder} and {run.folder} differ in {section}; compare like with like")
+    means: Numbers = {}
+    differences: Numbers = {}
+    (first, own), *rest = frames.items()
+    for label, frame in frames.items():
+        bounds = {name: QUANTITIES[name].bounds for name in names}
+        means[label] = {"episodes": len(frame), **Clusters.of(frame).estimates(frame[[*names]], bounds)}
+    for label, frame in rest:
+        if not own[EPISODE].equals(frame[EPISODE]):
+            raise ConfigError(f"labels={[first, label]}: both must have run the same episodes with the same seeds")
+        differences[f"{first} - {label}"] = {**Clusters.of(own).estimates(own[[*names]] - frame[[*names]])}
+    return means, differences
+
+
+def table(numbers: Mapping[str, Numbers]) -> str:
+    """Return the result of `controllers` or `divisions` as a Markdown table: the groups, then the differences."""
+    rows = {label: means for section in numbers.values() for label, means in section.items()}
+    return of_means(rows, QUANTITIES)
