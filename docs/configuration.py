@@ -79,8 +79,9 @@ def allowed(hint: Any) -> str:
         if isinstance(check, partial) and check.func is checks.between:
             low, high = check.keywords["low"], check.keywords["high"]
             said.append(f"from {low:g}" if high > 1e9 else f"{low:g} to {high:g}")
-        elif isinstance(check, partial) and check.func is checks.one_of:
-            said.append(", ".join(f"`{name}`" for name in check.keywords["allowed"]))
+        elif isinstance(check, partial) and check.func in (checks.one_of, checks.part_name):
+            names = check.keywords.get("allowed") or (*check.keywords["known"], "package.module:name")
+            said.append(", ".join(f"`{name}`" for name in names))
         elif isinstance(check, partial) and check.func is checks.point:
             said.append(f"{check.keywords['size']} numbers")
     return "; ".join(said)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -42,11 +41,8 @@ def commands(page: Path) -> list[str]:
     return [line for line in lines if line.strip() and not line.startswith("#")]
 
 
-def run(line: str, package: Path | None = None) -> None:
-    """Run one command in the working directory; raise AssertionError if it fails.
-
-    `package` is the folder of another copy of the package, which runs in a process of its own.
-    """
+def run(line: str) -> None:
+    """Run one command in the working directory; raise AssertionError if it fails."""
     if line.startswith(NOT_RUN):
         return
     words = shlex.split(line, comments=True)
@@ -55,11 +51,11 @@ def run(line: str, package: Path | None = None) -> None:
         words = ["hrl-comfort", *shlex.split(_recipe(words[1]))]
     if words[0] == "hrl-comfort":
         words = [*words[1:], *budget(words[1:])]
-        if "-m" not in words and package is None:
+        if "-m" not in words:
             assert main(words) == 0, line
             return
         line = shlex.join([sys.executable, "-m", "hrl_comfort", *words])  # a sweep's jobs are processes
-    paths = {"PYTHONPATH": str(package or ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    paths = {"PYTHONPATH": str(ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     done = subprocess.run(line, shell=True, env={**os.environ, **paths}, capture_output=True, text=True)
     assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
 
@@ -86,21 +82,3 @@ def _recipe(target: str) -> str:
     found = re.search(rf"^{target}:.*\n\t\S*/hrl-comfort (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
     assert found is not None, f"make {target} runs no hrl-comfort"
     return found[1]
-
-
-def add_subtask(page: Path, folder: Path) -> None:
-    """Copy the package to `folder` and add the subtask that the page adds."""
-    for name in ("hrl_comfort", "conf"):
-        shutil.copytree(ROOT / name, folder / name)
-    text = page.read_text(encoding="utf-8")
-    for path, content in re.findall(r"^## \d[^`\n]*`([^`]*)`\n\n```\w+\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-        file = folder / path
-        if file.exists():  # the registry: an import and the tuple's line
-            line = re.search(r"^    task\.name: .*$", text, re.MULTILINE)
-            assert line is not None
-            old = file.read_text(encoding="utf-8")
-            new = re.sub(r"^    task\.name: .*$", line[0], old, flags=re.MULTILINE)
-            content = new.replace(
-                "from hrl_comfort.tasks.observations", content + "from hrl_comfort.tasks.observations"
-            )
-        file.write_text(content, encoding="utf-8")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import ROOT, add_subtask, commands, run, write_files
+from tests.commands import ROOT, commands, run, write_files
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 FEW = {
@@ -23,12 +23,8 @@ def check(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "runs").mkdir()
     (folder / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")  # committed, so there in every clone
     write_files(page, folder)
-    package = None
-    if page.stem == "add_a_task":
-        package = folder / "copy"
-        add_subtask(page, package)
     for line in commands(page):
-        run(line, package)
+        run(line)
 
 
 def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

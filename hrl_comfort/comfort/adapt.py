@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.metrics import human_distance, present
-from hrl_comfort.comfort.terms import comfort
+from hrl_comfort.comfort.terms import comfort, forms
 from hrl_comfort.config import ComfortConfig
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import StateFunction, TransitionFunction
@@ -40,7 +40,12 @@ def level_seen(levels: int) -> StateFunction:
 
 
 def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunction:
-    """Return the reward term (N,) of one control step: F_comfort (Eq. 4), 0 without a human."""
+    """Return the reward term (N,) of one control step: F_comfort (Eq. 4), 0 without a human.
+
+    Raises:
+      ConfigError: a form or the threshold is not there.
+    """
+    forms(config)
 
     def term(before: State, after: State) -> Tensor:
         arm = config.distance == "arm"

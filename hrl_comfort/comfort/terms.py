@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.config import ComfortConfig
+from hrl_comfort.config.checks import part
 
 SMALLEST_M = 1e-10
 OFFSET = -0.1
@@ -42,7 +43,9 @@ def ease(level: Tensor, config: ComfortConfig) -> Tensor:
     return (level - 1) / (config.levels - 1)
 
 
-THRESHOLDS: dict[str, Callable[[Tensor, ComfortConfig], Tensor]] = {
+Threshold = Callable[[Tensor, ComfortConfig], Tensor]
+"""(level (...,), config) -> theta (...,) m."""
+THRESHOLDS: dict[str, Threshold] = {
     "range": threshold_range,
     "reference": threshold_reference,
     "levels": threshold_levels,
@@ -96,7 +99,9 @@ def target_distance_one_sided(distance: Tensor, theta: Tensor, config: ComfortCo
     return -off.clamp(max=1.0).pow(config.power)
 
 
-FORMS: dict[str, Callable[[Tensor, Tensor, ComfortConfig], Tensor]] = {
+Form = Callable[[Tensor, Tensor, ComfortConfig], Tensor]
+"""(distance (...,) m, theta (...,) m, config) -> F_conf1 (...,)."""
+FORMS: dict[str, Form] = {
     "paper": paper,
     "reference": reference,
     "linear": linear,
@@ -111,7 +116,8 @@ def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Ten
 
     The `target_distance` forms also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
     """
-    term = FORMS[config.form](distance, THRESHOLDS[config.threshold](level, config), config)
+    form, threshold, _ = forms(config)
+    term = form(distance, threshold(level, config), config)
     timed = config.form in ("target_distance", "target_distance_one_sided")
     return term - config.time_penalty * ease(level, config) if timed else term
 
@@ -135,10 +141,25 @@ def speed_hinge(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Te
     return -((increment - threshold).clamp(min=0.0) / max_step_deg).square()
 
 
-SPEED_FORMS: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {
+SpeedForm = Callable[[Tensor, Tensor, float], Tensor]
+"""(increment (...,), threshold (...,), largest increment, degrees each) -> F_conf2 (...,)."""
+SPEED_FORMS: dict[str, SpeedForm] = {
     "paper": speed_paper,
     "hinge": speed_hinge,
 }
+
+
+def forms(config: ComfortConfig) -> tuple[Form, Threshold, SpeedForm]:
+    """Return the distance form, the threshold and the speed form of `config`.
+
+    Raises:
+      ConfigError: one of them is not there.
+    """
+    return (
+        part("comfort.form", config.form, FORMS),
+        part("comfort.threshold", config.threshold, THRESHOLDS),
+        part("comfort.speed_form", config.speed_form, SPEED_FORMS),
+    )
 
 
 def speed_term(increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:
@@ -146,8 +167,8 @@ def speed_term(increment: Tensor, level: Tensor, max_step_deg: float, config: Co
 
     The released code compares signed increments, so fast motion in the negative direction costs nothing there.
     """
-    threshold = increment_threshold(level, max_step_deg, config)
-    return SPEED_FORMS[config.speed_form](increment, threshold, max_step_deg)
+    *_, form = forms(config)
+    return form(increment, increment_threshold(level, max_step_deg, config), max_step_deg)
 
 
 def comfort(distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:

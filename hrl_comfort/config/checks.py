@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from importlib import import_module
-from typing import Any, get_type_hints
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, TypeVar, get_type_hints
 
+T = TypeVar("T")
 MAX_LINE = 1000
 """Longest message in characters, without the ellipsis."""
 FARTHEST = 1000.0
@@ -120,6 +122,37 @@ def import_object(key: str, value: str) -> Any:
     if not hasattr(found, name):
         raise ConfigError(f"{key}={value!r}: {found.__file__ or module} has no {name}")
     return getattr(found, name)
+
+
+@cache
+def plugins(key: str) -> dict[str, EntryPoint]:
+    """Return the parts that installed packages offer for `key`: entry points of the group `hrl_comfort.KEY`."""
+    return {point.name: point for point in entry_points(group=f"hrl_comfort.{key}")}
+
+
+def part_name(key: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise ConfigError unless `value` is one of `known` or of `plugins`, or has the form `package.module:name`."""
+    if value not in known and value not in plugins(key) and not is_object(value):
+        names = ", ".join([*known, *plugins(key)])
+        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {names}, or package.module:name")
+
+
+def part(key: str, name: str, known: Mapping[str, T]) -> T:
+    """Return the part `name`: one of `known` or of `plugins`, or the object `package.module:name`.
+
+    Raises:
+      ConfigError: there is no such part.
+    """
+    part_name(key, name, tuple(known))
+    if name in known:
+        return known[name]
+    found: T = plugins(key)[name].load() if name in plugins(key) else import_object(key, name)
+    return found
+
+
+def named(*known: str) -> Check:
+    """Return the check `part_name` of `known`."""
+    return partial(part_name, known=known)
 
 
 def check_fields(section: str, config: Any) -> None:

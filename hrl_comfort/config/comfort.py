@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, each, point, within
+from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, each, named, point, within
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
 FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided")
@@ -78,9 +78,9 @@ class ComfortConfig:
     """`source=schedule`: the levels."""
     file: str | None
     """`source=file`: CSV with columns t (s) and value."""
-    form: Annotated[str, choice(*FORMS)]
+    form: Annotated[str, named(*FORMS)]
     """Form of the distance term, F_conf1."""
-    threshold: Annotated[str, choice(*THRESHOLDS)]
+    threshold: Annotated[str, named(*THRESHOLDS)]
     """Distance threshold theta as a function of the level."""
     distance: Annotated[str, choice(*DISTANCES)]
     """`tool`: horizontal, tool to the human's axis. `arm`: smallest between any link and any body part."""
@@ -96,7 +96,7 @@ class ComfortConfig:
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]
     """Weight of the speed term, F_conf2 (Eq. 4)."""
-    speed_form: Annotated[str, choice(*SPEED_FORMS)]
+    speed_form: Annotated[str, named(*SPEED_FORMS)]
     """Form of the speed term, F_conf2."""
     scale: Annotated[float, within(-100.0, 100.0)]
     """Weight of F_comfort in the reward of every control step; a negative one subtracts (Eq. 1)."""

@@ -13,7 +13,7 @@ class HumanConfig:
     """The human beside the robot; metres, cell frame."""
 
     motion: str
-    """A key of `humans.MOTIONS`, checked there."""
+    """A key of `humans.MOTIONS`, an entry point or `package.module:name`, checked there."""
     spawns_m: Annotated[list[list[float]], each(coordinates(2))]
     """Spawn points (x, y), m; those within `keep_out_m` of a goal are moved out. By default those of the authors'
     scene, where points 3 and 10 are the same."""

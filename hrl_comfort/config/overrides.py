@@ -26,7 +26,7 @@ from hrl_comfort.config import (
     ReportConfig,
     TrainConfig,
 )
-from hrl_comfort.config.checks import UnknownKeyError
+from hrl_comfort.config.checks import UnknownKeyError, is_object, plugins
 
 Config = TrainConfig | HierarchyTrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
 ROOTS: dict[str, type[Config]] = {
@@ -38,6 +38,8 @@ ROOTS: dict[str, type[Config]] = {
     "figure": FigureConfig,
 }
 """Configuration class of each root, a file `conf/ROOT.yaml`."""
+NAMES = {"task": "task.name", "human": "human.motion", "robot": "robot.name"}
+"""Key that names a part, by group: a part of another package has no file in the group."""
 TOO_DEEP = "contains itself, or is nested too deeply"
 
 
@@ -126,12 +128,16 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     if parsed.is_delete():
         raise ConfigError(f"{line} deletes a key; every key needs a value: {key}=VALUE")
     if key in allowed:
-        for value in parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]:
-            if str(value) not in allowed[key] and not (key == "experiment" and value is None):
-                if key == "experiment" and str(value) in choices(key):
+        swept = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]
+        values = [str(value).replace("\\:", ":") for value in swept]  # Hydra escapes colons
+        if key in NAMES and all(value in plugins(NAMES[key]) or is_object(value) for value in values):
+            return f"{NAMES[key]}={line.split('=', 1)[1]}"
+        for value in values:
+            if value not in allowed[key] and not (key == "experiment" and parsed.value() is None):
+                if key == "experiment" and value in choices(key):
                     verb = "train" if root == "train_hierarchy" else "train hierarchy"
                     raise ConfigError(f"{line} is for another command: hrl-comfort {verb} {line}")
-                near = _near(str(value), allowed[key])
+                near = _near(value, allowed[key])
                 raise ConfigError(f"{key}={value} is not a choice{near}; choose one of {', '.join(allowed[key])}")
         return line
     kind: Any = ROOTS[root]

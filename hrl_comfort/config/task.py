@@ -32,7 +32,7 @@ class TaskConfig:
     """A subtask, or a chain of subtasks for one policy."""
 
     name: str
-    """A key of `tasks.SUBTASKS`, checked there."""
+    """A key of `tasks.SUBTASKS`, an entry point or `package.module:name`, checked there."""
     colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""
     balls: int

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
-from hrl_comfort.config.checks import one_of
+from hrl_comfort.config.checks import part
 from hrl_comfort.humans.approach import approach
 from hrl_comfort.humans.arc import arc
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
@@ -45,9 +45,12 @@ UNBOUNDED = ("none", "playback")
 
 
 def motion(name: str) -> Motion:
-    """Return the motion `name`; raise ConfigError if `name` is not in MOTIONS."""
-    one_of("human.motion", name, tuple(MOTIONS))
-    return MOTIONS[name]
+    """Return the motion `name`: one of MOTIONS, an entry point, or `package.module:name`.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    return part("human.motion", name, MOTIONS)
 
 
 def begin(config: HumanConfig, spawn: Array) -> Walk:

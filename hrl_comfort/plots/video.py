@@ -19,7 +19,7 @@ from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 from hrl_comfort.scene.camera import Camera
 from hrl_comfort.scene.robots import JOINTS
-from hrl_comfort.tasks import SUBTASKS, Ball
+from hrl_comfort.tasks import Ball, subtask
 
 FRAMES_PER_S = 25
 ELEVATION_DEG, DISTANCE_M = -27.0, 2.9
@@ -93,7 +93,7 @@ def frames(
             data.qpos[joints] = [shown[f"q{j}"][i] for j in range(6)]
             data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
             tool = [shown[f"tcp_{axis}"][i] for axis in "xyz"]
-            where = SUBTASKS[task].ball(int(shown["stage"][i]))
+            where = subtask(task).ball(int(shown["stage"][i]))
             if where != Ball.NOWHERE:
                 data.mocap_pos[ball] = goals.get(where, tool)
             mujoco.mj_forward(model, data)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import part
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
@@ -23,18 +24,19 @@ SUBTASKS: dict[str, Subtask] = {
 
 
 def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
-    """Return the registered subtask `name`, seen through the observation layout `observation`.
+    """Return the subtask `name`, seen through the observation layout `observation`.
 
-    `balls` counts for `sort` alone.
+    `name` is one of SUBTASKS, an entry point or `package.module:name`; `balls` counts for `sort` alone.
 
     Raises:
       ConfigError: no such subtask or layout.
     """
-    if name not in SUBTASKS:
-        raise ConfigError(f"task.name={name!r} is not allowed; choose one of {', '.join(SUBTASKS)}")
+    found = part("task.name", name, SUBTASKS)
+    if not isinstance(found, Subtask):
+        raise ConfigError(f"task.name={name!r} is of type {type(found).__name__}; it must be a Subtask")
     if observation not in LAYOUTS:
         raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
-    chosen = sort(balls) if name == "sort" else SUBTASKS[name]
+    chosen = sort(balls) if name == "sort" else found if found.name == name else replace(found, name=name)
     if observation == "default":
         return chosen
     return replace(chosen, observations=LAYOUTS[observation](chosen.stages))
