@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -12,7 +12,7 @@ import torch
 from mujoco import rollout
 from pandas import DataFrame
 
-from hrl_comfort.benchmarks.measure import Rate, interleaved, ratios
+from hrl_comfort.benchmarks.measure import Rate, interleaved, rate, ratios
 from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.dm import make_environment
@@ -20,11 +20,8 @@ from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 
 NUM_ENVS = (1, 16, 64, 256)
-ROUNDS = 5
-POLICY_STEPS = 1024
-"""Policy steps of a measurement, over all cells."""
-OURS, BARE = "engine", "bare mujoco.rollout"
 COLUMNS = ("num_envs", "loop", "round", "policy_steps_per_s")
+BARE = "bare mujoco.rollout"
 
 
 def bench_env(config: TrainConfig) -> Path:
@@ -37,31 +34,19 @@ def bench_env(config: TrainConfig) -> Path:
     env = environment(config)
 
     def loops(cells: int) -> dict[str, Rate]:
-        found = {OURS: timed(engine_loop(env, cells), cells), BARE: timed(bare_loop(env, cells), cells)}
-        return found | ({"dm_control front": timed(dm_loop(env), 1)} if cells == 1 else {})
+        found = {"engine": engine_loop(env, cells), BARE: bare_loop(env, cells)}
+        if cells == 1:
+            found["dm_control front"] = dm_loop(env)
+        return {name: partial(rate, step, cells) for name, step in found.items()}
 
     path = Path(config.output) / "env.csv"
-    print(table(interleaved(path, COLUMNS, NUM_ENVS, loops, ROUNDS)), end="")
+    print(table(interleaved(path, COLUMNS, NUM_ENVS, loops)), end="")
     return path
 
 
 def table(frame: DataFrame) -> str:
     """Return the rows of env.csv as a Markdown table: medians, ranges and ratios."""
     return ratios(frame, BARE, "of bare rollout")
-
-
-def timed(step: Callable[[], None], cells: int) -> Rate:
-    """Return the measurement of a loop whose call makes `cells` policy steps."""
-
-    def rate() -> float:
-        count = max(4, POLICY_STEPS // cells)
-        step()  # warm up
-        began = time.perf_counter()
-        for _ in range(count):
-            step()
-        return count * cells / (time.perf_counter() - began)
-
-    return rate
 
 
 def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
@@ -76,17 +61,13 @@ def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
     return step
 
 
-def bare_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
+def bare_loop(env: EnvConfig, cells: int) -> Callable[[], object]:
     """Return a call that rolls the same model through as many substeps, with precomputed controls."""
     engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
     control = engine.episodes.apply_action(rng.uniform(-1, 1, engine.reset().joint_target.shape))
-    data = [mujoco.MjData(engine.scene.model) for _ in range(env.engine.threads)]
-    physics = engine.physics
-
-    def step() -> None:
-        rollout.rollout(engine.scene.model, data, physics, control, control_spec=CONTROL_SPEC)
-
-    return step
+    model = engine.scene.model
+    data = [mujoco.MjData(model) for _ in range(env.engine.threads)]
+    return partial(rollout.rollout, model, data, engine.physics, control, control_spec=CONTROL_SPEC)
 
 
 def dm_loop(env: EnvConfig) -> Callable[[], None]:

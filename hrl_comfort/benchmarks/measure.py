@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,6 +15,9 @@ from hrl_comfort.files.tables import write_table
 
 Rate = Callable[[], float]
 """() -> calls a second, measured now."""
+SECONDS = 2.0
+"""Least duration of a measurement."""
+ROUNDS = 7
 
 
 def need_peers() -> None:
@@ -22,8 +26,18 @@ def need_peers() -> None:
         raise ConfigError("this benchmark needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
 
 
+def rate(step: Callable[[], object], size: int = 1) -> float:
+    """Return how often a second `step` does something of which it does `size` a call, over at least SECONDS."""
+    step()  # warm up
+    began, count = time.perf_counter(), 0
+    while count == 0 or time.perf_counter() - began < SECONDS:
+        step()
+        count += 1
+    return count * size / (time.perf_counter() - began)
+
+
 def interleaved(
-    path: Path, columns: Sequence[str], sizes: Iterable[int], make: Callable[[int], dict[str, Rate]], rounds: int
+    path: Path, columns: tuple[str, str, str, str], sizes: Iterable[int], make: Callable[[int], dict[str, Rate]]
 ) -> DataFrame:
     """Measure the contestants that `make` returns for each size, in turn in every round; write and return the rows.
 
@@ -32,7 +46,7 @@ def interleaved(
     rows = []
     for size in sizes:
         contestants = make(size)
-        rows += [(size, name, turn, rate()) for turn in range(rounds) for name, rate in contestants.items()]
+        rows += [(size, name, turn, measured()) for turn in range(ROUNDS) for name, measured in contestants.items()]
     write_table(path, columns, rows)
     return DataFrame(rows, columns=list(columns))
 
@@ -43,13 +57,12 @@ def ratios(frame: DataFrame, reference: str, heading: str, inverse: bool = False
     Ratios are those of each round, `inverse` reference over contestant.
     """
     size, name, turn, rate = frame.columns
-    mine = frame.set_index([size, turn])[rate]
-    theirs = frame[frame[name] == reference].set_index([size, turn])[rate]
-    ratio = mine / theirs.reindex(mine.index)
-    frame = frame.assign(ratio=(1 / ratio if inverse else ratio).to_numpy())
+    theirs = frame[frame[name] == reference].rename(columns={rate: "theirs"})
+    both = frame.merge(theirs[[size, turn, "theirs"]], on=[size, turn])
+    both["ratio"] = both["theirs"] / both[rate] if inverse else both[rate] / both["theirs"]
     lines = [
         [str(count), str(who), spread(each[rate]), "" if who == reference else spread(each["ratio"], 2)]
-        for (count, who), each in frame.groupby([size, name], sort=False)
+        for (count, who), each in both.groupby([size, name], sort=False)
     ]
     return markdown([size, name, rate.replace("_per_", "/"), heading], lines)
 

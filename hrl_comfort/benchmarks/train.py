@@ -5,14 +5,15 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pandas import DataFrame
+from pandas import DataFrame, Series
 from scipy.stats import bootstrap
 
 from hrl_comfort.agents.sac import matmul_precision
@@ -22,7 +23,7 @@ from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
 from hrl_comfort.config import EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.files.tables import read_table, write_table
+from hrl_comfort.files.tables import Floats, read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.training.collector import make_collector
@@ -69,15 +70,6 @@ class Clock:
         return self.reached or over
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Environments of a peer, and its gradient steps after so many policy steps of each."""
-
-    num_envs: int
-    updates: int
-    every: int = 1
-
-
 def bench_train(config: TrainConfig) -> Path:
     """Race to GOAL success in the task of `config`; print the table of train.csv and return its path.
 
@@ -118,31 +110,24 @@ def table(frame: DataFrame) -> str:
     for (task, name), races in frame.groupby(["task", "learner"], sort=False):
         ours = frame[(frame["task"] == task) & (frame["learner"] == OURS)]
         bound = "" if races["reached"].all() else "≥ "
-        times = bound + times_ours(races, ours) if ours["reached"].all() else "-"
-        lines.append(
-            [
-                str(task),
-                str(name),
-                f"{races['reached'].sum()} of {len(races)}",
-                bound + spread(races["policy_steps"]),
-                bound + spread(races["seconds"], 1),
-                "" if name == OURS else times,
-            ]
-        )
+        times = bound + times_ours(races["seconds"], ours["seconds"]) if ours["reached"].all() else "-"
+        arrived = f"{races['reached'].sum()} of {len(races)}"
+        spreads = bound + spread(races["policy_steps"]), bound + spread(races["seconds"], 1)
+        lines.append([str(task), str(name), arrived, *spreads, "" if name == OURS else times])
     return markdown(["task", "learner", "arrived", "policy_steps", "seconds", "times ours [95 %]"], lines)
 
 
-def times_ours(races: DataFrame, ours: DataFrame) -> str:
-    """Return the ratio of median seconds to those of `ours`, with the bootstrap interval over seeds."""
-    samples = races["seconds"].to_numpy(float), ours["seconds"].to_numpy(float)
+def times_ours(theirs: Series, ours: Series) -> str:
+    """Return the ratio of median seconds, with the bootstrap interval over seeds."""
 
-    def ratio(theirs: NDArray[np.float64], mine: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-        return np.asarray(np.median(theirs, axis=axis) / np.median(mine, axis=axis))
+    def ratio(theirs: Floats, ours: Floats, axis: int = -1) -> Floats:
+        return np.asarray(np.median(theirs, axis=axis) / np.median(ours, axis=axis))
 
-    text = f"{ratio(*samples):.2f}"
-    if min(len(sample) for sample in samples) < 2:
+    text = f"{ratio(theirs, ours):.2f}"
+    if min(len(theirs), len(ours)) < 2:
         return text
-    low, high = bootstrap(samples, ratio, n_resamples=RESAMPLES, method="percentile", rng=0).confidence_interval
+    options: dict[str, Any] = {"n_resamples": RESAMPLES, "method": "percentile", "rng": 0}
+    low, high = bootstrap((theirs, ours), ratio, **options).confidence_interval
     return f"{text} [{low:.2f}, {high:.2f}]"
 
 
@@ -176,7 +161,7 @@ def ours(config: TrainConfig, clock: Clock) -> int:
         return training.policy_steps
 
 
-def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
+def torchrl(config: TrainConfig, clock: Clock, num_envs: int, updates: int, every: int = 1) -> int:
     """Train by TorchRL's SAC and collector until `clock` says so; return the policy steps made."""
     from torchrl.collectors import Collector
     from torchrl.envs import TransformedEnv
@@ -185,7 +170,7 @@ def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
     env, agent = environment(config), config.agent
     torch.manual_seed(config.train_seed)
     normalise = VecNormV2(["observation"], reduce_batch_dims=True)
-    cells = TransformedEnv(CellEnv(env, schedule.num_envs, config.episode_seed), normalise)
+    cells = TransformedEnv(CellEnv(env, num_envs, config.episode_seed), normalise)
     sizes = cells.observation_spec["observation"].shape[-1], cells.action_spec.shape[-1]
     learner = TorchRLSAC(agent, *sizes, gamma=agent.gamma**env.task.action_repeat)
     network = learner.policy[0].module
@@ -198,7 +183,7 @@ def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
     collector = Collector(
         cells,
         learner.policy,
-        frames_per_batch=schedule.num_envs * schedule.every,
+        frames_per_batch=num_envs * every,
         total_frames=agent.policy_steps,
         init_random_frames=agent.learning_starts,
     )
@@ -207,7 +192,7 @@ def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
     for transitions in collector:
         learner.remember(transitions.reshape(-1))
         policy_steps += transitions.numel()
-        for _ in range(schedule.updates if policy_steps > agent.learning_starts else 0):
+        for _ in range(updates if policy_steps > agent.learning_starts else 0):
             learner.update()
         if clock.done(act, policy_steps):
             break
@@ -215,7 +200,7 @@ def torchrl(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
     return policy_steps
 
 
-def stable_baselines3(config: TrainConfig, clock: Clock, schedule: Schedule) -> int:
+def stable_baselines3(config: TrainConfig, clock: Clock, num_envs: int, updates: int, every: int = 1) -> int:
     """Train by Stable-Baselines3's SAC on the Gymnasium front until `clock` says so; return the policy steps."""
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.monitor import Monitor
@@ -225,11 +210,11 @@ def stable_baselines3(config: TrainConfig, clock: Clock, schedule: Schedule) -> 
 
     env, agent = environment(config), config.agent
     cells = VecNormalize(
-        DummyVecEnv([lambda: Monitor(CellGym(env)) for _ in range(schedule.num_envs)]), norm_reward=False, clip_obs=5.0
+        DummyVecEnv([lambda: Monitor(CellGym(env)) for _ in range(num_envs)]), norm_reward=False, clip_obs=5.0
     )
     model = stable_baselines3_sac(
         agent, cells, agent.gamma**env.task.action_repeat,
-        seed=config.train_seed, train_freq=schedule.every, gradient_steps=schedule.updates,
+        seed=config.train_seed, train_freq=every, gradient_steps=updates,
     )  # fmt: skip
 
     class Check(BaseCallback):
@@ -252,10 +237,13 @@ def stable_baselines3(config: TrainConfig, clock: Clock, schedule: Schedule) -> 
 OURS = "hrl-comfort"
 RACES: dict[str, Callable[[TrainConfig, Clock], int]] = {
     OURS: ours,
-    "TorchRL, 16 cells, 4 updates in 16 steps": partial(torchrl, schedule=Schedule(16, 4)),
-    "Stable-Baselines3, 1 cell, an update a step": partial(stable_baselines3, schedule=Schedule(1, 1)),
-    "Stable-Baselines3, 1 cell, an update in 4 steps": partial(stable_baselines3, schedule=Schedule(1, 1, every=4)),
-    "Stable-Baselines3, 16 cells, 4 updates in 16 steps": partial(stable_baselines3, schedule=Schedule(16, 4)),
-    "Stable-Baselines3, 16 cells, 1 update in 16 steps": partial(stable_baselines3, schedule=Schedule(16, 1)),
+    "TorchRL, 16 cells, 4 updates in 16 steps": partial(torchrl, num_envs=16, updates=4),
+    "Stable-Baselines3, 1 cell, an update a step": partial(stable_baselines3, num_envs=1, updates=1),
+    "Stable-Baselines3, 1 cell, an update in 4 steps": partial(stable_baselines3, num_envs=1, updates=1, every=4),
+    "Stable-Baselines3, 16 cells, 4 updates in 16 steps": partial(stable_baselines3, num_envs=16, updates=4),
+    "Stable-Baselines3, 16 cells, 1 update in 16 steps": partial(stable_baselines3, num_envs=16, updates=1),
 }
-"""Learner -> function that trains it until the clock says so and returns the policy steps made."""
+"""Learner -> function that trains it until the clock says so and returns the policy steps made.
+
+A peer has `num_envs` environments, and `updates` gradient steps after `every` policy steps of each.
+"""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +13,20 @@ from pandas import DataFrame
 from tensordict import TensorDict
 
 from hrl_comfort.agents.sac import SAC, matmul_precision
-from hrl_comfort.benchmarks.measure import Rate, interleaved, need_peers, ratios
+from hrl_comfort.benchmarks.measure import Rate, interleaved, need_peers, rate, ratios
 from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
 from hrl_comfort.config import AgentConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.sim.engine import Engine
 
 BATCHES = (256, 1028)
-ROUNDS = 7
-SECONDS = 3.0
-"""Least duration of a measurement."""
 STORED = 10_000
 """Transitions in the replay buffer."""
+OURS = "hrl-comfort"
+COLUMNS = ("batch", "learner", "round", "updates_per_s")
 Sizes = tuple[int, int]
 """Width of an observation and of an action."""
 Update = Callable[[], object]
-COLUMNS = ("batch", "learner", "round", "updates_per_s")
 
 
 def bench_update(config: TrainConfig) -> Path:
@@ -47,12 +45,12 @@ def bench_update(config: TrainConfig) -> Path:
     def learners(batch: int) -> dict[str, Rate]:
         agent = replace(config.agent, batch_size=batch, buffer_size=STORED, critic_warmup_updates=0)
         return {
-            name: timed(make(agent, sizes), precision or agent.matmul_precision)
+            name: partial(rate, at_precision(make(agent, sizes), precision or agent.matmul_precision))
             for name, (make, precision) in LEARNERS.items()
         }
 
     path = Path(config.output) / "update.csv"
-    print(table(interleaved(path, COLUMNS, BATCHES, learners, ROUNDS)), end="")
+    print(table(interleaved(path, COLUMNS, BATCHES, learners)), end="")
     return path
 
 
@@ -70,19 +68,14 @@ def observed_and_acted(config: TrainConfig) -> Sizes:
     return sizes
 
 
-def timed(update: Update, precision: str) -> Rate:
-    """Return the measurement of an update at this matmul precision, over at least SECONDS."""
+def at_precision(update: Update, precision: str) -> Update:
+    """Return an update at a matmul precision."""
 
-    def rate() -> float:
+    def step() -> None:
         with matmul_precision(precision):
-            update()  # warm up
-            began, count = time.perf_counter(), 0
-            while time.perf_counter() - began < SECONDS:
-                update()
-                count += 1
-            return count / (time.perf_counter() - began)
+            update()
 
-    return rate
+    return step
 
 
 def transitions(sizes: Sizes) -> TensorDict:
@@ -98,17 +91,10 @@ def transitions(sizes: Sizes) -> TensorDict:
 
 def ours(agent: AgentConfig, sizes: Sizes) -> Update:
     """Return an update of this project's learner."""
-    learner = SAC(agent, *sizes)
-    data, steps = transitions(sizes), torch.full((STORED,), 5)
-    after = data["next"]
-    learner.remember(
-        data["observation"],
-        data["action"],
-        after["reward"][:, 0],
-        after["observation"],
-        after["terminated"][:, 0],
-        steps,
-    )
+    learner, data = SAC(agent, *sizes), transitions(sizes)
+    reward, after, terminated = (data["next", name] for name in ("reward", "observation", "terminated"))
+    steps = torch.full((STORED,), 5)
+    learner.remember(data["observation"], data["action"], reward[:, 0], after, terminated[:, 0], steps)
     return learner.update
 
 
@@ -141,7 +127,6 @@ def stable_baselines3(agent: AgentConfig, sizes: Sizes) -> Update:
     return lambda: model.train(gradient_steps=1, batch_size=agent.batch_size)
 
 
-OURS = "hrl-comfort"
 LEARNERS: dict[str, tuple[Callable[[AgentConfig, Sizes], Update], str | None]] = {
     OURS: (ours, None),
     "TorchRL SACLoss": (torchrl, "highest"),

@@ -27,15 +27,15 @@ LEVELS = (1, 4, 7, 10)
 """Drawn where none are asked for: those of the paper's figures."""
 MARK_S = 0.5
 """Time between two dots on a path."""
-MARGIN_M = 0.06
 LABEL_M = 0.03
 """Between a table's edge and the middle of its name."""
 PANEL_IN = 4.3
-"""Width of a panel, inches; its height follows from what is drawn, for both axes have one scale."""
+"""Width of a panel, inches; its height follows from what is drawn."""
 UNDER_IN = 0.42
 """From a panel to its legend, inches: what the x axis takes."""
 BASE_M = 0.15
 """Side of the square that stands for the robot's base, about as wide as a UR3e's."""
+Point = tuple[float, float]
 Runs = Mapping[str, tuple[Run, DataFrame]]
 """Evaluations by their name in the legend, each with its episodes; their index is the number of the episode."""
 
@@ -124,42 +124,37 @@ def at_levels(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int
     """
     found: dict[str, tuple[Run, DataFrame]] = {}
     for level in levels or LEVELS:
-        name = f"level {level}"
-        for run in runs:
-            rows = _at_level(run, level)
-            if len(rows) and name in found:
-                raise ConfigError(f"episode {rows.index[0]} at {name} is there twice; give one training seed")
-            if len(rows):
-                found[name] = run, rows
-        if name not in found:
-            raise ConfigError(f"the evaluations hold no episode at {name}; evaluate with levels=[...]")
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.87, len(found)))
-    return _draw(found, dict(zip(found, shades, strict=True)), _chosen(found, episodes))
+        there = [(run, rows) for run in runs if len(rows := _at_level(run, level))]
+        if not there:
+            raise ConfigError(f"the evaluations hold no episode at level {level}; evaluate with levels=[...]")
+        if len(there) > 1:
+            raise ConfigError(f"episodes at level {level} are there twice; give one training seed")
+        found[f"level {level}"] = there[0]
+    return _draw(found, matplotlib.colormaps["viridis"](np.linspace(0.0, 0.87, len(found))), episodes)
 
 
 def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[int]) -> Figure:
-    """Draw tool paths of one policy under different walks, a panel for each of `episodes` (as in `paths`).
+    """Draw tool paths of one policy under different walks, a panel for each of `episodes` (as in `at_levels`).
 
     Args:
       named: one recorded evaluation a walk, by the name it has in the figure.
       levels: the level to draw, where evaluations hold several.
       episodes: one or two; none is the first orange and the first pink one that succeed under every walk.
     """
-    found: dict[str, tuple[Run, DataFrame]] = {}
+    found = {}
     for name, run in named.items():
-        assert run.episodes is not None, "read_groups checks it"
+        assert run.episodes is not None, "the figure's evaluations have episodes"
         there = [None if pd.isna(level) else int(level) for level in run.episodes["comfort_level"].unique()]
         level = levels[0] if levels else there[0]
         if level not in there or (len(there) > 1 and not levels):
             raise ConfigError(f"{run.folder} holds the levels {', '.join(map(str, there))}; choose one: levels=[5]")
         found[name] = run, _at_level(run, level)
-    colours = {name: CYCLE[i % len(CYCLE)] for i, name in enumerate(found)}
-    return _draw(found, colours, _chosen(found, episodes))
+    return _draw(found, [CYCLE[i % len(CYCLE)] for i in range(len(found))], episodes)
 
 
 def _at_level(run: Run, level: int | None) -> DataFrame:
     """Return the episodes of an evaluation at a level (None: without one), by episode, with `ended`."""
-    assert run.episodes is not None, "read_groups checks it"
+    assert run.episodes is not None, "the figure's evaluations have episodes"
     rows = run.episodes.assign(ended=terminations(run.episodes)).set_index("episode", drop=False)
     levels = rows["comfort_level"]
     return rows[levels.isna() if level is None else levels.eq(level).fillna(False)]
@@ -172,48 +167,40 @@ def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
     for index in episodes:
         if index not in common:
             raise ConfigError(f"episodes={list(episodes)}: {index} is not in {' and '.join(found)} alike")
-    if episodes:
-        return list(episodes)
-    won: dict[str, int] = {}
-    for episode in common:
-        if all(rows.at[episode, "success"] for rows in tables):
-            won.setdefault(str(tables[0].at[episode, "colour"]), episode)
-    if not won:
+    won = [episode for episode in common if all(rows.at[episode, "success"] for rows in tables)]
+    if not episodes and not won:
         raise ConfigError(f"no episode succeeds in {' and '.join(found)} alike; choose with episodes=[0,1]")
-    return [won[colour] for colour in sorted(won)]
+    return list(episodes) or tables[0].loc[won].groupby("colour")["episode"].first().tolist()
 
 
-def _tracks(found: Runs, colours: Mapping[str, Any], episode: int) -> list[Track]:
-    """Return the recorded paths of one episode."""
-    tracks = []
-    for name, (run, rows) in found.items():
-        row = rows.loc[episode].to_dict()
-        recorded = recorded_paths(run, episodes=(episode,))
-        level = row["comfort_level"]
-        path = next((path for (_, at), path in recorded.items() if pd.isna(level) or level == at), None)
-        if path is None:
-            raise ConfigError(f"{run.folder} has no paths.csv with episode {episode}; evaluate with record=true")
-        tracks.append(Track(name, colours[name], path, row))
-    return tracks
+def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
+    """Return the recorded path of one episode, by its row of episodes.csv."""
+    recorded = recorded_paths(run, episodes=(row["episode"],))
+    level = row["comfort_level"]
+    for (_, at), path in recorded.items():
+        if pd.isna(level) or level == at:
+            return Track(name, colour, path, row)
+    raise ConfigError(f"{run.folder} has no paths.csv with episode {row['episode']}; evaluate with record=true")
 
 
-def _draw(found: Runs, colours: Mapping[str, Any], episodes: Sequence[int]) -> Figure:
-    run = next(iter(found.values()))[0]
-    panels = [_tracks(found, colours, episode) for episode in episodes]
-    cell = run.config.get("cell", {})
-    points = np.concatenate([_extent(tracks, cell) for tracks in panels])
-    low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
-    height = PANEL_IN * (high[1] - low[1]) / (high[0] - low[0])
+def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figure:
+    """Draw a panel for each of the episodes, with a path for each evaluation in its colour."""
+    chosen = _chosen(found, episodes)
+    cell = next(iter(found.values()))[0].config.get("cell", {})
     with styled():
-        legend_rows = -(-len(found) // 2)
-        size = (0.5 + PANEL_IN * len(panels), min(height, 2 * PANEL_IN) + 1.7 + 0.17 * legend_rows)
-        figure = Figure(figsize=size)
-        axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
-        for axis, tracks in zip(axes, panels, strict=True):
+        figure = Figure()
+        axes = figure.subplots(1, len(chosen), squeeze=False, sharex=True, sharey=True)[0]
+        for axis, episode in zip(axes, chosen, strict=True):
+            tracks = [
+                _track(name, colour, run, rows.loc[episode].to_dict())
+                for (name, (run, rows)), colour in zip(found.items(), colours, strict=True)
+            ]
             _panel(axis, tracks, cell)
-            axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)")
             axis.set_aspect("equal", adjustable="box")
         axes[0].set_ylabel("y (m)")
+        (left, right), (low, high) = axes[0].get_xlim(), axes[0].get_ylim()
+        height = min(PANEL_IN * (high - low) / (right - left), 2 * PANEL_IN)  # both axes have one scale
+        figure.set_size_inches(0.5 + PANEL_IN * len(chosen), height + 1.7 + 0.17 * -(-len(found) // 2))
         person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
         handles = [
             *_tool_handles(),
@@ -223,7 +210,7 @@ def _draw(found: Runs, colours: Mapping[str, Any], episodes: Sequence[int]) -> F
             Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
         ]
         spaces: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 1.1}
-        figure.legend(handles=handles, loc="outside lower center", ncols=4 * len(panels), **spaces)
+        figure.legend(handles=handles, loc="outside lower center", ncols=4 * len(chosen), **spaces)
         return figure
 
 
@@ -241,8 +228,7 @@ def _tool_handles() -> list[Line2D]:
 def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None:
     """Draw one episode's paths from above, m in the cell's frame."""
     first = tracks[0].row
-    ball = first["colour"]
-    _draw_cell(axis, cell, ball)
+    _draw_cell(axis, cell, first["colour"])
     for track in tracks:
         x, y = track.path[["tcp_x", "tcp_y"]].to_numpy().T
         _tool(axis, x, y, track.colour, track.row["success"])
@@ -255,7 +241,8 @@ def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None
     axis.xaxis.set_major_locator(MultipleLocator(0.4))
     axis.yaxis.set_major_locator(MultipleLocator(0.4))
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
-    axis.set_title(f"{ball.capitalize()} ball, episode {first['episode']} ({spawn} spawn)")
+    title = f"{first['colour'].capitalize()} ball, episode {first['episode']} ({spawn} spawn)"
+    axis.set(title=title, xlabel="x (m)")
     axis.legend(
         handles=[Line2D([], [], color=track.colour, label=_words(track)) for track in tracks],
         loc="upper center",
@@ -267,15 +254,6 @@ def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None
         title="mean distance to person, control steps",
         title_fontsize=7.5,
     )
-
-
-def _extent(tracks: Sequence[Track], cell: Mapping[str, Any]) -> Floats:
-    """Return points (n, 2), m, that span everything drawn of one episode."""
-    half = cell.get("table_half_width_m", 0.0) + LABEL_M
-    goals = np.array([[0.0, 0.0], *(cell[key][:2] for key in GOALS if key in cell)])
-    tools = [track.path[["tcp_x", "tcp_y"]].to_numpy() for track in tracks]
-    walks = [walk + side for _, walk in _walks(tracks) for side in (-TRUNK_RADIUS_M, TRUNK_RADIUS_M)]
-    return np.concatenate([goals - half, goals + half, *tools, *walks])
 
 
 def _words(track: Track) -> str:
@@ -292,29 +270,28 @@ def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
     Nobody there, no walk. An episode that lasts longer shows more of the same walk.
     """
     walks = [(track.colour, walk) for track in tracks if len(walk := _walk(track.path))]
-    if not walks:
-        return []
-    longest = max((walk for _, walk in walks), key=len)
-    if all(np.allclose(walk, longest[: len(walk)], atol=1e-4) for _, walk in walks):
-        return [(GREY, longest)]
-    return walks
+    longest = max((walk for _, walk in walks), key=len, default=np.zeros((0, 2)))
+    same = walks and all(np.allclose(walk, longest[: len(walk)], atol=1e-4) for _, walk in walks)
+    return [(GREY, longest)] if same else walks
 
 
 def _draw_cell(axis: Axes, cell: Mapping[str, Any], ball: str) -> None:
     """Draw base, tables, ball and drop points with their names."""
-    shade: dict[str, Any] = {"facecolor": "#f0f0f0", "edgecolor": "#cccccc", "linewidth": 0.6, "zorder": 1}
-    axis.add_patch(Rectangle((-BASE_M / 2, -BASE_M / 2), BASE_M, BASE_M, **{**shade, "facecolor": "#d9d9d9"}))
-    labels = [("base", 0.0, 0.0)]
     half = cell.get("table_half_width_m", 0.0)
+    _square(axis, (0.0, 0.0), BASE_M / 2, "#d9d9d9", "base", (0.0, 0.0))
     for key, (label, colour) in GOALS.items():
-        if key not in cell:
-            continue
-        x, y = cell[key][:2]
-        own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" and f"{ball}_drop_m" in GOALS else colour
-        axis.add_patch(Rectangle((x - half, y - half), 2 * half, 2 * half, **shade))
-        axis.plot(x, y, "o" if key == "ball_m" else "D", color=own, markersize=7, markeredgecolor="white", zorder=5)
-        # Paths to and from a place run on the robot's side of it.
-        labels.append((label, x, y + (half + LABEL_M) * (1 if y > 0 else -1)))
-    for label, x, y in labels:
-        text = axis.text(x, y, label, fontsize=7, ha="center", va="center", color="#555555", zorder=2)
-        text.set_path_effects([OUTLINE])
+        if key in cell:
+            x, y, _ = cell[key]
+            # Paths to and from a place run on the robot's side of it.
+            _square(axis, (x, y), half, "#f0f0f0", label, (x, y + (half + LABEL_M) * (1 if y > 0 else -1)))
+            own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" else colour
+            axis.plot(x, y, "o" if key == "ball_m" else "D", color=own, markersize=7, markeredgecolor="white", zorder=5)
+
+
+def _square(axis: Axes, at: Point, half: float, colour: str, label: str, label_at: Point) -> None:
+    """Draw a square of half a side `half`, m, and its label."""
+    corner = at[0] - half, at[1] - half
+    edge: dict[str, Any] = {"edgecolor": "#cccccc", "linewidth": 0.6, "zorder": 1}
+    axis.add_patch(Rectangle(corner, 2 * half, 2 * half, facecolor=colour, **edge))
+    look: dict[str, Any] = {"fontsize": 7, "ha": "center", "va": "center", "color": "#555555", "zorder": 2}
+    axis.text(*label_at, label, path_effects=[OUTLINE], **look)

@@ -25,13 +25,14 @@ from hrl_comfort.config.compose import compose, environment
 SMALL = ("agent.hidden=[16,16]", "agent.batch_size=16")
 
 
-def test_contestants_take_turns_in_every_round(tmp_path: Path) -> None:
+def test_contestants_take_turns_in_every_round(tmp_path: Path, monkeypatch) -> None:
     calls: list[tuple[int, str]] = []
 
     def make(size: int) -> dict[str, measure.Rate]:
         return {name: lambda name=name: calls.append((size, name)) or size * 10.0 for name in "ab"}
 
-    frame = measure.interleaved(tmp_path / "x.csv", ("size", "who", "round", "rate"), (1, 2), make, rounds=2)
+    monkeypatch.setattr(measure, "ROUNDS", 2)
+    frame = measure.interleaved(tmp_path / "x.csv", ("size", "who", "round", "rate"), (1, 2), make)
     assert calls == [(size, name) for size in (1, 2) for _ in range(2) for name in "ab"]
     assert frame["rate"].tolist() == [10.0] * 4 + [20.0] * 4
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "x.csv"), frame)
@@ -55,7 +56,7 @@ def test_ratios_are_the_medians_of_those_of_each_round() -> None:
 
 def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(bench_env, "NUM_ENVS", (1, 4))
-    monkeypatch.setattr(bench_env, "POLICY_STEPS", 8)
+    monkeypatch.setattr(measure, "SECONDS", 0.0)
     made: dict[int, int] = {}
     step = bench_env.Engine.step
 
@@ -68,11 +69,10 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     frame = pd.read_csv(tmp_path / "env.csv")
     loops = ["engine", "bare mujoco.rollout"]
     expected = [(1, name) for name in [*loops, "dm_control front"]] + [(4, name) for name in loops]
-    for turn in range(bench_env.ROUNDS):
+    for turn in range(measure.ROUNDS):
         rows = frame[frame["round"] == turn]
         assert [*zip(rows["num_envs"], rows["loop"], strict=True)] == expected
-    # 8 steps of one cell, at least 4 of four cells, and one to warm up
-    assert made == {1: 9 * bench_env.ROUNDS, 4: 5 * bench_env.ROUNDS}
+    assert made == {1: 2 * measure.ROUNDS, 4: 2 * measure.ROUNDS}, "one to warm up, one in no time"
 
 
 @pytest.mark.parametrize("name", list(bench_update.LEARNERS))
@@ -80,7 +80,6 @@ def test_an_update_of_every_learner_changes_its_networks(name: str, monkeypatch)
     if "Stable" in name:
         pytest.importorskip("stable_baselines3", reason="in the extra bench")
     monkeypatch.setattr(bench_update, "STORED", 40)
-    monkeypatch.setattr(bench_update, "SECONDS", 0.0)
     stepped: list[str] = []
     adam = torch.optim.Adam.step
 
@@ -90,9 +89,9 @@ def test_an_update_of_every_learner_changes_its_networks(name: str, monkeypatch)
 
     monkeypatch.setattr(torch.optim.Adam, "step", step)
     make, precision = bench_update.LEARNERS[name]
-    bench_update.timed(make(compose("train", list(SMALL)).agent, (9, 6)), precision or "medium")()
+    bench_update.at_precision(make(compose("train", list(SMALL)).agent, (9, 6)), precision or "medium")()
     optimisers = 3 if "Stable" in name else 1  # Stable-Baselines3 has one for each loss
-    assert stepped == [precision or "medium"] * optimisers, "one update to warm up, none in no time"
+    assert stepped == [precision or "medium"] * optimisers
 
 
 def test_torchrls_sac_learns_towards_the_reward() -> None:
