@@ -38,11 +38,15 @@ class Jump:
     """(T,) s from the jump."""
     values: dict[str, tuple[Floats, Floats]]
     """MEASURES to (n, T) without the jump and with it; NaN where one of the two does not run."""
-    success: tuple[float, float]
-    """Shares of the n episodes that succeed, without the jump and with it."""
-    clusters: Clusters
+    entries: DataFrame
+    """(n) training seed and spawn of each, `success` without the jump and `success_jump`."""
     apart_before_m: float
     """Largest distance of the two evaluations' tools before the jump: 0 where they are the same policy."""
+
+    @property
+    def clusters(self) -> Clusters:
+        """Training seed and spawn point of each episode."""
+        return Clusters.of(self.entries)
 
 
 def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Jump:
@@ -70,14 +74,9 @@ def aligned(without: Sequence[Run], jumping: Sequence[Run], jump_s: float) -> Ju
     def over_time(name: str) -> Floats:
         return both.pivot(index="entry", columns="step", values=name).to_numpy(float)
 
-    entries = both.drop_duplicates("entry").sort_values("entry")
-    return Jump(
-        seconds=(np.sort(both["step"].unique()) - at) * CONTROL_STEP_S,
-        values={name: (over_time(name), over_time(f"{name}_jump")) for name in MEASURES},
-        success=(float(entries["success"].mean()), float(entries["success_jump"].mean())),
-        clusters=Clusters.of(entries),
-        apart_before_m=apart,
-    )
+    seconds = (np.sort(both["step"].unique()) - at) * CONTROL_STEP_S
+    values = {name: (over_time(name), over_time(f"{name}_jump")) for name in MEASURES}
+    return Jump(seconds, values, both.drop_duplicates("entry").sort_values("entry"), apart)
 
 
 def _recorded(runs: Sequence[Run]) -> DataFrame:
@@ -125,21 +124,17 @@ def numbers(data: Jump) -> dict[str, Any]:
         "jump_s": float(-data.seconds[0]),
         "after_s": AFTER_S,
         "episodes": 0,
-        "episodes_at_jump": len(data.clusters.seed),
-        "success": dict(zip(("without", "with"), data.success, strict=True)),
+        "episodes_at_jump": len(data.entries),
+        "success": {"without": data.entries["success"].mean(), "with": data.entries["success_jump"].mean()},
         "tools_apart_before_m": data.apart_before_m,
     }
     for name, (without, jumping) in data.values.items():
-        difference = jumping[:, at] - without[:, at]
-        there = np.isfinite(difference)
-        estimate = data.clusters.estimate(difference)
-        if not reached or estimate is None:
-            continue
-        found["episodes"] = int(there.sum())
-        found[name] = {
-            "without": float(without[there, at].mean()),
-            "with": float(jumping[there, at].mean()),
-            "difference": estimate["mean"],
-            "ci95": estimate["ci95"],
-        }
+        pair = np.stack([without[:, at], jumping[:, at]])
+        pair = pair[:, np.isfinite(pair).all(axis=0)]
+        if reached and pair.size:
+            means = dict(zip(("without", "with"), pair.mean(axis=1).tolist(), strict=True))
+            estimate = data.clusters.estimate(jumping[:, at] - without[:, at])
+            assert estimate is not None, "some episode has a value"
+            found["episodes"] = pair.shape[1]
+            found[name] = {**means, "difference": estimate["mean"], "ci95": estimate["ci95"]}
     return found

@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from matplotlib.transforms import ScaledTranslation
 from pandas import DataFrame
@@ -49,14 +49,18 @@ class Track:
     path: DataFrame
     """Its rows of paths.csv."""
     row: Mapping[str, Any]
-    """Its row of episodes.csv, with `ended`."""
+    """Its row of episodes.csv, with `ended`; in an overview, `success` alone."""
 
 
-def _tool(axis: Axes, across: Floats, up: Floats, colour: Any, success: bool) -> None:
-    """Draw a path of the tool with its start and its end."""
-    axis.plot(across, up, color=colour, zorder=3)
-    axis.plot(across[-1], up[-1], "o" if success else "X", color=colour, markersize=5 if success else 8, zorder=4)
-    axis.plot(across[0], up[0], "o", color="white", markeredgecolor=colour, markersize=5, zorder=4)
+def _tool(axis: Axes, track: Track, up: str) -> None:
+    """Draw a path of the tool over x, with its start, its end and marks in equal times."""
+    x, y = track.path[["tcp_x", up]].to_numpy().T
+    colour, success = track.colour, track.row["success"]
+    marks = slice(None, None, round(MARK_S / CONTROL_STEP_S))
+    axis.plot(x, y, color=colour, zorder=3)
+    axis.plot(x[-1], y[-1], "o" if success else "X", color=colour, markersize=5 if success else 8, zorder=4)
+    axis.plot(x[0], y[0], "o", color="white", markeredgecolor=colour, markersize=5, zorder=4)
+    axis.plot(x[marks], y[marks], ".", color=colour, markersize=5, zorder=3)
 
 
 def _walk(path: DataFrame) -> Floats:
@@ -74,42 +78,36 @@ def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, st
       ended: episode to how it ended; anything but "success" is marked with a cross.
       cell: `cell` of the run's configuration; empty when it is not known, then no goal is drawn.
     """
-    goals = {key: cell[key] for key in GOALS if key in cell}
+    tracks = [
+        Track(str(key), colour, path, {"success": ended.get(key, "success") == "success"})
+        for colour, (key, path) in zip(CYCLE, episodes.items(), strict=False)
+    ]
     with styled():
         figure = Figure(figsize=(10.2, 5.0))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), height_ratios=(1.3, 1.0))
         top = figure.add_subplot(grid[:, 0])
         side, gap = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        for colour, (episode, path) in zip(CYCLE, episodes.items(), strict=False):
-            x, y, z = path[["tcp_x", "tcp_y", "tcp_z"]].to_numpy().T
-            success = ended.get(episode, "success") == "success"
-            _tool(top, x, y, colour, success)
-            _tool(side, x, z, colour, success)
-            walk = _walk(path)
-            if len(walk):
-                top.plot(*walk.T, color=colour, linewidth=0.8, alpha=0.8)
-                top.add_patch(Circle(walk[-1], TRUNK_RADIUS_M, color=colour, alpha=0.25, linewidth=0))
-                side.axvline(float(walk[:, 0].mean()), color=colour, linewidth=5, alpha=0.2)
-                gap.plot(path["step"] * CONTROL_STEP_S, path["human_distance_m"], color=colour)
-        for key, (x, y, z) in goals.items():
-            label, colour = GOALS[key]
-            top.plot(x, y, "D", color=colour, markersize=6, markeredgecolor="white", label=label)
-            side.plot(x, z, "D", color=colour, markersize=6, markeredgecolor="white")
+        _from_above(top, tracks, cell)
+        for track in tracks:
+            _tool(side, track, "tcp_z")
+            if len(walk := _walk(track.path)):
+                side.axvline(float(walk[:, 0].mean()), color=track.colour, linewidth=5, alpha=0.2)
+                gap.plot(track.path["step"] * CONTROL_STEP_S, track.path["human_distance_m"], color=track.colour)
+        for key, (_, colour) in GOALS.items():
+            if key in cell:
+                side.plot(cell[key][0], cell[key][2], "D", color=colour, markersize=6, markeredgecolor="white")
+        side.plot(0, 0, "s", color=GREY, markersize=9)
         for axis in (top, side):
-            axis.plot(0, 0, "s", color=GREY, markersize=9, label="robot base")
             axis.set_aspect("equal", adjustable="datalim", anchor="W")
-            axis.margins(0.08)
-            axis.xaxis.set_major_locator(MaxNLocator(6))
+        side.margins(0.08)
+        side.xaxis.set_major_locator(MaxNLocator(6))
         top.set(title="Top view", xlabel="x (m)", ylabel="y (m)")
         side.set(title="Side view", xlabel="x (m)", ylabel="height z (m)")
         gap.set(title="Horizontal distance to human", xlabel="time (s)", ylabel="distance (m)")
         gap.set_ylim(bottom=0)
         if not gap.lines:
             gap.text(0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666")
-        known = top.get_legend_handles_labels()[0]
-        person = Patch(color=BLACK, alpha=0.25, linewidth=0, label="human (at the end)")
-        handles = [*_tool_handles(), person, *known]
-        figure.legend(handles=handles, loc="outside lower center", ncols=9, handletextpad=0.4, columnspacing=1.2)
+        _legend(figure, columns=8)
         return figure
 
 
@@ -201,45 +199,45 @@ def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figur
         (left, right), (low, high) = axes[0].get_xlim(), axes[0].get_ylim()
         height = min(PANEL_IN * (high - low) / (right - left), 2 * PANEL_IN)  # both axes have one scale
         figure.set_size_inches(0.5 + PANEL_IN * len(chosen), height + 1.7 + 0.17 * -(-len(found) // 2))
-        person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
-        handles = [
-            *_tool_handles(),
-            Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", linestyle="", color=BLACK),
-            Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
-            Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
-            Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
-        ]
-        spaces: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 1.1}
-        figure.legend(handles=handles, loc="outside lower center", ncols=4 * len(chosen), **spaces)
+        _legend(figure, columns=4 * len(chosen))
         return figure
 
 
-def _tool_handles() -> list[Line2D]:
-    """Return the legend of the tool's paths."""
-    look: dict[str, Any] = {"linestyle": "", "color": BLACK}
-    return [
+def _legend(figure: Figure, columns: int) -> None:
+    """Say under a figure what its lines and marks are."""
+    tool: dict[str, Any] = {"linestyle": "", "color": BLACK}
+    person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
+    handles = [
         Line2D([], [], color=BLACK, label="tool"),
-        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **look),
-        Line2D([], [], marker="o", markersize=5, label="success", **look),
-        Line2D([], [], marker="X", markersize=7, label="failure", **look),
+        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **tool),
+        Line2D([], [], marker="o", markersize=5, label="success", **tool),
+        Line2D([], [], marker="X", markersize=7, label="failure", **tool),
+        Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", **tool),
+        Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
+        Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
+        Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
     ]
+    spaces: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 1.1}
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, **spaces)
 
 
-def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None:
-    """Draw one episode's paths from above, m in the cell's frame."""
-    first = tracks[0].row
-    _draw_cell(axis, cell, first["colour"])
+def _from_above(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], ball: str | None = None) -> None:
+    """Draw the cell, with a ball of this colour, tools and walks from above, m in the cell's frame."""
+    _draw_cell(axis, cell, ball)
     for track in tracks:
-        x, y = track.path[["tcp_x", "tcp_y"]].to_numpy().T
-        _tool(axis, x, y, track.colour, track.row["success"])
-        marks = slice(None, None, round(MARK_S / CONTROL_STEP_S))
-        axis.plot(x[marks], y[marks], ".", color=track.colour, markersize=5, zorder=3)
+        _tool(axis, track, "tcp_y")
     for colour, walk in _walks(tracks):
         axis.plot(walk[:, 0], walk[:, 1], color=colour, linewidth=0.9, zorder=2)
         axis.add_patch(Circle(walk[0], TRUNK_RADIUS_M, fill=False, edgecolor=colour, linewidth=0.8, zorder=2))
         axis.add_patch(Circle(walk[-1], TRUNK_RADIUS_M, color=colour, alpha=0.3, linewidth=0, zorder=2))
     axis.xaxis.set_major_locator(MultipleLocator(0.4))
     axis.yaxis.set_major_locator(MultipleLocator(0.4))
+
+
+def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None:
+    """Draw one episode's paths from above, and what each came to."""
+    first = tracks[0].row
+    _from_above(axis, tracks, cell, first["colour"])
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
     title = f"{first['colour'].capitalize()} ball, episode {first['episode']} ({spawn} spawn)"
     axis.set(title=title, xlabel="x (m)")
@@ -275,8 +273,8 @@ def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
     return [(GREY, longest)] if same else walks
 
 
-def _draw_cell(axis: Axes, cell: Mapping[str, Any], ball: str) -> None:
-    """Draw base, tables, ball and drop points with their names."""
+def _draw_cell(axis: Axes, cell: Mapping[str, Any], ball: str | None) -> None:
+    """Draw base, tables, ball in its colour and drop points with their names."""
     half = cell.get("table_half_width_m", 0.0)
     _square(axis, (0.0, 0.0), BASE_M / 2, "#d9d9d9", "base", (0.0, 0.0))
     for key, (label, colour) in GOALS.items():
@@ -284,7 +282,7 @@ def _draw_cell(axis: Axes, cell: Mapping[str, Any], ball: str) -> None:
             x, y, _ = cell[key]
             # Paths to and from a place run on the robot's side of it.
             _square(axis, (x, y), half, "#f0f0f0", label, (x, y + (half + LABEL_M) * (1 if y > 0 else -1)))
-            own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" else colour
+            own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" and ball else colour
             axis.plot(x, y, "o" if key == "ball_m" else "D", color=own, markersize=7, markeredgecolor="white", zorder=5)
 
 
