@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from os import PathLike, fspath
 from typing import TYPE_CHECKING
 
@@ -27,18 +28,21 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
       ConfigError: a choice is not allowed.
       TypeError: a key of `choices` is not one of the configuration, as for any unknown keyword.
     """
-    from hrl_comfort.config import ConfigError, TrainConfig
     from hrl_comfort.config.checks import UnknownKeyError
-    from hrl_comfort.config.compose import compose, environment
     from hrl_comfort.config.overrides import override
 
     try:
-        config = compose("train", [override(key, value) for key, value in {"task": task, **choices}.items()])
+        return _composed(tuple(override(key, value) for key, value in {"task": task, **choices}.items()))
     except UnknownKeyError as error:
         raise TypeError(f"{task} got an unexpected keyword argument {error.key!r}: {error}") from None
-    if not isinstance(config, TrainConfig):
-        raise ConfigError(f"{task!r} has no environment")
-    return environment(config)
+
+
+@lru_cache(maxsize=64)  # a client makes many equal environments, and composing one takes longer than building it
+def _composed(overrides: tuple[str, ...]) -> EnvConfig:
+    from hrl_comfort.config.compose import compose, environment
+
+    config = compose("train", overrides)
+    return environment(config)  # type: ignore[arg-type]  # the root `train` is a TrainConfig
 
 
 def load(task: str = "pick", seed: int = 0, flat_observation: bool = False, **choices: object) -> Environment:

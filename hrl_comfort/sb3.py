@@ -129,7 +129,8 @@ def _merged(options: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the options of all rows as those of a batch: one number `episode` a row, one `split`."""
     if not any(options):
         return {}
-    keys, splits = {key for each in options for key in each}, {each.get("split") for each in options}
-    if keys != {"episode", "split"} or len(splits) > 1:
-        raise ConfigError(f"options[0]={options[0]!r}: every row takes an episode, and all the same split")
-    return {"episode": [each.get("episode") for each in options], "split": splits.pop()}
+    first = options[0]
+    for row, each in enumerate(options):
+        if set(each) != {"episode", "split"} or each["split"] != first["split"]:
+            raise ConfigError(f"options[{row}]={each!r}: every row takes an episode, and all the same split")
+    return {"episode": [each["episode"] for each in options], "split": first["split"]}

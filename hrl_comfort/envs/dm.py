@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,7 +13,8 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.envs.inputs import checked_action, episode_seed
+from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed
+from hrl_comfort.scene.camera import PACKAGES, PicturesUnavailableError
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -45,6 +47,20 @@ class CellPhysics(Physics):
             mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
             mujoco.mj_forward(self.model.ptr, self.data.ptr)
 
+    def render(self, *args: Any, **kwargs: Any) -> Any:
+        """Return dm_control's picture.
+
+        Raises:
+          PicturesUnavailableError: dm_control found no OpenGL when it was imported.
+        """
+        try:
+            return super().render(*args, **kwargs)
+        except mujoco.FatalError as error:
+            raise PicturesUnavailableError(
+                "no pictures: dm_control has no OpenGL; set MUJOCO_GL=egl before Python starts "
+                f"(on Debian or Ubuntu: apt-get install {PACKAGES})"
+            ) from error
+
     def sense(self, joints: Array, control: Array) -> Array:
         """Return sensordata (nsensor,) at joints (12,), rad and rad/s, under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
@@ -61,6 +77,18 @@ class CellTask(control.Task):
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
         self.episodes = Episodes(scene, config, rows=1, seed=episode_seed(seed))
         self.outcome: StepResult | None = None
+        self._state = np.random.RandomState(seed)
+
+    @property
+    def _random(self) -> np.random.RandomState:
+        """Generator by which clients of dm_control seed a task: setting one restarts the episodes from a seed of it."""
+        return self._state
+
+    @_random.setter
+    def _random(self, state: np.random.RandomState) -> None:
+        self._state = state
+        self.episodes.sampler.seed = episode_seed(state.randint(SEEDS, dtype=np.uint64))
+        self.episodes.rewind()
 
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Start the next episode of the row."""
