@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
@@ -25,6 +27,15 @@ def run(code: str) -> None:
     """Run code with a thousandth of its training and four cells."""
     small = re.sub(r"learn\((\d+)_000\)", r"learn(\1)", code).replace("64", "4")
     exec(small, {"gymnasium": gymnasium, "hrl_comfort": hrl_comfort, "ID": "hrl_comfort.gym:hrl_comfort/Pick-v0"})
+
+
+@pytest.fixture(autouse=True)
+def forked() -> Iterator[None]:
+    """Fork processes, as Gymnasium does on Linux: TorchRL's default, spawn, imports torch in every one."""
+    before = multiprocessing.get_start_method()
+    multiprocessing.set_start_method("fork", force=True)
+    yield
+    multiprocessing.set_start_method(before, force=True)
 
 
 def test_every_row_of_the_table_is_found() -> None:

@@ -41,7 +41,9 @@ def test_pictures_can_be_the_observation() -> None:
 
 
 def test_other_processes_step_the_same_episodes() -> None:
-    apart = gymnasium.make_vec(ID, 2, "async", {"autoreset_mode": AutoresetMode.SAME_STEP}, **SHORT)
+    # TorchRL sets the start method to spawn, by which every process imports torch anew.
+    chosen = {"autoreset_mode": AutoresetMode.SAME_STEP, "context": "fork"}
+    apart = gymnasium.make_vec(ID, 2, "async", chosen, **SHORT)
     assert isinstance(apart, AsyncVectorEnv)
     alone = gymnasium.make(ID, **SHORT)
     observations, _ = apart.reset(seed=3)
