@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from typing import Any
 
+import glfw
 import mujoco
 import numpy as np
 from dm_control.mujoco import Physics
@@ -47,19 +49,20 @@ class CellPhysics(Physics):
             mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
             mujoco.mj_forward(self.model.ptr, self.data.ptr)
 
-    def render(self, *args: Any, **kwargs: Any) -> Any:
-        """Return dm_control's picture.
+    @property
+    def contexts(self) -> Any:
+        """OpenGL of dm_control's own pictures.
 
         Raises:
-          PicturesUnavailableError: dm_control found no OpenGL when it was imported.
+          PicturesUnavailableError: dm_control chose GLFW and there is no display. MuJoCo cannot draw in this process
+            after an attempt without one.
         """
-        try:
-            return super().render(*args, **kwargs)
-        except mujoco.FatalError as error:
+        if self._contexts is None and os.environ.get("MUJOCO_GL", "glfw") == "glfw" and not glfw.init():
             raise PicturesUnavailableError(
-                "no pictures: dm_control has no OpenGL; set MUJOCO_GL=egl before Python starts "
+                "no pictures: there is no display; set MUJOCO_GL=egl before Python starts "
                 f"(on Debian or Ubuntu: apt-get install {PACKAGES})"
-            ) from error
+            )
+        return super().contexts
 
     def sense(self, joints: Array, control: Array) -> Array:
         """Return sensordata (nsensor,) at joints (12,), rad and rad/s, under control (ncontrol,)."""

@@ -10,6 +10,7 @@ from dm_control.rl.control import Environment
 
 import hrl_comfort
 from hrl_comfort.humans import MOTIONS
+from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.tasks import SUBTASKS
 
 CASES = [(task, human) for task in sorted(SUBTASKS) for human in sorted(MOTIONS)]
@@ -101,3 +102,10 @@ def test_a_viewer_can_read_and_reset_the_physics() -> None:
         pass
     assert env.physics.model.nmocap == 9
     assert env.reset().first()
+
+
+def test_without_a_display_a_picture_names_the_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr("glfw.init", lambda: False)
+    with pytest.raises(PicturesUnavailableError, match="MUJOCO_GL=egl"):
+        hrl_comfort.load("reach").physics.render()

@@ -11,6 +11,7 @@ import gymnasium
 import pytest
 
 import hrl_comfort
+from tests.envs.pictures import drawn
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
@@ -47,7 +48,7 @@ def test_the_lines_of_a_client_run(
     client: str, first: str, second: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    run(f"{IMPORTS}{first}\n{second}")
+    drawn(lambda: run(f"{IMPORTS}{first}\n{second}"))
 
 
 @pytest.mark.parametrize("block", BLOCKS)
