@@ -42,9 +42,10 @@ class HumanConfig:
     arc_steps: Annotated[int, within(1, 100_000)]
     """`arc`: control steps for the arc in one direction."""
     speed_m_s: Annotated[float, within(0.0, 3.0)]
-    """`approach`, `work`, `patrol`: walking speed, m/s."""
+    """`approach`, `work`, `patrol`: walking speed, m/s. `live`: its limit."""
     file: str | None
-    """`playback`: CSV of t, x, y, yaw in s, m, m, rad, cell frame."""
+    """`playback`: CSV of t, x, y, yaw in s, m, m, rad, cell frame. `live`: udp://HOST:PORT, lsl:NAME or
+    package.module:callable; null is the person of `hrl-comfort studio`."""
     clipping: Annotated[str, choice("off", "full", "partial")]
     """Observation of the nearest spawn point instead of the human: never, always, or if nearer to the robot."""
     masked: bool

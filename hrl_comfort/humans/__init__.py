@@ -10,6 +10,7 @@ from hrl_comfort.config.checks import part
 from hrl_comfort.humans.approach import approach
 from hrl_comfort.humans.arc import arc
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
+from hrl_comfort.humans.live import live, pose_source
 from hrl_comfort.humans.none import none
 from hrl_comfort.humans.patrol import patrol
 from hrl_comfort.humans.playback import playback, read_motion
@@ -38,9 +39,10 @@ MOTIONS: dict[str, Motion] = {
     "playback": playback,
     "work": work,
     "patrol": patrol,
+    "live": live,
 }
 MAX_SPAWN_DRAWS = 1000
-UNBOUNDED = ("none", "playback")
+UNBOUNDED = ("none", "playback", "live")
 """Motions to which `bound_m` and `keep_out_m` do not apply."""
 
 
@@ -67,6 +69,8 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
         time, poses = read_motion(config.file)
         x, y, facing = (np.interp(0.0, time, column) for column in poses.T)
         position, yaw = np.tile([x, y], (n, 1)), np.full(n, facing)
+    elif config.motion == "live":
+        pose_source(config.file)  # a source that cannot be opened is refused before the first step
     return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
 
 
@@ -167,7 +171,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 
 __all__ = [
-    "MOTIONS", "MOTION_STREAM", "NOISE", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin", "gait",
-    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "split_set",
-    "training_spawn", "training_spawns", "validation_set",
+    "MOTIONS", "MOTION_STREAM", "NOISE", "UNBOUNDED", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin",
+    "gait", "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position",
+    "split_set", "training_spawn", "training_spawns", "validation_set",
 ]  # fmt: skip

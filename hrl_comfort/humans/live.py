@@ -1,0 +1,173 @@
+"""Motion `live`: a person who walks to the newest pose of a live source."""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+import warnings
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
+from hrl_comfort.config.checks import FARTHEST
+from hrl_comfort.humans.walk import Array, Walk
+
+Pose = tuple[float, float, float | None]
+"""x, y (m) and yaw (rad) in the cell frame; without a yaw the person faces where they walk."""
+PoseSource = Callable[[], Pose | None]
+"""Return the newest pose, None before the first one; it must not block."""
+FORMS = "udp://HOST:PORT, lsl:NAME or package.module:callable"
+MAX_DATAGRAM_BYTES = 4096
+ARRIVED_M = 1e-3
+"""Distance below which a person without a given yaw keeps theirs."""
+
+
+class HeldPose:
+    """Pose that the program itself sets, such as `hrl-comfort studio`."""
+
+    def __init__(self) -> None:
+        self.pose: Pose | None = None
+
+    def __call__(self) -> Pose | None:
+        """See `PoseSource`."""
+        return self.pose
+
+
+HELD = HeldPose()
+"""The source of `human.file=null`; until a pose is set, the person stands still."""
+
+
+def live(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
+    """Walk at up to `speed_m_s` to the newest pose of `file`; bound and keep-out do not apply."""
+    pose = pose_source(config.file)()
+    if pose is None:
+        return walk.position, walk.yaw
+    x, y, yaw = pose
+    offset = np.array([x, y]) - walk.position
+    distance = np.linalg.norm(offset, axis=-1)
+    stride = np.minimum(config.speed_m_s * CONTROL_STEP_S, distance)
+    position = walk.position + offset / np.maximum(distance, 1e-9)[:, None] * stride[:, None]
+    if yaw is not None:
+        return position, np.full(len(distance), yaw)
+    return position, np.where(distance > ARRIVED_M, np.arctan2(offset[:, 1], offset[:, 0]), walk.yaw)
+
+
+@lru_cache(maxsize=8)
+def pose_source(name: str | None) -> PoseSource:
+    """Return the source of poses that `human.file` names.
+
+    Raises:
+      ConfigError: there is no such source, or it cannot be opened.
+    """
+    if name is None:
+        return HELD
+    if found := re.fullmatch(r"udp://(.+):(\d{1,5})", name):
+        return UdpPoses(found[1], int(found[2]))
+    if name.startswith("lsl:"):
+        return LslPoses(name.removeprefix("lsl:"))
+    module, _, attribute = name.partition(":")
+    if not attribute:
+        raise ConfigError(f"human.file={name!r} is not a source of live poses; give {FORMS}")
+    try:
+        function = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"human.file={name!r} cannot be imported: {error}; give {FORMS}") from error
+    return CheckedPoses(name, lambda: [function()])
+
+
+class CheckedPoses:
+    """Poses of an outside source; a bad one is left out, with one warning when the fault starts.
+
+    Args:
+      name: of the source, for warnings.
+      read: returns the values that have arrived since the last call, oldest first; None is no value.
+    """
+
+    def __init__(self, name: str, read: Callable[[], Iterable[Any]]) -> None:
+        self._name, self._read = name, read
+        self._pose: Pose | None = None
+        self._warned = False
+
+    def __call__(self) -> Pose | None:
+        """See `PoseSource`; the last good pose holds."""
+        for value in self._read():
+            if value is None:
+                continue
+            try:
+                self._pose, self._warned = parse_pose(value), False
+            except (TypeError, ValueError) as error:
+                if not self._warned:
+                    warnings.warn(f"human.file={self._name!r}: {error}: not used", stacklevel=2)
+                self._warned = True
+        return self._pose
+
+
+def parse_pose(value: Any) -> Pose:
+    """Return the pose in text such as `0.4 -0.6 1.57`, or in two or three numbers.
+
+    Raises:
+      ValueError: it holds other values than x, y and perhaps yaw, finite and within ±FARTHEST.
+    """
+    parts = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else list(value)
+    numbers = [float(part) for part in parts]
+    if len(numbers) not in (2, 3) or not all(math.isfinite(number) and abs(number) <= FARTHEST for number in numbers):
+        raise ValueError(f"{str(value)[:60]!r} is not x, y (m) and perhaps yaw (rad) within ±{FARTHEST:g}")
+    return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None
+
+
+class UdpPoses(CheckedPoses):
+    """UDP datagrams of ASCII numbers `x y` or `x y yaw`, in m, m and rad."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(f"udp://{host}:{port}", self._received)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise ConfigError(
+                f"human.file='udp://{host}:{port}' cannot be opened: {error}; choose another host or port, "
+                "port 0 for a free one"
+            ) from error
+        self._socket.setblocking(False)
+
+    @property
+    def port(self) -> int:
+        """UDP port in use."""
+        return int(self._socket.getsockname()[1])
+
+    def _received(self) -> list[str]:
+        arrived: list[str] = []
+        while True:
+            try:
+                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace"))
+            except BlockingIOError:
+                return arrived
+
+
+class LslPoses(CheckedPoses):
+    """Lab Streaming Layer stream whose channels are x, y and perhaps yaw (extra `streams`: pylsl)."""
+
+    TIMEOUT_S = 3.0
+
+    def __init__(self, name: str) -> None:
+        try:
+            import pylsl
+        except (ImportError, RuntimeError) as error:
+            raise ConfigError(
+                f"human.file='lsl:{name}' needs pylsl: pip install 'hrl-comfort[streams]' ({error})"
+            ) from error
+        found = pylsl.resolve_byprop("name", name, timeout=self.TIMEOUT_S)
+        if not found:
+            raise ConfigError(
+                f"human.file='lsl:{name}': no such Lab Streaming Layer stream within {self.TIMEOUT_S:g} s; "
+                "start its outlet first"
+            )
+        self._inlet = pylsl.StreamInlet(found[0], recover=True)
+        self._inlet.open_stream(timeout=self.TIMEOUT_S)
+        super().__init__(f"lsl:{name}", lambda: self._inlet.pull_chunk(timeout=0.0)[0])

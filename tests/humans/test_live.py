@@ -1,0 +1,98 @@
+"""Motion `live`: poses from UDP, Lab Streaming Layer, a callable or the program; walked to within the speed limit."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hrl_comfort import humans
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.humans.live import HELD, LslPoses, UdpPoses, pose_source
+from tests.humans.test_humans import HUMAN, no_discs
+
+LIVE = replace(HUMAN, motion="live", speed_m_s=1.6)
+ARRIVING: list[object] = []
+
+
+def arriving() -> object:
+    """Return the newest of ARRIVING, as a source named in `human.file` does."""
+    return ARRIVING[-1] if ARRIVING else None
+
+
+@pytest.fixture(autouse=True)
+def nobody_holds() -> None:
+    HELD.pose = None
+    ARRIVING.clear()
+    pose_source.cache_clear()
+
+
+def walked(config, steps: int) -> list[humans.Walk]:
+    walks = [humans.begin(config, np.array([[0.5, -0.5], [-0.4, 0.6]]))]
+    for _ in range(steps):
+        walks.append(humans.advance(config, walks[-1], np.zeros((2, humans.NOISE)), np.zeros((2, 2)), no_discs(2)))
+    return walks
+
+
+def test_nobody_moves_until_a_pose_is_there() -> None:
+    first, *_, last = walked(LIVE, 5)
+    assert (first.position == last.position).all() and (first.yaw == last.yaw).all()
+
+
+def test_the_person_walks_to_the_pose_no_faster_than_the_limit_and_stops_there() -> None:
+    HELD.pose = (0.5, 0.5, None)
+    walks = walked(LIVE, 60)
+    speeds = [np.linalg.norm(b.position - a.position, axis=-1) / CONTROL_STEP_S for a, b in pairwise(walks)]
+    assert np.max(speeds) == pytest.approx(1.6) and np.allclose(walks[-1].position, [0.5, 0.5])
+    assert walks[1].yaw[0] == pytest.approx(np.pi / 2) and walks[-1].yaw[0] == pytest.approx(np.pi / 2)
+
+
+def test_a_given_yaw_is_taken_and_neither_bound_nor_keep_out_apply() -> None:
+    HELD.pose = (0.0, 0.0, 0.3)
+    last = walked(replace(LIVE, bound_m=0.01, keep_out_m=0.5), 60)[-1]
+    assert np.allclose(last.position, 0.0) and np.allclose(last.yaw, 0.3)
+
+
+def test_poses_come_from_a_callable_and_bad_ones_are_left_out_with_one_warning() -> None:
+    source = pose_source(f"{__name__}:arriving")
+    assert source() is None
+    ARRIVING.append((0.1, 0.2))
+    assert source() == (0.1, 0.2, None)
+    for bad in ((0.1,), (0.1, float("nan")), "x y", (1e9, 0.0)):
+        ARRIVING.append(bad)
+        if bad == (0.1,):
+            with pytest.warns(UserWarning, match="is not x, y"):
+                assert source() == (0.1, 0.2, None)
+        else:
+            assert source() == (0.1, 0.2, None)
+    ARRIVING.append((0.3, 0.4, 0.5))
+    assert source() == (0.3, 0.4, 0.5)
+
+
+def test_poses_come_by_udp() -> None:
+    poses = UdpPoses("127.0.0.1", 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for text in (b"0.1 0.2 0.3", b"0.4, -0.6"):
+            sender.sendto(text, ("127.0.0.1", poses.port))
+        assert poses() == (0.4, -0.6, None)
+
+
+@pytest.mark.parametrize(
+    ("file", "what"),
+    [
+        ("poses.csv", r"not a source of live poses; give udp://HOST:PORT"),
+        ("no_such_module:poses", r"cannot be imported"),
+        ("udp://256.0.0.1:80", r"cannot be opened"),
+        ("udp://127.0.0.1:70000", r"cannot be opened"),
+        ("lsl:nobody sends this", r"such Lab Streaming Layer stream|needs pylsl"),
+    ],
+)
+def test_a_source_that_cannot_be_opened_is_refused_before_the_first_step(
+    file: str, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LslPoses, "TIMEOUT_S", 0.1)
+    with pytest.raises(ConfigError, match=what):
+        walked(replace(LIVE, file=file), 0)
