@@ -21,7 +21,7 @@ from hrl_comfort.config.compose import environment, load_config, run_folder, sav
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import OptionRun, execute
+from hrl_comfort.hierarchy.executor import ExecutedStep, OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, split_set
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.sim.engine import Engine
@@ -145,37 +145,62 @@ class EvaluationBatch:
     """Episodes that run side by side, one a row; they are appended to a `Result`."""
 
     def __init__(self, config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result) -> None:
-        self.config, self.entries, self.result = config, entries, result
-        acting = config.policy if policy is None else policy
-        self.label = f"meta_controller={config.meta_controller.name}" if acting is None else name_of(acting)
         rows = len(entries.episode)
         env = environment(config)
         self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
         self.executor, self.choose = make_executor(config, policy, self.engine, int(entries.episode_seed[0]))
+        self.recorder = EpisodeRecorder(config, policy, self.engine, entries, result)
+
+    def run(self, advance: Callable[[int], None]) -> None:
+        """Run every row to the end of its episode."""
+        self.recorder.begin(self.engine.reset())
+        for executed in execute(self.engine, self.executor, self.choose):
+            self.recorder.add(executed)
+            advance(int(executed.ended.sum()))
+        self.engine.close()
+        self.recorder.finish()
+
+
+class EpisodeRecorder:
+    """Rows of the tables about an episode in each row of an engine, whoever steps it."""
+
+    def __init__(
+        self,
+        config: EvaluateConfig,
+        policy: Source | None,
+        engine: Engine,
+        entries: EvaluationSet,
+        result: Result,
+    ) -> None:
+        self.config, self.engine, self.entries, self.result = config, engine, entries, result
+        acting = config.policy if policy is None else policy
+        self.label = f"meta_controller={config.meta_controller.name}" if acting is None else name_of(acting)
         if acting is None:
             acting = config.policies.get("meta_controller") or next(iter(config.policies.values()), None)
         self.train_seed = train_seed(acting) if isinstance(acting, str) else None
 
-    def run(self, advance: Callable[[int], None]) -> None:
-        """Run every row to the end of its episode."""
+    def begin(self, state: State) -> None:
+        """Begin with the first state of every row."""
         rows = len(self.entries.episode)
-        state = self.engine.reset()
         self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
         self.seen = [(state, torch.ones(rows, 1, dtype=torch.bool))]
-        found: dict[int, Episode] = {}
+        self._found: dict[int, Episode] = {}
+        self._runs: list[OptionRun] = []
         if self.config.record:
             self._record(state, torch.ones(rows, dtype=torch.bool))
-        runs: list[OptionRun] = []
-        for executed in execute(self.engine, self.executor, self.choose):
-            self._add(executed.result, executed.active)
-            for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
-                found[row] = self._episode(row, executed.result)
-            runs += executed.runs
-            advance(int(executed.ended.sum()))
-        self.engine.close()
+
+    def add(self, executed: ExecutedStep) -> None:
+        """Add a decision."""
+        self._add(executed.result, executed.active)
+        for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
+            self._found[row] = self._episode(row, executed.result)
+        self._runs += executed.runs
+
+    def finish(self) -> None:
+        """Append the rows to the result, once every episode has ended."""
         measured = self._measure()
-        self.result.episodes += [replace(found[row], measures=measured[row]) for row in range(rows)]
-        self.result.options += [self._option(run) for run in sorted(runs, key=lambda r: (r.row, r.start_step))]
+        self.result.episodes += [replace(self._found[row], measures=measured[row]) for row in range(len(measured))]
+        self.result.options += [self._option(run) for run in sorted(self._runs, key=lambda r: (r.row, r.start_step))]
 
     def _add(self, step: StepResult, active: torch.Tensor) -> None:
         valid = (step.valid & active[:, None]).numpy()
