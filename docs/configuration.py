@@ -26,6 +26,7 @@ COMMANDS = {
     "train hierarchy": compose("train_hierarchy"),
     "train meta_controller": compose("train_meta_controller"),
     "evaluate": compose("evaluate"),
+    "studio": compose("studio"),
     "report": compose("report", ["run=RUN"]),
     "figure": compose("figure", ["kind=levels", "evaluations=[RUN]", "output=FILE.png"]),
 }

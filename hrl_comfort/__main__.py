@@ -17,6 +17,7 @@ from hrl_comfort.config import (
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
+    StudioConfig,
     TrainConfig,
 )
 from hrl_comfort.sweeps.subprocesses import ERRORS
@@ -27,6 +28,7 @@ VERBS = {
     "evaluate": "measure a policy or a chain (meta_controller=scripted), or how policies hand over (evaluate handover)",
     "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
     "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
+    "studio": "watch a policy in the browser, walk into its cell, replay an evaluation (replay=DIR)",
     "bench": "measure the environment (env), updates (update), learning (train)",
 }
 
@@ -76,6 +78,7 @@ def train_hierarchy(overrides: list[str]) -> None:
         write(ReportConfig(run=str(folder), output=None, video=True))
     print_table(folder)
     print(f"report: {page}")
+    print(f"watch it: hrl-comfort studio policy={folder}")
 
 
 def _check_resumed_alone(config: TrainConfig | MetaControllerTrainConfig, overrides: list[str]) -> None:
@@ -133,6 +136,23 @@ def figure(overrides: list[str]) -> None:
     run(config)
 
 
+def studio(overrides: list[str]) -> None:
+    """Run `hrl-comfort studio`."""
+    from hrl_comfort.config.compose import compose
+
+    try:
+        from hrl_comfort.studio.server import studio as run
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("viser", "trimesh", "websockets"):
+            raise
+        raise ConfigError(f"studio needs viser: pip install 'hrl-comfort[studio]' ({error})") from error
+    from hrl_comfort.studio.policies import with_defaults
+
+    config = compose("studio", with_defaults(overrides))
+    assert isinstance(config, StudioConfig)
+    run(config)
+
+
 BENCHMARKS = {
     "env": "hrl_comfort.benchmarks.env:bench_env",
     "update": "hrl_comfort.benchmarks.update:bench_update",
@@ -162,6 +182,7 @@ RUN: dict[str, Callable[[list[str]], None]] = {
     "evaluate handover": handover,
     "report": report,
     "figure": figure,
+    "studio": studio,
     "bench": bench,
 }
 """Function of each verb, alone or with the word after it."""

@@ -12,7 +12,18 @@ from pathlib import Path
 from hrl_comfort.__main__ import main
 
 ROOT = Path(__file__).resolve().parent.parent
-NOT_RUN = ("git ", "cd ", "apt-get ", "sudo ", "pip ", "source ", "tensorboard ", "make test", "docs/")
+NOT_RUN = (
+    "git ",
+    "cd ",
+    "apt-get ",
+    "sudo ",
+    "pip ",
+    "source ",
+    "tensorboard ",
+    "make test",
+    "docs/",
+    "hrl-comfort studio",
+)
 """Commands that install, fetch or take hours. The rest must run."""
 TRAINING = (
     "agent.policy_steps=640", "agent.learning_starts=64", "agent.hidden=[16]", "agent.batch_size=32",

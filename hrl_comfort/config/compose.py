@@ -22,8 +22,10 @@ from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze, schema
 from hrl_comfort.files.atomic import write_text
 
+_ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
 AS_TRAINED: dict[str, tuple[str, ...]] = {
-    "evaluate": tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine"),
+    "evaluate": _ALL_BUT_ENGINE,
+    "studio": _ALL_BUT_ENGINE,
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections that take their defaults from the run of the given policy, by root."""

@@ -24,16 +24,26 @@ from hrl_comfort.config import (
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
+    StudioConfig,
     TrainConfig,
 )
 from hrl_comfort.config.checks import UnknownKeyError, is_object, plugins
 
-Config = TrainConfig | HierarchyTrainConfig | MetaControllerTrainConfig | EvaluateConfig | ReportConfig | FigureConfig
+Config = (
+    TrainConfig
+    | HierarchyTrainConfig
+    | MetaControllerTrainConfig
+    | EvaluateConfig
+    | StudioConfig
+    | ReportConfig
+    | FigureConfig
+)
 ROOTS: dict[str, type[Config]] = {
     "train": TrainConfig,
     "train_hierarchy": HierarchyTrainConfig,
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
+    "studio": StudioConfig,
     "report": ReportConfig,
     "figure": FigureConfig,
 }

@@ -1,0 +1,104 @@
+"""The live play: sessions beside one person, their views and their panel, advanced by the real-time loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hrl_comfort.studio.clip import Clip
+from hrl_comfort.studio.person import Person
+from hrl_comfort.studio.session import Session, Step
+from hrl_comfort.studio.view import CellView
+
+HOLD_S = 1.0
+"""Simulated time for which the end of an episode is shown."""
+
+
+class Watcher(Protocol):
+    """A part of the page that follows the play."""
+
+    def began(self, cell: int, session: Session) -> None:
+        """Follow the first state of an episode in the cell of this index."""
+
+    def stepped(self, cell: int, session: Session, step: Step) -> None:
+        """Follow a decision in the cell of this index."""
+
+    def failed(self, error: Exception) -> None:
+        """Say that a decision, a picture or a request failed."""
+
+
+class LivePlay:
+    """Sessions side by side, each at its own decisions; a new episode begins once all of them are over."""
+
+    def __init__(self, sessions: Sequence[Session], views: Sequence[CellView], person: Person) -> None:
+        self.sessions, self._views, self.person = list(sessions), list(views), person
+        self.watchers: list[Watcher] = []
+        self.now_s = 0.0
+        """Simulated time at which the latest decision began."""
+        self._start = [0.0] * len(sessions)
+        self._clips: list[Clip] = [session.still() for session in sessions]
+        self._hold = False
+
+    def advance(self) -> float:
+        """See `loop.Play`."""
+        ends = [begun + clip.duration_s for begun, clip in zip(self._start, self._clips, strict=True)]
+        going = [index for index, session in enumerate(self.sessions) if not session.over]
+        if not going:
+            return self._end(max(ends))
+        self.now_s = min(ends[index] for index in going)
+        self.person.update(self._decision_s)
+        for index in going:
+            if ends[index] <= self.now_s + 1e-9:
+                step = self.sessions[index].step()
+                self._start[index], self._clips[index] = self.now_s, step.clip
+                self._views[index].flash(bool(step.result.state.human_collision))
+                for watcher in self.watchers:
+                    watcher.stepped(index, self.sessions[index], step)
+        return min(self._start[index] + self._clips[index].duration_s for index in going) - self.now_s
+
+    def make_ready(self) -> None:
+        """See `loop.Play`."""
+        if all(session.over for session in self.sessions):
+            self.reset()
+
+    def show(self, time_s: float) -> None:
+        """See `loop.Play`."""
+        for start, clip, view in zip(self._start, self._clips, self._views, strict=True):
+            view.show(clip.frame(self.now_s + time_s - start))
+
+    def failed(self, error: Exception) -> None:
+        """See `loop.Play`."""
+        for watcher in self.watchers:
+            watcher.failed(error)
+
+    def reset(self) -> None:
+        """Begin the next episode in every cell."""
+        for session in self.sessions:
+            session.reset()
+        self.rejoin()
+
+    def rejoin(self) -> None:
+        """Show the states of the sessions, in which an episode has just begun."""
+        self._hold = False
+        self._start = [self.now_s] * len(self.sessions)
+        self._clips = [session.still() for session in self.sessions]
+        for index, (session, view) in enumerate(zip(self.sessions, self._views, strict=True)):
+            view.flash(False)
+            for watcher in self.watchers:
+                watcher.began(index, session)
+
+    def _end(self, ended_s: float) -> float:
+        """Hold the last picture of an episode once, then begin the next."""
+        self.now_s = ended_s
+        self._hold = not self._hold
+        if self._hold:
+            self._clips = [session.still() for session in self.sessions]
+            self._start = [ended_s] * len(self.sessions)
+            return HOLD_S
+        self.now_s += HOLD_S
+        self.reset()
+        return 0.0
+
+    @property
+    def _decision_s(self) -> float:
+        return self.sessions[0].decision_s

@@ -1,0 +1,64 @@
+"""Policies of the studio: what is played without arguments, and folders that stand for a whole chain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hrl_comfort.config import HierarchyTrainConfig, StudioConfig
+from hrl_comfort.config.compose import load_config
+from hrl_comfort.config.overrides import override
+
+DEMO = Path("runs/demo")
+"""Run of `make demo`."""
+CYCLE = ("pick", "place", "return")
+
+
+def options_in(folder: Path) -> tuple[str, ...]:
+    """Return the options of the hierarchy in `folder`, each a run of that name; none if it holds no chain."""
+    names: Sequence[str] = CYCLE
+    if (folder / "config.yaml").is_file():
+        config = load_config(folder)
+        if not isinstance(config, HierarchyTrainConfig):
+            return ()
+        names = config.meta_controller.options
+    return tuple(names) if all((folder / name / "policy.pt").is_file() for name in names) else ()
+
+
+def with_defaults(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides of `hrl-comfort studio` with those that it adds.
+
+    Without a policy it plays the demo's chain where there is one, else the expert. A folder of a whole chain as
+    `policy=` is played as that chain, and `policies.*` are played by the scripted controller.
+    """
+    keys = {line.lstrip("+").split("=")[0]: line.partition("=")[2] for line in overrides}
+    chained = any(key == "policies" or key.startswith("policies.") for key in keys)
+    if "policy" not in keys and not chained and "replay" not in keys:
+        source = str(DEMO) if options_in(DEMO) else "expert"
+        overrides, keys = [*overrides, f"policy={source}"], {**keys, "policy": source}
+    if options := options_in(Path(keys.get("policy", ""))) if keys.get("policy") else ():
+        overrides = [line for line in overrides if not line.startswith("policy=")]
+        overrides += [override(f"policies.{name}", str(Path(keys["policy"]) / name)) for name in options]
+        if "meta_controller.options" not in keys and "division" not in keys:
+            overrides.append(override("meta_controller.options", list(options)))
+        chained = True
+    if chained and "meta_controller" not in keys:
+        overrides = [*overrides, "meta_controller=scripted"]
+    if chained and "task" not in keys:
+        overrides = [*overrides, "task=cycle"]
+    return list(overrides)
+
+
+def with_policy(config: StudioConfig, source: str) -> StudioConfig:
+    """Return `config` with the policy `source`: the folder of a chain, or whatever `policy=` takes."""
+    if options := options_in(Path(source)):
+        controller = config.meta_controller
+        name = "scripted" if controller.name == "none" else controller.name
+        return replace(
+            config,
+            policy=None,
+            policies={option: str(Path(source) / option) for option in options},
+            meta_controller=replace(controller, name=name, options=list(options)),
+        )
+    return replace(config, policy=source, policies={}, meta_controller=replace(config.meta_controller, name="none"))

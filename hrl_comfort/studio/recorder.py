@@ -1,0 +1,204 @@
+"""Recordings: what one sees, as an evaluation folder with the person's motion and a video, and their button."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Container
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import viser
+
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.evaluation.rollout import PATH_COLUMNS, EpisodeRecorder, Result, rounded
+from hrl_comfort.files.tables import read_table, write_table
+from hrl_comfort.hierarchy.executor import ExecutedStep
+from hrl_comfort.humans import validation_set
+from hrl_comfort.humans.playback import HEADER
+from hrl_comfort.plots.video import frames, write_video
+from hrl_comfort.scene.camera import PicturesUnavailableError
+from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.studio.loop import Loop
+from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.session import ROW, Session, Step
+
+SPLIT = "live"
+"""Value of the column `split` of a recorded episode."""
+LIVE = "live"
+"""Value of the column `human` of an episode in which the person was driven by hand."""
+
+
+class Recorder:
+    """Recorder of one session; it writes in a folder of its own.
+
+    Args:
+      session: what is recorded, from the beginning of an episode on.
+      output: folder under which `recording_1`, `recording_2`, … are made.
+      taken: folders that other recorders are going to make.
+    """
+
+    def __init__(self, session: Session, output: Path, taken: Container[Path] = ()) -> None:
+        self._session = session
+        number = 1
+        while (output / f"recording_{number}").exists() or output / f"recording_{number}" in taken:
+            number += 1
+        self.folder = output / f"recording_{number}"
+        self._result = Result([], [], [])
+        self._recorder: EpisodeRecorder | None = None
+        self.begin()
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes that have ended."""
+        return len(self._result.episodes)
+
+    def begin(self) -> None:
+        """Begin with the first state of an episode; one that has not ended is dropped."""
+        session = self._session
+        entries = validation_set(session.config.first_seed, 1)
+        entries = replace(entries, episode=np.array([self.episodes]))
+        config = replace(session.config, record=True)
+        self._recorder = EpisodeRecorder(config, None, session.engine, entries, self._result)
+        self._recorder.begin(session.state)
+        self._levels: set[float] = set()
+        self._by_hand = False
+
+    def add(self, step: Step) -> None:
+        """Add a decision of the session."""
+        if self._recorder is None:
+            return
+        self._levels.add(float(step.result.level))
+        self._by_hand |= self._session.engine.episodes.config.human.motion == LIVE
+        self._recorder.add(ExecutedStep(step.result, ROW, torch.tensor([step.over]), step.runs))
+        self._last = step
+        if step.over:
+            self._finish()
+
+    def stop(self) -> Path:
+        """Write the folder, the episode under way as one that was cut short; return it.
+
+        Raises:
+          ConfigError: no decision was recorded.
+        """
+        if self._recorder is not None and self._levels:
+            self._recorder.add(ExecutedStep(void(self._last), ~ROW, ROW, []))
+            self._finish()
+        if not self.episodes:
+            raise ConfigError("nothing was recorded: let it run for a decision before you stop")
+        self._result.write(self.folder, self._session.config)
+        for episode in {row[0] for row in self._result.paths}:
+            rows = [row for row in self._result.paths if row[0] == episode]
+            write_table(self.folder / f"human_{episode}.csv", HEADER, motion(rows))
+        return self.folder
+
+    def draw(self) -> Path:
+        """Draw the last episode to video.mp4 and return its path; to be called after `stop`, in any thread.
+
+        Raises:
+          PicturesUnavailableError: there is no off-screen OpenGL.
+        """
+        config, row = self._session.config, self._result.episodes[-1]
+        table = read_table(self.folder / "paths.csv")
+        assert table is not None
+        path = table[table["episode"] == row.episode].reset_index(drop=True)
+        return write_video(
+            self.folder / "video.mp4", frames(path, config.robot, config.cell, config.task.name, row.colour)
+        )
+
+    def _finish(self) -> None:
+        assert self._recorder is not None
+        first = len(self._result.options)
+        self._recorder.finish()
+        self._recorder = None
+        row = replace(self._result.episodes[-1], split=SPLIT)
+        if self._by_hand:
+            row = replace(row, human=LIVE)
+        if len(self._levels) > 1:
+            row = replace(row, comfort_level=None)
+            for line in self._result.options[first:]:
+                line["comfort_level"] = None
+        self._result.episodes[-1] = row
+
+
+def void(step: Step) -> StepResult:
+    """Return the result of a decision that took no control step, after the latest one."""
+    return replace(step.result, valid=torch.zeros_like(step.result.valid))
+
+
+def motion(rows: list[list[object]]) -> list[list[object]]:
+    """Return the lines (t, x, y, yaw) of a motion file from rows of paths.csv."""
+    at = [PATH_COLUMNS.index(name) for name in ("human_x", "human_y", "human_yaw")]
+    step = PATH_COLUMNS.index("step")
+    return [[rounded(float(str(row[step])) * CONTROL_STEP_S), *(row[index] for index in at)] for row in rows]
+
+
+class RecordControl:
+    """Button that records every cell, from the beginning of an episode to the next press.
+
+    Args:
+      server: of the page.
+      play: whose sessions are recorded.
+      loop: of the play.
+      say: shows a message to every viewer.
+      output: folder of the recordings.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, play: LivePlay, loop: Loop, say: Callable[[str], None], output: Path
+    ) -> None:
+        self._play, self._loop, self._say, self._output = play, loop, say, output
+        self.recorders: list[Recorder] = []
+        """One a cell while it records, else none."""
+        self.folders: list[Path] = []
+        """Folders of the latest recording."""
+        with server.gui.add_folder("Record", expand_by_default=False):
+            self._button = server.gui.add_button("Record", color="red", hint=f"writes an evaluation under {output}")
+            self._text = server.gui.add_markdown("")
+        self._button.on_click(lambda _: loop.ask(self.toggle))
+
+    def toggle(self) -> None:
+        """Begin a recording with a new episode, or end it and write its folders; for requests.
+
+        Raises:
+          ConfigError: nothing was recorded.
+        """
+        if not self.recorders:
+            self._play.reset()
+            self.recorders = []
+            for session in self._play.sessions:
+                self.recorders.append(Recorder(session, self._output, {each.folder for each in self.recorders}))
+            self._button.label, self._text.content = "Stop recording", "recording …"
+            return
+        recorders, self.recorders = self.recorders, []
+        self._button.label, self._text.content = "Record", ""
+        self.folders = [recorder.stop() for recorder in recorders]
+        self._tell("")
+        threading.Thread(target=self._draw, args=(recorders,), name="studio video", daemon=True).start()
+
+    def began(self, cell: int, session: Session) -> None:
+        """See `play.Watcher`."""
+        if self.recorders:
+            self.recorders[cell].begin()
+
+    def stepped(self, cell: int, session: Session, step: Step) -> None:
+        """See `play.Watcher`."""
+        if self.recorders:
+            self.recorders[cell].add(step)
+
+    def failed(self, error: Exception) -> None:
+        """See `play.Watcher`."""
+
+    def _draw(self, recorders: list[Recorder]) -> None:
+        try:
+            for recorder in recorders:
+                recorder.draw()
+        except PicturesUnavailableError as error:
+            self._tell(str(error))
+            return
+        self._tell("with video.mp4")
+
+    def _tell(self, more: str) -> None:
+        lines = [f"`{folder}`" for folder in self.folders]
+        self._text.content = "  \n".join([*lines, *([more] if more else []), f"`hrl-comfort report {self.folders[0]}`"])

@@ -1,0 +1,250 @@
+"""Replay: recorded episodes of an evaluation, failures first, on a page with a time line to scrub."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pandas import DataFrame
+
+from hrl_comfort.analysis.episodes import terminations
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig, StudioConfig
+from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
+from hrl_comfort.files.tables import column
+from hrl_comfort.plots.video import gait
+from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.studio.clip import Array, Clip
+from hrl_comfort.studio.loop import Loop
+from hrl_comfort.studio.page import APART_M, Page, set_camera
+from hrl_comfort.studio.view import CellView
+from hrl_comfort.tasks import SUBTASKS, Ball
+
+JOINTS = tuple(f"q{joint}" for joint in range(6))
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording of an episode, at one level."""
+
+    title: str
+    """Level and how it ended."""
+    clip: Clip
+    tool: Array
+    """(T, 3) m, tool centre point."""
+    success: bool
+
+
+@dataclass(frozen=True)
+class Recording:
+    """An episode at each of its recorded levels."""
+
+    episode: int
+    takes: list[Take]
+
+    @property
+    def title(self) -> str:
+        """Episode, and how its takes ended."""
+        return f"episode {self.episode}: {', '.join(take.title for take in self.takes)}"
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the longest take, s."""
+        return max(take.clip.duration_s for take in self.takes)
+
+
+class Tape:
+    """The recorded episodes of an evaluation folder.
+
+    Args:
+      folder: evaluation with paths.csv and config.yaml, or a run folder with one in `eval/`.
+
+    Raises:
+      ConfigError: there is no such folder, no recorded path, or no configuration of a cell.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise ConfigError(f"replay={str(folder)!r} is not a folder")
+        self._run = read_run(folder)
+        paths = recorded_paths(self._run)
+        if not paths:
+            raise ConfigError(f"replay={str(folder)!r} has no paths.csv; evaluate with record=true")
+        if not {"robot", "cell", "task"} <= self._run.config.keys():
+            raise ConfigError(f"replay={str(folder)!r} has no config.yaml, which says what robot and cell it was")
+        robot, self._cell = RobotConfig(**self._run.config["robot"]), CellConfig(**self._run.config["cell"])
+        self.scene = build_scene(robot, self._cell, substeps=2)
+        found: dict[int, list[Take]] = {}
+        for (episode, level), path in paths.items():
+            found.setdefault(episode, []).append(self._take(path, row_of(self._run, (episode, level)) or {}, level))
+        recordings = [Recording(episode, takes) for episode, takes in found.items()]
+        self.recordings = sorted(recordings, key=lambda each: all(take.success for take in each.takes))
+        """Episodes, those with a failure first."""
+        self.cells = max(len(each.takes) for each in recordings)
+        """Most levels at which an episode was recorded."""
+
+    def _take(self, path: DataFrame, row: dict[str, Any], level: int | None) -> Take:
+        ended = terminations(DataFrame([row])).iloc[0] if row else "not in episodes.csv"
+        title = ended if level is None else f"level {level} {ended}"
+        task = str(row.get("task") or self._run.config["task"]["name"])
+        clip = path_clip(path, self.scene, self._cell, task, str(row.get("colour") or "orange"), self._known_balls())
+        tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
+        return Take(title, clip, tool, bool(row.get("success", False)))
+
+    def _known_balls(self) -> bool:
+        """Return whether the balls lie where the cell says."""
+        task = self._run.config["task"]
+        return bool(task.get("balls", 1) == 1 and task.get("ball_jitter_m", 0.0) == 0)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self._run.name
+
+
+def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour: str, balls: bool) -> Clip:
+    """Return the clip of the rows of paths.csv of one episode; without `balls` none is shown."""
+    x, y, yaw = (column(path, f"human_{name}") for name in ("x", "y", "yaw"))
+    there = np.isfinite(x)
+    x, y, yaw = np.where(there, x, FAR_AWAY_M), np.where(there, y, 0.0), np.where(np.isfinite(yaw), yaw, 0.0)
+    steps = column(path, "step")
+    props = np.full((len(path), len(scene.mocap) - 5, 3), np.nan)
+    if balls:
+        index = scene.mocap.index(f"{colour}_ball") - 5
+        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+        tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
+        for row, stage in enumerate(column(path, "stage")):
+            where = SUBTASKS[task].ball(0 if math.isnan(stage) else int(stage))
+            if where != Ball.NOWHERE:
+                props[row, index] = goals.get(where, tool[row])
+    return Clip(
+        time=(steps - steps[0]) * CONTROL_STEP_S,
+        joints=np.column_stack([column(path, name) for name in JOINTS]),
+        person=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)]),
+        props=props,
+        floor_z=scene.floor_z,
+    )
+
+
+PIECE_S = 0.1
+"""Time between two decisions of the loop, of which a replay makes none."""
+TOOL_RGB, PERSON_RGB = (230, 120, 20), (60, 100, 170)
+TRAIL_HEIGHT_M = 0.01
+SLIDER_S = 0.2
+"""Time between two updates of the time line while it plays, s."""
+
+
+class ReplayStudio:
+    """A running replay; the levels of an episode are played side by side.
+
+    Args:
+      config: of the folder to play and of the page.
+    """
+
+    def __init__(self, config: StudioConfig) -> None:
+        self.tape = Tape(Path(config.replay or ""))
+        self.page = Page(config.host, config.port)
+        self.views = [
+            CellView(self.page, self.tape.scene, f"cell_{index}", (APART_M * index, 0.0, 0.0))
+            for index in range(self.tape.cells)
+        ]
+        self._trails: list[Any] = []
+        self.loop = Loop(self, config.frames_per_s, config.speed)
+        set_camera(self.page, self.tape.cells)
+        self.position_s, self._piece_s, self._drawn = 0.0, 0.0, 0.0
+        self._titles = {each.title: each for each in self.tape.recordings}
+        gui = self.page.gui
+        self._status = gui.add_markdown("")
+        self._run = gui.add_button("Pause")
+        self._time = gui.add_slider("time (s)", min=0.0, max=1.0, step=0.02, initial_value=0.0)
+        speed = gui.add_slider("speed (×)", min=0.1, max=4.0, step=0.1, initial_value=config.speed)
+        chosen = gui.add_dropdown("episode", tuple(self._titles), initial_value=next(iter(self._titles)))
+        self._run.on_click(lambda _: self.loop.ask(self._toggle))
+        self._time.on_update(self._on_time)
+        speed.on_update(lambda event: self.loop.ask(lambda: self.loop.set_speed(event.target.value)))
+        chosen.on_update(lambda event: self.loop.ask(lambda: self.play(self._titles[event.target.value])))
+        self.recording = self.tape.recordings[0]
+        self.play(self.recording)
+
+    def start(self) -> None:
+        """Begin to play."""
+        self.loop.start()
+
+    def stop(self) -> None:
+        """Stop the loop and the page."""
+        self.loop.stop()
+        self.page.stop()
+
+    def play(self, recording: Recording) -> None:
+        """Play an episode from its beginning."""
+        self.recording = recording
+        self._time.max = max(0.02, round(recording.duration_s, 2))
+        for trail in self._trails:
+            trail.remove()
+        self._trails = []
+        for index, (view, take) in enumerate(zip(self.views, recording.takes, strict=False)):
+            x, y = take.clip.person[:, :2].T
+            person = np.column_stack([x, y, np.full(len(x), take.clip.floor_z + TRAIL_HEIGHT_M)])
+            self._trail(f"/trail_{index}/tool", take.tool + np.array(view.offset_m), TOOL_RGB)
+            if x[0] < FAR_AWAY_M / 2:
+                self._trail(f"/trail_{index}/person", person + np.array(view.offset_m), PERSON_RGB)
+        for index, view in enumerate(self.views):
+            view.set_visible(index < len(recording.takes))
+        self.seek(0.0)
+
+    def _trail(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+        if len(points) > 1:
+            lines = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            self._trails.append(self.page.scene.add_line_segments(name, lines, colors=colour, line_width=2.5))
+
+    def seek(self, time_s: float) -> None:
+        """Go to a time of the episode, s."""
+        self.position_s, self._piece_s = float(np.clip(time_s, 0.0, self.recording.duration_s)), 0.0
+        self._refresh()
+
+    def advance(self) -> float:
+        """See `loop.Play`; at its end the episode begins again."""
+        self.position_s += self._piece_s
+        if self.position_s >= self.recording.duration_s:
+            self.position_s = 0.0
+        self._piece_s = min(PIECE_S, self.recording.duration_s - self.position_s)
+        if time.monotonic() - self._drawn >= SLIDER_S:
+            self._refresh()
+        return max(self._piece_s, 0.02)
+
+    def make_ready(self) -> None:
+        """See `loop.Play`; a replay always is."""
+
+    def show(self, time_s: float) -> None:
+        """See `loop.Play`."""
+        for view, take in zip(self.views, self.recording.takes, strict=False):
+            view.show(take.clip.frame(self.position_s + min(time_s, self._piece_s)))
+
+    def failed(self, error: Exception) -> None:
+        """See `loop.Play`."""
+        self._status.content = f"⚠ {type(error).__name__}: {error}"
+
+    def _toggle(self) -> None:
+        self.loop.set_running(not self.loop.running)
+        self._refresh()
+
+    def _on_time(self, event: Any) -> None:
+        if event.client is not None:
+            wanted = float(event.target.value)
+            self.loop.ask(lambda: self._scrub(wanted))
+
+    def _scrub(self, time_s: float) -> None:
+        self.loop.set_running(False)
+        self.seek(time_s)
+
+    def _refresh(self) -> None:
+        self._drawn = time.monotonic()
+        lines = [f"**{self.tape.name}**, episode {self.recording.episode}, {self.position_s:.1f} s"]
+        lines += [f"{index + 1}: {take.title}" for index, take in enumerate(self.recording.takes)]
+        self._status.content = "  \n".join(lines)
+        self._run.label = "Pause" if self.loop.running else "Run"
+        if self.loop.running:  # else the slider leads
+            self._time.value = round(self.position_s, 2)

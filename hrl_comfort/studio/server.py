@@ -1,0 +1,124 @@
+"""`hrl-comfort studio`: a live studio or a replay on a page."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.studio.curves import Curves
+from hrl_comfort.studio.loop import Loop
+from hrl_comfort.studio.page import APART_M, Page, set_camera
+from hrl_comfort.studio.panel import Panel
+from hrl_comfort.studio.person import Person, motion_config
+from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.policies import with_policy
+from hrl_comfort.studio.recorder import RecordControl
+from hrl_comfort.studio.replay import ReplayStudio
+from hrl_comfort.studio.session import Session, Step
+from hrl_comfort.studio.view import CellView
+
+CURVES_S = 0.25
+"""Simulated time between two updates of the curves, s."""
+
+
+class LiveStudio:
+    """A running studio of one or two cells.
+
+    Args:
+      config: of the cell, the person, the policies and the page.
+    """
+
+    def __init__(self, config: StudioConfig) -> None:
+        configs = [config] if config.beside is None else [config, with_policy(replace(config), config.beside)]
+        self.sessions = [Session(each) for each in configs]
+        self.page = Page(config.host, config.port)
+        self.views = [
+            CellView(self.page, session.engine.scene, f"cell_{index}", (APART_M * index, 0.0, 0.0))
+            for index, session in enumerate(self.sessions)
+        ]
+        self.person = Person(self.sessions, motion_config("live"), config.human)
+        self.play = LivePlay(self.sessions, self.views, self.person)
+        self.loop = Loop(self.play, config.frames_per_s, config.speed)
+        set_camera(self.page, len(self.sessions))
+        self.panel = Panel(self.page, self.play, self.loop)
+        self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
+        self.records = RecordControl(self.page, self.play, self.loop, self.panel.say, Path(config.output))
+        self.play.watchers += [self.panel, self.curves, self.records, self]
+        if config.record:
+            self.loop.ask(self.records.toggle)
+        self._drawn_s = 0.0
+        self.page.on_keys = lambda keys: self.panel.ask(lambda: self.person.press(keys))
+        for view in self.views:
+            for mesh in view.person:
+                mesh.on_drag("left")(Drag(self, view).follow)
+
+    def start(self) -> None:
+        """Begin to play."""
+        self.loop.start()
+
+    def stop(self) -> None:
+        """Stop the loop, the page and the cells."""
+        self.loop.stop()
+        self.page.stop()
+        for session in self.sessions:
+            session.close()
+
+    def began(self, cell: int, session: Session) -> None:
+        """See `play.Watcher`."""
+
+    def stepped(self, cell: int, session: Session, step: Step) -> None:
+        """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
+        if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
+            self._drawn_s = session.seconds
+            self.curves.draw()
+
+    def failed(self, error: Exception) -> None:
+        """See `play.Watcher`."""
+
+
+class Drag:
+    """Drag of the person over the floor: the ray through the pointer meets the height that was grabbed."""
+
+    def __init__(self, studio: LiveStudio, view: CellView) -> None:
+        self._studio, self._offset = studio, np.array(view.offset_m)
+        self._grabbed = np.zeros(3)
+
+    async def follow(self, event: Any) -> None:
+        """Follow a drag; a coroutine, so that its phases stay in order."""
+        end = np.array(event.end_position)
+        if event.phase == "start":
+            self._grabbed = np.array(event.start_position)
+            place = np.array([*self._studio.sessions[0].walk.position[0], 0.0]) + self._offset
+            self._from_axis = (place - self._grabbed)[:2]
+        camera = np.asarray(event.client.camera.position)
+        place = on_plane(camera, end, self._grabbed[2])
+        if place is not None:
+            x, y = (place[:2] + self._from_axis - self._offset[:2]).tolist()
+            self._studio.panel.ask(lambda: self._studio.person.drag(x, y))
+
+
+def on_plane(camera: np.ndarray, through: np.ndarray, height: float) -> np.ndarray | None:
+    """Return where the ray from `camera` (3,) through a point (3,) meets z = `height`, m; None if it does not."""
+    ray = through - camera
+    if abs(ray[2]) < 1e-6:
+        return None
+    share = (height - camera[2]) / ray[2]
+    return camera + share * ray if share > 0 else None
+
+
+def studio(config: StudioConfig) -> None:
+    """Run the studio until it is interrupted."""
+    if config.policy is None and not config.policies and config.replay is None:
+        raise ConfigError("policy=null: give policy=, policies.* or replay=")
+    running = LiveStudio(config) if config.replay is None else ReplayStudio(config)
+    print(f"studio: {running.page.address}", flush=True)
+    running.start()
+    try:
+        threading.Event().wait()
+    finally:
+        running.stop()

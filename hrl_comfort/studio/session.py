@@ -1,0 +1,235 @@
+"""A session: one cell under one policy or chain, which can be paused, stepped, taken over and changed while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hrl_comfort import humans
+from hrl_comfort.comfort.sources import Floats, Source
+from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
+from hrl_comfort.config.compose import environment
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.studio.clip import Clip, decision_clip, still_clip
+from hrl_comfort.tasks import State
+
+FIRST_LEVEL = 5
+"""Level of the slider where the configuration fixes none."""
+ROW = torch.ones(1, dtype=torch.bool)
+
+
+class Slider(Source):
+    """A comfort level set by hand."""
+
+    def __init__(self, config: ComfortConfig, rows: int) -> None:
+        super().__init__(config, rows)
+        self.value = float(config.level or min(FIRST_LEVEL, config.levels))
+
+    def at(self, time_s: Floats) -> Floats:
+        """See `Source`."""
+        return np.full(len(time_s), self.value)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One decision of a session."""
+
+    clip: Clip
+    before: State
+    """State in which the decision was made."""
+    result: StepResult
+    runs: list[OptionRun]
+    """The option run that ended with it, if one did."""
+    over: bool
+    """The episode ended with it."""
+
+    @property
+    def outcome(self) -> str:
+        """How the episode ended, empty where it goes on."""
+        if not self.over:
+            return ""
+        if bool(self.result.success[0]):
+            return "success"
+        state = self.result.state
+        for name, hit in (("person", state.human_collision), ("cell", state.table_collision)):
+            if bool(hit[0]):
+                return f"contact with the {name}"
+        return "contact with itself" if bool(state.self_collision[0]) else "out of time"
+
+
+class Session:
+    """One cell, stepped decision by decision.
+
+    The action of the next decision is always there: it is made as soon as the state before it is known, and anew
+    whenever the level or the option is changed by hand.
+
+    Args:
+      config: of the cell, the person, the comfort level and the policies.
+
+    Raises:
+      ConfigError: a policy is missing or does not fit.
+    """
+
+    def __init__(self, config: StudioConfig) -> None:
+        torch.set_num_threads(1)
+        self.config = with_level(config)
+        env = environment(self.config)
+        self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance)
+        self.slider = Slider(env.comfort, 1)
+        self._configured = self.engine.episodes.source
+        if env.comfort.source == "fixed":
+            self.engine.episodes.source = self.slider
+        self.keep_person = False
+        """A new episode begins with the person where they are."""
+        self.seconds, self.decisions, self.contacts = 0.0, 0, 0
+        """Simulated time, decisions and contacts with the person since the session began."""
+        self.over = False
+        self.play(self.config)
+
+    @property
+    def state(self) -> State:
+        """State in which the next decision is made."""
+        assert self.engine.episodes.state is not None
+        return self.engine.episodes.state
+
+    @property
+    def walk(self) -> humans.Walk:
+        """The person's walk."""
+        return self.engine.episodes.walk
+
+    @property
+    def decision_s(self) -> float:
+        """Duration of a decision that nothing ends early, s."""
+        return self.config.task.action_repeat * CONTROL_STEP_S
+
+    @property
+    def option(self) -> str:
+        """Name of the option in force."""
+        return self.executor.options[int(self.executor.option)].name
+
+    @property
+    def options(self) -> list[str]:
+        """Names of all options."""
+        return [option.name for option in self.executor.options]
+
+    def play(self, config: StudioConfig) -> None:
+        """Begin an episode under the policies of `config`; its cell and person stay as they are.
+
+        Raises:
+          ConfigError: a policy is missing or does not fit; the session goes on as it was.
+        """
+        self.executor, self._choose = make_executor(config, None, self.engine, config.first_seed)
+        self.config = replace(
+            self.config, policy=config.policy, policies=config.policies, meta_controller=config.meta_controller
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin the next episode."""
+        episodes, kept = self.engine.episodes, self.walk
+        self.engine.reset()
+        if self.keep_person:
+            episodes.walk = replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step))
+            seen = humans.seen_position(episodes.config.human, kept.position, episodes.sampler.spawns)
+            places = {"human_pos": kept.position, "human_yaw": kept.yaw, "human_seen": seen}
+            episodes.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in places.items()})
+        old = self.executor
+        self.executor = OptionExecutor(old.options, old.time_limit, episodes, old.retries)
+        self.over = False
+        self._begin(self._choose(self.executor.decision(self.state)))
+
+    def step(self) -> Step:
+        """Run the decision that has been made, then make the next one; begin a new episode where the last is over.
+
+        Raises:
+          RuntimeError: the policy returned an action that is not finite.
+        """
+        if self.over:
+            self.reset()
+        episodes, before, walk = self.engine.episodes, self.state, self.walk
+        result = self.engine.step(self.action.numpy())
+        options = self.executor.ended(result)
+        runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
+        self.over = bool(result.done | options.given_up)
+        self.decisions += 1
+        self.contacts += int(result.state.human_collision)
+        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, self.walk)
+        self.seconds += clip.duration_s
+        if not self.over:
+            if runs:
+                self._begin(self._choose(self.executor.decision(self.state)))
+            else:
+                self._decide()
+        return Step(clip, before, result, runs, self.over)
+
+    def still(self) -> Clip:
+        """Return the picture of the state in which the next decision is made."""
+        return still_clip(self.engine.scene, self.engine.episodes.subtask, self.state, self.walk)
+
+    def force(self, name: str) -> None:
+        """Start the option `name` now.
+
+        Raises:
+          ConfigError: it is not an option, or cannot start in this state.
+        """
+        if name not in self.options:
+            raise ConfigError(f"option={name!r} is not one of {', '.join(self.options)}")
+        able = self.executor.available(self.state)[0]
+        if self.over or not able[self.options.index(name)]:
+            possible = [] if self.over else [each for each, can in zip(self.options, able.tolist(), strict=True) if can]
+            raise ConfigError(f"option={name!r} cannot start now; {', '.join(possible) or 'none'} can")
+        self._begin(torch.tensor([self.options.index(name)]))
+
+    def set_level(self, level: float) -> None:
+        """Set the level of the next decision, 1 to `comfort.levels`; a level from a stream is given up."""
+        self.engine.episodes.source = self.slider
+        self.slider.value = float(np.clip(level, 1, self.config.comfort.levels))
+        self.slider.level[:] = self.slider.value
+        self.engine.episodes.state = self.state.with_(level=torch.from_numpy(self.slider.level.copy()))
+        if not self.over:
+            self._decide()
+
+    def follow_source(self) -> None:
+        """Take the level from the source of the configuration, from the end of the next decision on."""
+        self.engine.episodes.source = self._configured
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the level is set by hand."""
+        return self.engine.episodes.source is self.slider
+
+    def set_motion(self, human: HumanConfig) -> None:
+        """Let the person go on from where they are as `human` says."""
+        episodes = self.engine.episodes
+        if episodes.config.human.motion == "none":
+            episodes.walk = humans.begin(human, self.walk.spawn)
+        elif human.motion != "none":
+            episodes.walk = replace(self.walk, spawn=self.walk.position.copy())
+        episodes.config = replace(episodes.config, human=human)
+
+    def close(self) -> None:
+        """Stop the engine's threads."""
+        self.engine.close()
+
+    def _begin(self, chosen: Tensor) -> None:
+        self.executor.begin(ROW, chosen)
+        self._decide()
+
+    def _decide(self) -> None:
+        with torch.no_grad():
+            self.action = self.executor.act(self.state)
+        if not bool(torch.isfinite(self.action).all()):
+            raise RuntimeError(f"the policy of {self.option} returned an action that is not finite")
+
+
+def with_level(config: StudioConfig) -> StudioConfig:
+    """Return `config` with a level that can be set; without a source it is fixed, and F_comfort weighs nothing."""
+    if config.comfort.source != "none":
+        return config
+    return replace(config, comfort=replace(config.comfort, source="fixed", level=FIRST_LEVEL, scale=0.0))

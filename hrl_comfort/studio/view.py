@@ -1,0 +1,139 @@
+"""Views: the cell's MuJoCo geoms as viser meshes, and the poses of its bodies in a picture."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+from numpy.typing import NDArray
+
+from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.scene.human import LIMBS
+from hrl_comfort.scene.robots import JOINTS
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.studio.clip import Frame
+
+Array = NDArray[np.float64]
+
+Colour = tuple[float, ...]
+"""(r, g, b, opacity), 0 to 1."""
+CONTACT_RGB = (220, 40, 40)
+_SHAPE = mujoco.mjtGeom
+
+
+def shape_mesh(kind: int, size: Array) -> trimesh.Trimesh:
+    """Return the mesh of a MuJoCo geom or site in its own frame, m; `size` (3,) as MuJoCo has it.
+
+    Raises:
+      ValueError: a kind that the cell does not have.
+    """
+    if kind == _SHAPE.mjGEOM_SPHERE:
+        return trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    if kind == _SHAPE.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[16, 16])
+        mesh.apply_translation((0, 0, -mesh.bounds.mean(axis=0)[2]))  # trimesh's begins at its lower end
+        return mesh
+    if kind == _SHAPE.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=24)
+    if kind == _SHAPE.mjGEOM_BOX:
+        return trimesh.creation.box(extents=2 * size)
+    if kind == _SHAPE.mjGEOM_PLANE:
+        return trimesh.creation.box(extents=(2 * size[0], 2 * size[1], 0.002))
+    raise ValueError(f"a geom of MuJoCo's kind {kind} cannot be shown")
+
+
+def body_meshes(model: Any) -> dict[int, list[tuple[Colour, trimesh.Trimesh]]]:
+    """Return, by body, a mesh for each colour of its visible geoms and sites, in the body's frame."""
+    parts: dict[tuple[int, Colour], list[trimesh.Trimesh]] = defaultdict(list)
+    for prefix, bodies in (("geom", model.geom_bodyid), ("site", model.site_bodyid)):
+        kinds, sizes, colours, places, turns = (
+            getattr(model, f"{prefix}_{name}") for name in ("type", "size", "rgba", "pos", "quat")
+        )
+        for index, body in enumerate(bodies):
+            if model.names[getattr(model, f"name_{prefix}adr")[index] :].startswith(b"robot/tcp"):
+                continue
+            mesh = shape_mesh(int(kinds[index]), sizes[index])
+            matrix = trimesh.transformations.quaternion_matrix(turns[index])
+            matrix[:3, 3] = places[index]
+            mesh.apply_transform(matrix)
+            parts[int(body), tuple(float(value) for value in colours[index])].append(mesh)
+    found: dict[int, list[tuple[Colour, trimesh.Trimesh]]] = defaultdict(list)
+    for (body, colour), meshes in parts.items():
+        if colour[3] > 0:
+            found[body].append((colour, trimesh.util.concatenate(meshes)))
+    return found
+
+
+class CellView:
+    """A cell on a page.
+
+    Args:
+      server: of the page.
+      scene: compiled cell.
+      name: of the cell, under which its nodes lie.
+      offset_m: place of the robot's base on the page.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, scene: Scene, name: str, offset_m: tuple[float, float, float]
+    ) -> None:
+        self._server, self._model, self._data = server, scene.model, mujoco.MjData(scene.model)
+        self.offset_m = offset_m
+        self._qpos = [scene.model.joint(f"robot/{joint}").qposadr[0] for joint in JOINTS]
+        self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
+        self._frames: dict[int, viser.FrameHandle] = {}
+        self.person: list[viser.MeshHandle] = []
+        """Meshes of the person."""
+        limbs = {self._model.body(limb).id for limb in LIMBS}
+        for body, meshes in body_meshes(self._model).items():
+            node = f"/{name}/body_{body}"
+            self._frames[body] = server.scene.add_frame(node, show_axes=False)
+            for index, (colour, mesh) in enumerate(meshes):
+                handle = server.scene.add_mesh_simple(
+                    f"{node}/{index}",
+                    np.asarray(mesh.vertices, dtype=np.float32),
+                    np.asarray(mesh.faces, dtype=np.uint32),
+                    color=tuple(round(255 * value) for value in colour[:3]),
+                    opacity=None if colour[3] >= 1 else colour[3],
+                    flat_shading=False,
+                    cast_shadow=body in limbs or body > 0,
+                    receive_shadow=True,
+                )
+                if body in limbs:
+                    self.person.append(handle)
+        self._colours = [handle.color for handle in self.person]
+        self._shown: dict[int, Array] = {}
+
+    def show(self, frame: Frame) -> None:
+        """Put every body where it is in a picture; messages are sent for bodies that moved alone."""
+        self._data.qpos[self._qpos] = frame.joints
+        self._data.mocap_pos[: len(LIMBS)], self._data.mocap_quat[: len(LIMBS)] = frame.limbs[:, :3], frame.limbs[:, 3:]
+        away = np.array([FAR_AWAY_M, 0.0, 0.0])
+        self._data.mocap_pos[len(LIMBS) :] = np.where(np.isnan(frame.props), away, frame.props)
+        mujoco.mj_kinematics(self._model, self._data)
+        for body, handle in self._frames.items():
+            pose = np.concatenate([self._data.xpos[body], self._data.xquat[body]])
+            old = self._shown.get(body)
+            if old is None or np.abs(pose[:3] - old[:3]).max() > 1e-5:
+                handle.position = pose[:3]
+                visible = bool(pose[0] < FAR_AWAY_M / 2)
+                if handle.visible != visible:
+                    handle.visible = visible
+            if old is None or np.abs(pose[3:] - old[3:]).max() > 1e-5:
+                handle.wxyz = pose[3:]
+            self._shown[body] = pose
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the whole cell."""
+        self._root.visible = visible
+
+    def flash(self, contact: bool) -> None:
+        """Paint the person red while a contact is shown."""
+        for handle, colour in zip(self.person, self._colours, strict=True):
+            wanted = CONTACT_RGB if contact else colour
+            if handle.color != wanted:
+                handle.color = wanted

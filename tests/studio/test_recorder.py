@@ -1,0 +1,79 @@
+"""A recording is an ordinary evaluation: the rows of an evaluation, a report, a motion file, a replay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hrl_comfort.config import ConfigError, ReportConfig, StudioConfig
+from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.files.run_folder import read_run
+from hrl_comfort.humans.live import HELD
+from hrl_comfort.humans.playback import read_motion
+from hrl_comfort.report.report import report
+from hrl_comfort.studio.person import Person, motion_config
+from hrl_comfort.studio.recorder import Recorder
+from hrl_comfort.studio.session import Session
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("studio")
+    config = compose("studio", ["task=pick", "policy=potential_field", "human=still", f"output={output}"])
+    assert isinstance(config, StudioConfig)
+    HELD.pose = None
+    session = Session(config)
+    recorder = Recorder(session, output)
+    while not session.over:  # as it comes
+        recorder.add(session.step())
+    session.reset()
+    recorder.begin()
+    person = Person([session], motion_config("live"), config.human)
+    person.drag(1.5, -1.5)
+    for decision in range(4):  # by hand, at two levels, cut short
+        session.set_level(3 if decision < 2 else 8)
+        recorder.add(session.step())
+    folder = recorder.stop()
+    session.close()
+    return folder
+
+
+def test_a_recording_has_the_rows_of_an_evaluation(recorded: Path) -> None:
+    assert recorded.name == "recording_1" and isinstance(load_config(recorded), StudioConfig)
+    run = read_run(recorded)
+    episodes = run.episodes
+    assert list(episodes["human"]) == ["still", "live"] and set(episodes["split"]) == {"live"}
+    assert episodes["comfort_level"].isna().tolist() == [False, True] and episodes["truncated"].tolist() == [
+        False,
+        True,
+    ]
+    assert episodes["steps"].tolist()[1] == 20 and episodes["policy_steps"].tolist()[1] == 4
+    paths = pd.read_csv(recorded / "paths.csv")
+    assert (paths.groupby("episode").size() == episodes.set_index("episode")["steps"] + 1).all()
+    assert set(paths[paths["episode"] == 1]["level"]) == {3, 5, 8} - ({5} if paths.iloc[-1]["level"] == 5 else set())
+
+
+def test_a_recorded_person_is_a_motion_file(recorded: Path) -> None:
+    time, poses = read_motion(str(recorded / "human_1.csv"))
+    path = pd.read_csv(recorded / "paths.csv").query("episode == 1")
+    assert time[-1] == pytest.approx(0.4) and np.allclose(poses[:, 0], path["human_x"])
+    assert np.hypot(*(poses[-1, :2] - poses[0, :2])) == pytest.approx(0.64, abs=0.01)
+
+
+def test_a_recording_has_a_report(recorded: Path) -> None:
+    page = report(ReportConfig(run=str(recorded), output=None, video=False))
+    assert "potential_field" in page.read_text(encoding="utf-8")
+
+
+def test_nothing_is_written_where_nothing_was_recorded(tmp_path: Path, recorded: Path) -> None:
+    config = load_config(recorded)
+    assert isinstance(config, StudioConfig)
+    session = Session(replace(config, output=str(tmp_path)))
+    with pytest.raises(ConfigError, match="nothing was recorded"):
+        Recorder(session, tmp_path).stop()
+    session.close()
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,186 @@
+"""The session without a browser: decisions, levels, the person's hand, options and policies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.humans.live import HELD
+from hrl_comfort.policies import load
+from hrl_comfort.studio.person import HELD_S, Person, motion_config
+from hrl_comfort.studio.policies import options_in, with_defaults, with_policy
+from hrl_comfort.studio.session import Session
+
+SEEN: list[torch.Tensor] = []
+LIVE = motion_config("live")
+
+
+def watching(state):
+    """Stand still, and note what each decision sees: level, and the person's x and y."""
+    SEEN.append(torch.cat([state.level[:, None], state.human_seen], dim=-1)[0])
+    return torch.zeros_like(state.joint_target)
+
+
+def studio_config(*overrides: str) -> StudioConfig:
+    config = compose("studio", ["task=pick", "policy=expert", "human=still", *overrides])
+    assert isinstance(config, StudioConfig)
+    return config
+
+
+@pytest.fixture(scope="module")
+def made() -> Iterator[Session]:
+    load.SCRIPTED["watching"] = lambda task, scene, config, seed: watching
+    session = Session(studio_config("policy=watching"))
+    yield session
+    session.close()
+    del load.SCRIPTED["watching"]
+
+
+@pytest.fixture
+def session(made: Session) -> Session:
+    made.keep_person = False
+    made.set_motion(made.config.human)
+    made.play(replace(made.config, policy="watching"))
+    HELD.pose = None
+    SEEN.clear()
+    return made
+
+
+def test_a_step_is_one_decision_whose_pictures_last_as_long(session: Session) -> None:
+    step = session.step()
+    assert int(step.result.state.steps) == 5 and step.clip.duration_s == pytest.approx(0.1) and not step.over
+    first, last = step.clip.frame(-1.0), step.clip.frame(9.0)
+    assert np.allclose(first.joints, step.before.joint_pos[0]) and np.allclose(last.joints, session.state.joint_pos[0])
+    middle = step.clip.frame(0.05)
+    assert np.isfinite(middle.limbs).all() and np.isfinite(middle.props).all(axis=1).sum() == 1
+
+
+def test_the_level_of_the_slider_is_what_the_next_decision_sees(session: Session) -> None:
+    session.set_level(9)
+    assert SEEN[-1][0] == 9
+    assert float(session.step().result.level) == 9 and SEEN[-1][0] == 9
+    session.set_level(99)
+    assert SEEN[-1][0] == session.config.comfort.levels
+
+
+def test_a_drag_is_in_the_observation_of_the_next_decision(session: Session) -> None:
+    person = Person([session], LIVE, session.config.human)
+    start = session.walk.position[0].copy()
+    person.drag(0.0, 0.0)
+    session.step()
+    moved = SEEN[-1][1:].numpy() - start
+    assert np.linalg.norm(moved) == pytest.approx(1.6 * 0.1, abs=1e-6) and moved @ start < 0
+
+
+def test_the_person_keeps_their_place_when_an_episode_ends_and_walks_on_when_let_go(session: Session) -> None:
+    person = Person([session], LIVE, session.config.human)
+    person.drag(1.5, 1.5)
+    for _ in range(20):
+        session.step()
+    place = session.walk.position.copy()
+    session.reset()
+    assert np.allclose(session.walk.position, place) and np.allclose(SEEN[-1][1:], place[0])
+    person.drag(0.0, 0.1)  # within the keep-out disc of the base
+    for _ in range(20):
+        session.step()
+    person.let_go()
+    before = session.walk.position
+    for _ in range(6):
+        person.update(0.1)
+        session.step()
+        assert np.linalg.norm(session.walk.position - before) <= 0.16 + 1e-6  # no jump
+        before = session.walk.position
+    assert np.linalg.norm(before) >= session.config.human.keep_out_m - 0.02
+    assert session.engine.episodes.config.human.motion == "still"
+
+
+def test_keys_walk_and_turn_until_they_are_let_go_of_or_fall_silent(session: Session) -> None:
+    clock = [0.0]
+    person = Person([session], LIVE, session.config.human, clock=lambda: clock[0])
+    yaw, start = float(session.walk.yaw[0]), session.walk.position[0].copy()
+
+    def decide(count: int) -> None:
+        for _ in range(count):
+            person.update(0.1)
+            session.step()
+
+    person.press(frozenset("s"))
+    decide(2)
+    back = session.walk.position[0] - start
+    assert back @ [np.cos(yaw), np.sin(yaw)] == pytest.approx(-0.32)
+    person.press(frozenset("q"))
+    decide(1)
+    assert float(session.walk.yaw[0]) == pytest.approx(yaw + 0.15)
+    person.press(frozenset("w"))
+    clock[0] += HELD_S + 0.1  # the tab is gone
+    place = session.walk.position[0].copy()
+    decide(2)
+    assert np.allclose(session.walk.position[0], place)
+
+
+def test_a_touch_ends_the_episode_and_is_counted(session: Session) -> None:
+    person, contacts = Person([session], LIVE, session.config.human), session.contacts
+    person.drag(0.0, 0.0)
+    step = next(step for step in iter(session.step, None) if step.over)
+    assert step.outcome == "contact with the person" and session.contacts == contacts + 1
+    person.drag(1.5, -1.5)
+    session.keep_person = False
+    assert not session.step().over and int(session.state.steps) == 5  # of the next episode
+
+
+def test_a_policy_is_swapped_and_a_bad_one_leaves_the_session_as_it_was(session: Session) -> None:
+    old = session.executor
+    with pytest.raises(ConfigError, match="policy='runs/nowhere' is not there"):
+        session.play(with_policy(session.config, "runs/nowhere"))
+    assert session.executor is old
+    session.play(with_policy(session.config, "expert"))
+    session.step()
+    assert session.config.policy == "expert" and not SEEN
+
+
+def test_an_action_that_is_not_finite_is_refused(session: Session) -> None:
+    load.SCRIPTED["broken"] = lambda task, scene, config, seed: lambda state: state.joint_target * float("nan")
+    with pytest.raises(RuntimeError, match="policy of pick returned an action that is not finite"):
+        session.play(replace(session.config, policy="broken"))
+    del load.SCRIPTED["broken"]
+
+
+def test_options_are_forced_where_they_can_start() -> None:
+    session = Session(sorting_config())
+    assert session.option in ("pick_1", "pick_2")
+    other = "pick_2" if session.option == "pick_1" else "pick_1"
+    session.force(other)
+    session.step()
+    assert session.option == other
+    with pytest.raises(ConfigError, match="option='place' cannot start now; pick_1, pick_2, wait can"):
+        session.force("place")
+    session.close()
+
+
+def sorting_config() -> StudioConfig:
+    policies = [f"policies.{name}=random" for name in ("pick", "place", "return")]
+    config = compose("studio", ["task=sort", "task.balls=2", "meta_controller=scripted", "human=still", *policies])
+    assert isinstance(config, StudioConfig)
+    return config
+
+
+def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert with_defaults(["human=arc"]) == ["human=arc", "policy=expert"]
+    for name in ("pick", "place", "return"):
+        folder = tmp_path / "runs" / "demo" / name
+        folder.mkdir(parents=True)
+        (folder / "policy.pt").touch()
+    assert options_in(Path("runs/demo")) == ("pick", "place", "return")
+    assert with_defaults([]) == [
+        "policies.pick=runs/demo/pick", "policies.place=runs/demo/place", "policies.return=runs/demo/return",
+        "meta_controller.options=[pick,place,return]", "meta_controller=scripted", "task=cycle",
+    ]  # fmt: skip
+    assert with_defaults(["policy=random"]) == ["policy=random"]

@@ -1,0 +1,44 @@
+"""Meshes of the cell have the size and place of the MuJoCo geoms that they stand for."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra [studio] is not installed")
+
+from hrl_comfort.config.compose import compose
+from hrl_comfort.scene.robots import LINKS
+from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.studio.view import body_meshes, shape_mesh
+
+SHAPE = mujoco.mjtGeom
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "half"),
+    [
+        (SHAPE.mjGEOM_SPHERE, (0.1, 0, 0), (0.1, 0.1, 0.1)),
+        (SHAPE.mjGEOM_CAPSULE, (0.1, 0.3, 0), (0.1, 0.1, 0.4)),
+        (SHAPE.mjGEOM_CYLINDER, (0.1, 0.3, 0), (0.1, 0.1, 0.3)),
+        (SHAPE.mjGEOM_BOX, (0.1, 0.2, 0.3), (0.1, 0.2, 0.3)),
+    ],
+)
+def test_a_mesh_is_centred_and_as_large_as_its_geom(kind: int, size: tuple, half: tuple) -> None:
+    low, high = shape_mesh(kind, np.array(size, dtype=float)).bounds
+    assert np.allclose(high, half, atol=0.005) and np.allclose(low, -high, atol=1e-6)
+
+
+def test_a_kind_that_the_cell_does_not_have_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot be shown"):
+        shape_mesh(SHAPE.mjGEOM_HFIELD, np.ones(3))
+
+
+def test_every_body_of_robot_person_and_cell_is_shown() -> None:
+    config = compose("studio")
+    model = build_scene(config.robot, config.cell, 2).model
+    shown = {model.body(body).name for body in body_meshes(model)}
+    limbs = {f"robot/{link}" for link in LINKS}
+    assert {"trunk", "left_leg", "right_arm", "pedestal", "ball_table", "orange_ball"} <= shown
+    assert len(limbs & shown) >= 5
