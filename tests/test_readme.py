@@ -10,7 +10,7 @@ from tests.commands import ROOT, commands, run, write_files
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 FEW = {
-    "env.ROUNDS": 1, "env.NUM_ENVS": (1, 4), "update.ROUNDS": 1, "update.SECONDS": 0.01, "update.BATCHES": (32,),
+    "measure.ROUNDS": 1, "measure.SECONDS": 0.01, "env.NUM_ENVS": (1, 4), "update.BATCHES": (32,),
     "train.SEEDS": range(1), "train.CHECK_EPISODES": 4, "train.CHECK_GROWTH": 4,
 }  # fmt: skip
 """Rounds and seeds of the benchmarks."""
