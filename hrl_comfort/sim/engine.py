@@ -1,7 +1,5 @@
 """The batched engine: N cells stepped together by `mujoco.rollout`, with partial resets."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -18,6 +16,11 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
+
+
+def physics_of(joints: Array) -> Array:
+    """Return the physics (r, nstate) at time 0 of joints (r, 12): angles rad, velocities rad/s."""
+    return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)
 
 
 class Engine:
@@ -51,7 +54,7 @@ class Engine:
                 start = self.episodes.begin(rows, self._probe)
             else:
                 start = self.episodes.replay(rows, entries, self._probe)
-            self.physics[rows] = self._physics_of(start)
+            self.physics[rows] = physics_of(start)
         assert self.episodes.state is not None
         return self.episodes.state
 
@@ -71,17 +74,11 @@ class Engine:
 
     def _probe(self, joints: Array, control: Array) -> Array:
         # Readings belong to the instant before a physics step is integrated: one step senses the start.
-        return self._run(self._physics_of(joints), control[:, None])[1][:, 0]
+        return self._run(physics_of(joints), control[:, None])[1][:, 0]
 
     def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
-        states, sensed = self._rollout.rollout(
-            self.scene.model, self._data, physics, control, control_spec=CONTROL_SPEC
-        )
-        return states, sensed
-
-    def _physics_of(self, joints: Array) -> Array:
-        """Return the physics (r, nstate) at time 0 of joints (r, 12): angles, velocities."""
-        return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)
+        run = self._rollout.rollout(self.scene.model, self._data, physics, control, control_spec=CONTROL_SPEC)
+        return run[0], run[1]
 
     def close(self) -> None:
         """Stop the threads."""

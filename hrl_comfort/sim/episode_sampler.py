@@ -1,7 +1,5 @@
 """Random draws of an episode: colours, walk, spawn, start and points, from (seed, row, episode)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -32,7 +30,10 @@ without any of them, the rest of an episode is the same."""
 
 @dataclass(frozen=True)
 class Draw:
-    """One start of an episode; later attempts draw only spawn, start, its level and points anew."""
+    """One start of an episode, or one of each of N cells (N, ...).
+
+    Later attempts at the same episode draw only spawn, start, its level and points anew.
+    """
 
     balls: Array
     """(B, 3) m, positions on the pick table."""
@@ -42,10 +43,10 @@ class Draw:
     """(horizon, NOISE) in [0, 1), for the walk at each control step."""
     level: Array
     """(comfort.sources.DRAWS,) in [0, 1), for the source of comfort levels."""
-    motion_id: int
-    """Of the evaluation set; -1 in training."""
-    spawn_id: int
-    """Index of the spawn point; -1 where the human begins anywhere."""
+    motion_id: NDArray[np.int64]
+    """() of the evaluation set; -1 in training."""
+    spawn_id: NDArray[np.int64]
+    """() index of the spawn point; -1 where the human begins anywhere."""
     spawn: Array
     """(2,) m."""
     start: Array
@@ -64,7 +65,6 @@ class EpisodeSampler:
         self.seed = seed
         self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
-        self._on_points = task.points
         cell = config.cell
         self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
         self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])
@@ -78,8 +78,24 @@ class EpisodeSampler:
             )
         self.horizon = longest + config.task.action_repeat
         self._starts = start_states(scene, config, task.start)
+        self._solved = replace(config, task=replace(config.task, start="ik"))
         if self._drawn:
             self._starts = [self._unseen_left_out(bank) for bank in self._starts]
+
+    def blank(self, rows: int) -> Draw:
+        """Return the draws of `rows` cells, to be filled in."""
+        balls = self._config.task.balls
+        return Draw(
+            balls=np.zeros((rows, balls, 3)),
+            colours=np.zeros((rows, balls), dtype=np.int64),
+            noise=np.zeros((rows, self.horizon, humans.NOISE)),
+            level=np.zeros((rows, DRAWS)),
+            motion_id=np.zeros(rows, dtype=np.int64),
+            spawn_id=np.zeros(rows, dtype=np.int64),
+            spawn=np.zeros((rows, 2)),
+            start=np.zeros((rows, ARM)),
+            points=np.zeros((rows, 2, 3)),
+        )
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
         """Yield draws for an episode until the caller accepts one.
@@ -91,27 +107,29 @@ class EpisodeSampler:
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
         if self._evaluation is None:
             motion_id, noise = -1, rng.random((self._plain_horizon, humans.NOISE))
-            if self.horizon > self._plain_horizon:
-                later = self.generator(row, episode, LATER_STREAM)
-                more = later.random((self.horizon - self._plain_horizon, humans.NOISE))
-                noise = np.concatenate([noise, more])
+            later = self.generator(row, episode, LATER_STREAM)
+            noise = np.concatenate([noise, later.random((self.horizon - self._plain_horizon, humans.NOISE))])
         else:
-            motion_id = int(self._evaluation.motion_id[row % len(self._evaluation.episode)])
+            motion_id = int(self._evaluation.motion_id.take(row, mode="wrap"))
             stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
         balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
-            banks = self._starts if attempt < ATTEMPTS // 2 else self._spare_starts()
+            banks = (
+                self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
+            )
             bank = banks[colour % len(banks)]
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
-            told = level
+            told = level.copy()
             if kept and len(start) > ARM and self._drawn:
-                person = humans.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
-                spawn_id, spawn, told = -1, person, self._with_level(level, start[-1])
-            yield Draw(balls, colours, noise, told, motion_id, spawn_id, spawn, start[:ARM], points)
+                spawn_id, spawn = -1, humans.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
+                if not np.isnan(start[-1]):  # the draw that gives this level
+                    told[0] = (start[-1] - 0.5) / self._config.comfort.levels
+            ids = np.array(motion_id), np.array(spawn_id)
+            yield Draw(balls, colours, noise, told, *ids, spawn, start[:ARM], points)
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 18 or 21) whose human, if any, is clear of every held-out spawn point.
@@ -131,12 +149,6 @@ class EpisodeSampler:
             )
         return bank[clear]
 
-    def _with_level(self, draws: Array, level: float) -> Array:
-        """Return the draws with the first one replaced so that it gives `level`, unless that is NaN."""
-        if np.isnan(level):
-            return draws
-        return np.array([(level - 0.5) / self._config.comfort.levels, *draws[1:]])
-
     def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
         """Return the positions (B, 3) m and colours (B,) of the balls; the first colour is given."""
         task = self._config.task
@@ -151,8 +163,8 @@ class EpisodeSampler:
     def keep_out(self, points: Array) -> humans.KeepOut:
         """Return the keep-out discs of the humans round goals and base; points (n, 2, 3) m are the episodes'."""
         n = len(points)
-        if self._on_points:
-            centres = np.concatenate([points[:, : self._on_points, :2], np.zeros((n, 1, 2))], axis=1)
+        if self._task.points:
+            centres = np.concatenate([points[:, : self._task.points, :2], np.zeros((n, 1, 2))], axis=1)
         else:
             centres = np.broadcast_to(self._centres, (n, *self._centres.shape[1:]))
         return humans.KeepOut(centres, self._config.human.keep_out_m)
@@ -161,15 +173,14 @@ class EpisodeSampler:
         """Return the generator of one stream of an episode's random numbers."""
         key = [(self.seed << 32) + row, (stream << 48) + episode]
         if self._evaluation is not None:
-            entry = row % len(self._evaluation.episode)
-            key[0] = int(self._evaluation.episode_seed[entry]) << 32
+            key[0] = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
         return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
 
     def _spawn_and_points(self, row: int, rng: np.random.Generator) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task
         points = np.array([task.point_m, task.second_point_m])
         drawn = task.point == "random"
-        if drawn and self._on_points:  # random points keep clear of the human themselves
+        if drawn and self._task.points:  # random points keep clear of the human themselves
             discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
         else:
             discs = self.keep_out(points[None])
@@ -194,18 +205,10 @@ class EpisodeSampler:
                 return points
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
 
-    def _spare_starts(self) -> list[Array]:
-        made = replace(self._config, task=replace(self._config.task, start="ik"))
-        return start_states(self._scene, made, self._task.start)
-
 
 def _check_slots(config: EnvConfig) -> None:
     """Raise ConfigError where balls could overlap."""
-    slots, jitter, width = (
-        np.array(config.task.ball_slots_m),
-        config.task.ball_jitter_m,
-        2 * config.cell.ball_radius_m,
-    )
+    slots, jitter, width = np.array(config.task.ball_slots_m), config.task.ball_jitter_m, 2 * config.cell.ball_radius_m
     if config.task.balls == 1:
         return
     gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)

@@ -5,12 +5,11 @@ The caller runs the physics (`engine` in batches, `envs.dm` one cell at a time):
 episode; every random number of it comes from (seed, row, episode).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,11 +23,9 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand
-from hrl_comfort.sim.controls import limbs_of, pack_controls
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
-from hrl_comfort.sim.initial_state import InitialState
-from hrl_comfort.sim.sensors import Sensors
+from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.tasks import State, Subtask, subtask
 
@@ -65,27 +62,20 @@ class Episodes:
 
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
         self._drops = self.sampler.goals[1:]
-        self._initial_state = InitialState(scene, config)
-        self._disturbance = Disturbance(disturbance, rows)
+        at_home = mujoco.MjData(scene.model)
+        at_home.qpos[:] = scene.home
+        mujoco.mj_kinematics(scene.model, at_home)
+        self._tcp_home = at_home.site("robot/tcp").xpos.copy()
 
-        n = rows
-        self.episode = np.full(n, -1, dtype=np.int64)
-        self._ready = np.zeros(n, dtype=bool)
-        self.noise = np.zeros((n, self.sampler.horizon, humans.NOISE))
-        self.source = make_source(config.comfort, n)
+        self.episode = np.full(rows, -1, dtype=np.int64)
+        self._ready = np.zeros(rows, dtype=bool)
+        self.draw = self.sampler.blank(rows)
+        """What was drawn for the episode of each row."""
+        self.source = make_source(config.comfort, rows)
         paid = config.comfort.distance == "arm" and config.comfort.source != "none"
         self._sensors = Sensors(scene, measure_arm or paid)
-        self.balls = np.zeros((n, config.task.balls, 3))
-        self.colours = np.zeros((n, config.task.balls), dtype=np.int64)
-        self.spawn_id = np.zeros(n, dtype=np.int64)
-        self.motion_id = np.full(n, -1, dtype=np.int64)
-        self.points = np.zeros((n, 2, 3))
-        self.precision = np.full(n, self.precision_m)
-        self.joint_target = np.zeros((n, 6))
-        self.start = np.zeros((n, 18))
-        """Angles, velocities and servo targets of the joints at the start (`sim.starts`)."""
-        self.steps = np.zeros(n, dtype=np.int64)
-        self.walk = humans.begin(config.human, np.zeros((n, 2)))
+        self._disturbance = Disturbance(disturbance, rows)
+        self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
         self._walks = self.walk
@@ -110,27 +100,34 @@ class Episodes:
         return self._begin(rows, {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}, probe)
 
     def _begin(self, rows: NDArray[np.int64], attempts: dict[int, Iterator[Draw]], probe: Probe) -> Array:
-        self.steps[rows], self.precision[rows] = 0, self.precision_m
         pending = rows
         for _ in range(ATTEMPTS):
             for row in pending:
-                self._take(row, next(attempts[row]))
+                for name, value in vars(next(attempts[row])).items():
+                    getattr(self.draw, name)[row] = value
                 self._disturb(int(row))
+            self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
-            fresh = humans.begin(self.config.human, self.walk.spawn[pending])
+            fresh = humans.begin(self.config.human, self.draw.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
-            limbs = limbs_of(self.scene, fresh)
+            targets = self.draw.start[pending, 12:]
+            planned = self._plan(fresh, targets, np.zeros(len(pending), dtype=np.int64))
             # The control holds the robot and the human where they begin.
-            control = self._controls(self.start[pending, None, 12:], limbs, self.balls[pending], pending)[:, 0]
-            sensed = probe(self.start[pending, :12], control)
-            state = self._begun(pending, fresh, limbs, sensed)
-            self._put(pending, state)
+            control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
+            sensed = probe(self.draw.start[pending, :12], control)
+            state = self._first_state(pending, self._sensors.read(sensed, planned))
+            if self.state is not None:
+                self.state = self.state.put(torch.from_numpy(pending), state)
+            elif len(pending) == self.rows:
+                self.state = state
+            else:
+                raise ConfigError("the first reset must reset every row")
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | self.subtask.failure(state)).numpy()
             pending = pending[bad]
             if not len(pending):
                 self._ready[rows] = True
-                return self.start[rows, :12]
+                return self.draw.start[rows, :12]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def rewind(self) -> None:
@@ -138,21 +135,14 @@ class Episodes:
         self.episode[:] = -1
         self._ready[:] = False
 
-    def _take(self, row: int, draw: Draw) -> None:
-        self.balls[row], self.colours[row], self.noise[row] = draw.balls, draw.colours, draw.noise
-        self.source.draws[row] = draw.level
-        self.motion_id[row], self.spawn_id[row] = draw.motion_id, draw.spawn_id
-        self.start[row], self.joint_target[row] = draw.start, draw.start[12:]
-        self.points[row], self.walk.spawn[row] = draw.points, draw.spawn
-
     def _disturb(self, row: int) -> None:
         if self._disturbance.kind == "drop":
             rng = self.sampler.generator(row, int(self.episode[row]), DISTURBANCE_STREAM)
             self._disturbance.begin(row, rng)
         elif self._disturbance.kind == "block":
-            drop = self._drops[self.colours[row, 0], :2]
-            self.spawn_id[row] = -1
-            self.walk.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
+            drop = self._drops[self.draw.colours[row, 0], :2]
+            self.draw.spawn_id[row] = -1
+            self.draw.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
 
     def apply_action(self, action: Array) -> Array:
         """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
@@ -162,33 +152,36 @@ class Episodes:
         Raises:
           RuntimeError: a row has no episode yet.
         """
-        if not self._ready.all():
+        if self.state is None or not self._ready.all():
             raise RuntimeError("there is no episode yet: call reset before step")
         task, substeps = self.config.task, self.config.engine.substeps
-        steps = task.action_repeat
+        steps, joint_target = task.action_repeat, self.state.joint_target.numpy()
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
         else:
-            increment = self._hand.increments(self.joint_target, action)
+            increment = self._hand.increments(joint_target, action)
         ramp = np.arange(1, steps * substeps + 1) / substeps
-        targets = self.joint_target[:, None] + ramp[:, None] * increment[:, None]
+        targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
         lowest, highest = self.scene.joint_range.T
         targets = np.minimum(np.maximum(targets, lowest), highest)
 
-        times = self.steps[:, None] + np.arange(steps)
+        times = self.state.steps.numpy()[:, None] + np.arange(steps)
         self._walks = self._walked(times)
-        limbs = limbs_of(self.scene, self._walks)
-        self._planned = {
-            "joint_target": targets[:, substeps - 1 :: substeps].reshape(-1, 6),
-            "human_pos": self._walks.position,
-            "human_yaw": self._walks.yaw,
-            "human_seen": self._seen(self._walks.position),
-            "steps": times.reshape(-1) + 1,
-            "limbs": limbs,
+        ends = targets[:, substeps - 1 :: substeps].reshape(-1, 6)
+        self._planned = self._plan(self._walks, ends, times.reshape(-1) + 1)
+        return self._controls(targets, self._planned["limbs"], rendered_positions(self.state, self.subtask))
+
+    def _plan(self, walk: humans.Walk, joint_target: Array, steps: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the fields of State (n, ...) that are known before the physics runs, and the `limbs`."""
+        return {
+            "joint_target": joint_target,
+            "human_pos": walk.position,
+            "human_yaw": walk.yaw,
+            "human_seen": humans.seen_position(self.config.human, walk.position, self.sampler.spawns),
+            "steps": steps,
+            "limbs": limbs_of(self.scene, walk),
         }
-        assert self.state is not None
-        return self._controls(targets, limbs, rendered_positions(self.state, self.subtask))
 
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Return the result of a decision from its sensor readings (N, K * substeps, nsensor).
@@ -206,16 +199,12 @@ class Episodes:
             moving = self._sensors.read_rows(sensed, self._planned, rows, self.state)
         limit = max_episode_steps(self.state.level, self.config.task.max_episode_steps, self.config.comfort)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
-        before, level = self.state.stage, self._next_level(result)
-        state = update_placed(result.state.with_(level=level), before, self.subtask)
-        self.state = self._disturbed(state)
-        result = replace(result, state=self.state)
-        steps = self.state.steps.numpy().copy()
+        state = result.state.with_(level=self._next_level(result))
+        state = self._disturbed(update_placed(state, self.state.stage, self.subtask))
         first = np.arange(self.rows) * self.config.task.action_repeat
-        self.walk = self._walks.rows(first + np.maximum(steps - self.steps - 1, 0))
-        self.steps = steps
-        self.joint_target = self.state.joint_target.numpy().copy()
-        return result
+        self.walk = self._walks.rows(first + np.maximum((state.steps - self.state.steps).numpy() - 1, 0))
+        self.state = state
+        return replace(result, state=state)
 
     def aim(self, rows: Tensor, ball: Tensor) -> None:
         """Make the balls (r,) the targets of `rows` (r,).
@@ -229,9 +218,9 @@ class Episodes:
     def _walked(self, times: NDArray[np.int64]) -> humans.Walk:
         """Return the walks, N * K rows, over the control steps that begin at `times` (N, K)."""
         assert self.state is not None
-        keep_out, tcp = self.sampler.keep_out(self.points), self.state.tcp_pos.numpy()[:, :2]
+        keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
         stands = self._disturbance.stands(times)
-        noise = self.noise[np.arange(self.rows)[:, None], np.minimum(times, self.noise.shape[1] - 1)]
+        noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
         walk, walks = self.walk, []
         for k in range(times.shape[1]):
             before, walk = walk, humans.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
@@ -242,11 +231,8 @@ class Episodes:
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""
-        points = self.points[rows, : self.subtask.points]
-        return pack_controls(self.scene, targets, limbs, balls, self.colours[rows], points)
-
-    def _seen(self, position: Array) -> Array:
-        return humans.seen_position(self.config.human, position, self.sampler.spawns)
+        points = self.draw.points[rows, : self.subtask.points]
+        return pack_controls(self.scene, targets, limbs, balls, self.draw.colours[rows], points)
 
     def _disturbed(self, state: State) -> State:
         """Return the state with the balls that a disturbance knocks out of the gripper back on their table."""
@@ -263,58 +249,58 @@ class Episodes:
             return self.state.level
         return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
-    def _begun(self, rows: NDArray[np.int64], walk: humans.Walk, limbs: Array, sensed: Array) -> State:
-        """Return the first instant of the episodes of `rows` (r,), with the humans at `walk`."""
-        planned = {
-            "joint_target": self.start[rows, 12:],
-            "human_pos": walk.position,
-            "human_yaw": walk.yaw,
-            "human_seen": self._seen(walk.position),
-            "steps": np.zeros(len(rows), dtype=np.int64),
-            "limbs": limbs,
+    def _first_state(self, rows: NDArray[np.int64], sensed: dict[str, Tensor]) -> State:
+        """Return the first instant of the episodes of `rows` (r,): the first ball is the target, none is placed.
+
+        `sensed` are the fields that change within an episode. All tolerances scale with `precision_m`.
+        """
+        n, precision = len(rows), self.config.task.precision
+        scale = self.precision_m / precision.grasp_tolerance_m
+        balls, colours = self.draw.balls[rows], self.draw.colours[rows]
+        constant = {
+            "tcp_home": self._tcp_home,
+            "joint_home": self.scene.home,
+            "orange_drop": self._drops[0],
+            "pink_drop": self._drops[1],
+            "target": np.int64(0),
+            "stage": np.int64(0),
+            "grasp_tolerance": self.precision_m,
+            "place_tolerance": scale * precision.place_tolerance_m,
+            "home_tolerance": scale * np.radians(precision.home_tolerance_deg),
         }
-        return self._initial_state(
-            self._sensors.read(sensed, planned),
-            self.balls[rows],
-            self.colours[rows],
-            self.points[rows],
-            self.source.level[rows],
-            self.precision[rows],
-        )
-
-    def _put(self, rows: NDArray[np.int64], fresh: State) -> None:
-        """Replace the state of `rows` by `fresh` (r rows)."""
-        if self.state is not None:
-            self.state = self.state.put(torch.from_numpy(rows), fresh)
-        elif len(rows) == self.rows:
-            self.state = fresh
-        else:
-            raise ConfigError("the first reset must reset every row")
-
-    _ARRAYS = (
-        "episode", "noise", "balls", "colours", "spawn_id", "motion_id", "points", "precision",
-        "joint_target", "start", "steps",
-    )  # fmt: skip
+        fields = {
+            **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
+            "ball_pos": balls[:, 0],
+            "drop_pos": self._drops[colours[:, 0]],
+            "points": self.draw.points[rows],
+            "colour": colours[:, 0],
+            "balls": balls,
+            "colours": colours,
+            "placed": np.zeros(colours.shape, dtype=bool),
+            "level": self.source.level[rows],
+        }
+        return State(**sensed, **{name: torch.from_numpy(value) for name, value in fields.items()})
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, as tensors and plain numbers."""
         assert self.state is not None
         return {
             "precision_m": self.precision_m,
-            "walk": {name: torch.from_numpy(np.array(value)) for name, value in vars(self.walk).items()},
+            "episode": torch.from_numpy(self.episode.copy()),
+            "draw": {name: torch.from_numpy(value.copy()) for name, value in vars(self.draw).items()},
+            "walk": {name: torch.from_numpy(value.copy()) for name, value in vars(self.walk).items()},
             "state": dict(vars(self.state)),
             "source": self.source.state_dict(),
             "disturbance": self._disturbance.state_dict(),
-            **{name: torch.from_numpy(getattr(self, name).copy()) for name in self._ARRAYS},
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.precision_m = saved["precision_m"]
+        self.episode = saved["episode"].numpy().copy()
+        self.draw = Draw(**{name: value.numpy().copy() for name, value in saved["draw"].items()})
         self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])
         self._disturbance.load_state_dict(saved["disturbance"])
-        for name in self._ARRAYS:
-            setattr(self, name, saved[name].numpy().copy())
         self._ready[:] = True

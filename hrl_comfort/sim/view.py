@@ -1,7 +1,5 @@
 """Pictures of the cells of an engine, and a window on one of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -11,8 +9,8 @@ from numpy.typing import NDArray
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.balls import rendered_positions
-from hrl_comfort.sim.controls import limbs_of, pack_controls
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.signals import limbs_of, pack_controls
 
 AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M = 60.0, -45.0, 2.9
 """Of the camera: the three tables and the people around them are in sight."""
@@ -77,11 +75,11 @@ class View:
         assert episodes.state is not None
         control = pack_controls(
             engine.scene,
-            episodes.joint_target[at, None],
+            episodes.state.joint_target.numpy()[at, None],
             limbs_of(engine.scene, episodes.walk.rows(at)),
             rendered_positions(episodes.state, episodes.subtask)[at],
-            episodes.colours[at],
-            episodes.points[at, : episodes.subtask.points],
+            episodes.draw.colours[at],
+            episodes.draw.points[at, : episodes.subtask.points],
         )
         model, data = engine.scene.model, self._data
         mujoco.mj_setState(model, data, engine.physics[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)

@@ -109,7 +109,7 @@ def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either(
     plain = begun("task.max_episode_steps=40")
     slow = begun("task.max_episode_steps=40", "comfort=conditioned", "comfort.source=fixed", "comfort.level=1",
                  "comfort.beta=1")  # fmt: skip
-    assert slow.episodes.noise.shape[1] > plain.episodes.noise.shape[1]
+    assert slow.episodes.draw.noise.shape[1] > plain.episodes.draw.noise.shape[1]
     for action in actions(6, 7):
         ours, theirs = plain.step(action), slow.step(action)
         for name in ("human_pos", "colour", "tcp_pos"):
