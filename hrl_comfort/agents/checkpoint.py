@@ -1,7 +1,5 @@
 """Checkpoint files: careful reads, keeping the newest few."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import re
@@ -24,6 +22,8 @@ DAMAGED = (
 )  # fmt: skip
 """Errors of zipfile and torch at a damaged file."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
+RESUMABLE = ("latest.pt", "previous.pt")
+"""Files to resume from, the newest first."""
 
 
 def save(path: Path, state: dict[str, Any]) -> None:
@@ -82,8 +82,7 @@ def keep_newest(folder: Path, count: int) -> None:
 
 def save_resumable(folder: Path, state: dict[str, Any]) -> None:
     """Write `latest.pt`, which alone holds the replay buffer; the one before stays as `previous.pt`."""
-    latest = folder / "latest.pt"
-    new = folder / "next.pt"
+    latest, new = folder / "latest.pt", folder / "next.pt"
     save(new, state)
     if latest.exists():
         os.replace(latest, folder / "previous.pt")
@@ -92,7 +91,7 @@ def save_resumable(folder: Path, state: dict[str, Any]) -> None:
 
 def resumable(folder: Path) -> bool:
     """Return whether there is a checkpoint to resume from, good or not."""
-    return any((folder / name).exists() for name in ("latest.pt", "previous.pt"))
+    return any((folder / name).exists() for name in RESUMABLE)
 
 
 def load_resumable(folder: Path) -> dict[str, Any]:
@@ -101,17 +100,15 @@ def load_resumable(folder: Path) -> dict[str, Any]:
     Raises:
         ConfigError: there is none.
     """
-    for path in (folder / "latest.pt", folder / "previous.pt"):
-        if not path.exists():
-            continue
+    for path in (folder / name for name in RESUMABLE if (folder / name).exists()):
         try:
             return load(path)
         except ConfigError as error:
             warnings.warn(f"skipped {error}", stacklevel=2)
-    raise ConfigError(f"{folder}: no checkpoint to resume from (latest.pt, previous.pt)")
+    raise ConfigError(f"{folder}: no checkpoint to resume from ({', '.join(RESUMABLE)})")
 
 
 def drop_resumable(folder: Path) -> None:
     """Delete the large resumable checkpoints: the training is finished."""
-    for name in ("latest.pt", "previous.pt", "next.pt"):
+    for name in (*RESUMABLE, "next.pt"):
         (folder / name).unlink(missing_ok=True)

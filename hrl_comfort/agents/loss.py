@@ -1,13 +1,11 @@
 """Soft actor-critic's losses (Haarnoja et al. 2018, arXiv:1812.05905) as a TorchRL loss module."""
 
-from __future__ import annotations
-
 import math
 
 import torch
-from tensordict import TensorDict, TensorDictBase, TensorDictParams
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.objectives import LossModule, SoftUpdate
+from torchrl.objectives import LossModule
 
 from hrl_comfort.agents.networks import Actor, TwinCritics
 
@@ -16,12 +14,8 @@ class TwinSACLoss(LossModule):
     """Losses of an actor, two critics and the entropy coefficient.
 
     Values and gradients are those of `torchrl.objectives.SACLoss(loss_function="l2")`. It is faster because
-    both critics are one batched product and actions are sampled without distribution objects. The targets
-    follow the critics by `torchrl.objectives.SoftUpdate`.
+    both critics are one batched product and actions are sampled without distribution objects.
     """
-
-    qvalue_network_params: TensorDictParams
-    target_qvalue_network_params: TensorDictParams
 
     def __init__(
         self,
@@ -42,11 +36,6 @@ class TwinSACLoss(LossModule):
         self.target_qvalue_network = targets.requires_grad_(False)
         device = next(actor.parameters()).device
         self.log_alpha = nn.Parameter(torch.tensor(math.log(entropy_coefficient), device=device))
-        # SoftUpdate looks for these two names; their tensors are those of the networks.
-        for name in ("qvalue_network", "target_qvalue_network"):
-            parameters = TensorDict.from_module(getattr(self, name))
-            setattr(self, f"{name}_params", TensorDictParams(parameters, no_convert=True))
-        self._has_update_associated["qvalue_network"] = False
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return losses (eq. 5, 7 and 18), alpha, entropy and mean Q, all scalars.
@@ -81,16 +70,11 @@ class TwinSACLoss(LossModule):
         given = tensordict.get(name, None)
         return torch.randn_like(tensordict.get("action")) if given is None else given
 
-
-class FusedSoftUpdate(SoftUpdate):
-    """TorchRL's target updater, with one call over all tensors: `SoftUpdate.step` costs 2 % of an update more."""
-
     @torch.no_grad()
-    def step(self) -> None:
-        """Move the targets towards the critics by tau."""
-        loss = self.loss_module
-        targets, critics = loss.target_qvalue_network.parameters(), loss.qvalue_network.parameters()
-        torch._foreach_lerp_([*targets], [*critics], 1 - self.eps)
+    def update_targets(self, tau: float) -> None:
+        """Move the targets towards the critics by `tau`, in one call over all tensors."""
+        targets, critics = self.target_qvalue_network.parameters(), self.qvalue_network.parameters()
+        torch._foreach_lerp_([*targets], [*critics], tau)
 
 
 def bc_loss(observation: Tensor, action: Tensor, actor: Actor, critics: TwinCritics) -> Tensor:

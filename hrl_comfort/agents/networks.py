@@ -3,8 +3,6 @@
 All float32. B is a batch, D the observation's size, A the action's.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

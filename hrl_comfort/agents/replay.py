@@ -1,7 +1,5 @@
 """A replay buffer as plain data, and back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tensordict import TensorDict

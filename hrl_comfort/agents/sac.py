@@ -1,6 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) on TorchRL's loss, target updater and buffer."""
-
-from __future__ import annotations
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) on TorchRL's loss module and buffer."""
 
 import copy
 import math
@@ -14,7 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
-from hrl_comfort.agents.loss import FusedSoftUpdate, TwinSACLoss, bc_loss
+from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -42,17 +40,8 @@ def matmul_precision(precision: str) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
-def _check_memory(transitions: int, numbers: int) -> None:
-    needed = transitions * numbers * FLOAT_BYTES
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if needed > there:
-        raise ConfigError(
-            f"agent.buffer_size={transitions} takes {needed / 1e9:.0f} GB; this machine has {there / 1e9:.0f} GB"
-        )
-
-
 class SAC:
-    """The learner: networks, loss, one optimiser, target updater and replay buffer.
+    """The learner: networks, loss, one optimiser and replay buffer.
 
     `generator` continues torch's global random state as it is after the networks have been drawn, and gives
     every random number of a training; `state_dict` holds it. Gamma is per control step; every transition
@@ -69,8 +58,13 @@ class SAC:
         if config.device == "cuda" and not torch.cuda.is_available():
             raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
         self.config, self.device = config, torch.device(config.device)
-        if self.device.type == "cpu":
-            _check_memory(config.buffer_size, 2 * observation_dim + action_dim + 4)
+        needed = config.buffer_size * (2 * observation_dim + action_dim + 4) * FLOAT_BYTES
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if self.device.type == "cpu" and needed > there:
+            raise ConfigError(
+                f"agent.buffer_size={config.buffer_size} takes {needed / 1e9:.0f} GB; "
+                f"this machine has {there / 1e9:.0f} GB"
+            )
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)
         self.normaliser = Normaliser(observation_dim, config.normalise).to(self.device)
@@ -82,7 +76,7 @@ class SAC:
             self.actor, self.critics, self.targets, config.gamma, config.target_entropy, config.entropy_coefficient
         )
         self.log_alpha = self.loss.log_alpha
-        self.target_updater = FusedSoftUpdate(self.loss, tau=config.tau)  # begins with equal networks
+        self.targets.load_state_dict(self.critics.state_dict())
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
         self._averaged: tuple[list[Tensor], list[Tensor]] = ([*self.average.parameters()], [*self.actor.parameters()])
@@ -107,7 +101,6 @@ class SAC:
         self.config, self._stage_begin = config, self.updates
         self.load_networks(self.policy_state())
         self.loss.gamma, self.loss.target_entropy = config.gamma, config.target_entropy
-        self.target_updater = FusedSoftUpdate(self.loss, tau=config.tau)
         if not keep_optimiser:
             self.optimiser = self._new_optimiser()
         self.optimiser.param_groups[0]["lr"] = config.learning_rate
@@ -172,7 +165,7 @@ class SAC:
         if self.config.learning_rate_end is not None:
             self.optimiser.param_groups[0]["lr"] = self.learning_rate()
         self.optimiser.step()
-        self.target_updater.step()
+        self.loss.update_targets(self.config.tau)
         with torch.no_grad():
             torch._foreach_lerp_(*self._averaged, self.config.ema_rate)
         self.updates += 1

@@ -1,17 +1,14 @@
 """The comfort level as an observation and F_comfort as a reward term of a subtask."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from hrl_comfort.comfort.metrics import human_distance, present
-from hrl_comfort.comfort.terms import comfort, forms
+from hrl_comfort.comfort.terms import comfort, forms, human_distance, present
 from hrl_comfort.config import ComfortConfig
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.subtask import StateFunction, TransitionFunction
+from hrl_comfort.tasks.subtask import TransitionFunction
 
 TERM = "comfort"
 """Name of the reward term; its weight is `comfort.scale`."""
@@ -26,17 +23,12 @@ def with_comfort(task: Subtask, config: ComfortConfig, max_step_deg: float) -> S
 
 
 def with_level(task: Subtask, levels: int) -> Subtask:
-    """Return `task` with the level as its last observation."""
-    return replace(task, observations={**task.observations, "level": level_seen(levels)})
+    """Return `task` with the level (N, 1) as its last observation, scaled from 0 (level 1) to 1 (level N_c)."""
 
-
-def level_seen(levels: int) -> StateFunction:
-    """Return the observation (N, 1): the current level, scaled from 0 (level 1) to 1 (level N_c)."""
-
-    def term(state: State) -> Tensor:
+    def level(state: State) -> Tensor:
         return ((state.level - 1) / (levels - 1))[:, None]
 
-    return term
+    return replace(task, observations={**task.observations, "level": level})
 
 
 def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunction:
@@ -50,7 +42,8 @@ def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunc
     def term(before: State, after: State) -> Tensor:
         arm = config.distance == "arm"
         distance = after.arm_distance if arm else human_distance(after.tcp_pos, after.human_pos)
-        value = comfort(distance, increment(before, after), after.level, max_step_deg, config)
+        increment_deg = torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))
+        value = comfort(distance, increment_deg, after.level, max_step_deg, config)
         return torch.where(present(after.human_pos), value, 0.0)
 
     return term
@@ -69,8 +62,3 @@ def max_episode_steps(level: Tensor, limit: int, config: ComfortConfig) -> Tenso
 def longest_max_episode_steps(limit: int, config: ComfortConfig) -> int:
     """Return the time limit at level 1, the longest, in control steps."""
     return int(max_episode_steps(torch.ones(1, dtype=torch.float64), limit, config))
-
-
-def increment(before: State, after: State) -> Tensor:
-    """Return the largest absolute increment (N,) of the joint targets in a control step, degrees."""
-    return torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))

@@ -1,7 +1,5 @@
 """Sources of the comfort level: one level a row, constant during a decision."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +12,8 @@ from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, Udp, rea
 from hrl_comfort.config import ComfortConfig
 
 Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Levels = Callable[[Floats, Floats], Floats]
+"""(times (N,) s from the start of the episodes, draws (N, DRAWS) in [0, 1)) -> levels (N,)."""
 
 DRAWS = 32
 """Uniform random numbers that a source gets each episode."""
@@ -34,26 +33,60 @@ class SourceInput:
     """Mean speed of the tool in the decision."""
 
 
+def constant(level: int | None) -> Levels:
+    """Return one level for all; NaN for None."""
+    return lambda time_s, draws: np.full(len(time_s), level, dtype=np.float64)
+
+
+def random(config: ComfortConfig) -> Levels:
+    """Return one uniformly random level an episode."""
+    return lambda time_s, draws: 1.0 + np.floor(draws[:, 0] * config.levels)
+
+
+def changing(config: ComfortConfig) -> Levels:
+    """Return random levels that last exponential times of mean `change_s`; DRAWS / 2 levels, then repeated."""
+
+    def levels(time_s: Floats, draws: Floats) -> Floats:
+        ends = np.cumsum(-config.change_s * np.log1p(-draws[:, DRAWS // 2 :]), axis=1)
+        which = ((time_s % ends[:, -1])[:, None] >= ends).sum(axis=1)
+        return 1.0 + np.floor(draws[np.arange(len(which)), which] * config.levels)
+
+    return levels
+
+
+def recorded(recording: Recording) -> Levels:
+    """Return levels known in advance, restarted every episode."""
+    return lambda time_s, draws: recording.level(time_s)
+
+
+class Live:
+    """Levels of a live stream, read by wall clock; all rows have the same."""
+
+    def __init__(self, config: ComfortConfig, stream: Stream) -> None:
+        self.stream, self._signal = stream, Signal(config, config.source)
+
+    def __call__(self, time_s: Floats, draws: Floats) -> Floats:
+        """See `Levels`."""
+        return np.full(len(time_s), float(self._signal.level(self.stream.read())))
+
+
 class Source:
-    """Base of all sources; as `source=none` it has no level (NaN)."""
+    """The levels of N rows by a source that knows time alone."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         self.config = config
         self.draws: Floats = np.zeros((rows, DRAWS))
         self.level: Floats = np.full(rows, np.nan)
+        self.levels = SOURCES[config.source](config)
 
-    def begin(self, rows: Rows) -> None:
+    def begin(self, rows: NDArray[np.int64]) -> None:
         """Start an episode in `rows`; their `draws` are set."""
-        self.level[rows] = self.at(np.zeros(len(self.level)))[rows]
+        self.level[rows] = self.levels(np.zeros(len(self.level)), self.draws)[rows]
 
     def advance(self, now: SourceInput) -> Floats:
         """Return the levels (N,) of the next decision."""
-        self.level = self.at(now.time_s)
+        self.level = self.levels(now.time_s, self.draws)
         return self.level.copy()
-
-    def at(self, time_s: Floats) -> Floats:
-        """Return the levels (N,) at times (N,) s from the start of the episodes, for sources of time alone."""
-        return np.full(len(time_s), np.nan)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a bit-identical continuation."""
@@ -64,53 +97,8 @@ class Source:
         self.draws, self.level = saved["draws"].numpy().copy(), saved["level"].numpy().copy()
 
 
-class Random(Source):
-    """One uniformly random level an episode."""
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        return 1.0 + np.floor(self.draws[:, 0] * self.config.levels)
-
-
-class Changing(Source):
-    """Random levels that last exponential times of mean `change_s`; DRAWS / 2 levels, then repeated."""
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        half = DRAWS // 2
-        ends = np.cumsum(-self.config.change_s * np.log1p(-self.draws[:, half:]), axis=1)
-        time_s = time_s % ends[:, -1]
-        which = (time_s[:, None] >= ends).sum(axis=1)
-        return 1.0 + np.floor(self.draws[np.arange(len(which)), which] * self.config.levels)
-
-
-class Recorded(Source):
-    """Levels known in advance, restarted every episode: fixed, a schedule or a recording."""
-
-    def __init__(self, config: ComfortConfig, rows: int) -> None:
-        super().__init__(config, rows)
-        self._recording = RECORDINGS[config.source](config)
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        return self._recording.level(time_s)
-
-
-class Live(Source):
-    """A live stream, read by wall clock; all rows have the same level."""
-
-    def __init__(self, config: ComfortConfig, rows: int) -> None:
-        super().__init__(config, rows)
-        self.stream = STREAMS[config.source](config)
-        self._signal = Signal(config, config.source)
-
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
-        return np.full(len(time_s), float(self._signal.level(self.stream.read())))
-
-
 class Simulated(Source):
-    """A level that falls with closeness and speed of the tool and recovers with time.
+    """A level that starts at N_c, falls with closeness and speed of the tool and recovers with time.
 
     d(level)/dt = -2 (N_c - 1) stress / stress_s + (N_c - level) / recovery_s, with
     stress = max(0, 1 - d / near) (1 + min(v / fast, 1)) / 2. A model for tests, not fitted to people.
@@ -120,8 +108,8 @@ class Simulated(Source):
         super().__init__(config, rows)
         self._exact: Floats = np.full(rows, float(config.levels))
 
-    def begin(self, rows: Rows) -> None:
-        """See `Source`; the episode starts at level N_c."""
+    def begin(self, rows: NDArray[np.int64]) -> None:
+        """See `Source`."""
         self._exact[rows] = self.level[rows] = float(self.config.levels)
 
     def advance(self, now: SourceInput) -> Floats:
@@ -145,27 +133,19 @@ class Simulated(Source):
         self._exact = saved["exact"].numpy().copy()
 
 
-RECORDINGS: dict[str, Callable[[ComfortConfig], Recording]] = {
-    "fixed": lambda config: Recording(np.zeros(1), np.array([config.level], dtype=np.float64)),
-    "schedule": lambda config: Recording(
-        np.array(config.schedule_s), np.array(config.schedule_levels, dtype=np.float64)
-    ),
-    "file": read_recording,
-}
-STREAMS: dict[str, Callable[[ComfortConfig], Stream]] = {"udp": Udp, "lsl": Lsl}
-SOURCES: dict[str, type[Source]] = {
-    "none": Source,
-    "fixed": Recorded,
-    "random": Random,
-    "changing": Changing,
-    "schedule": Recorded,
-    "file": Recorded,
-    "udp": Live,
-    "lsl": Live,
-    "simulated": Simulated,
+SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
+    "none": lambda config: constant(None),
+    "fixed": lambda config: constant(config.level),
+    "random": random,
+    "changing": changing,
+    "schedule": lambda config: recorded(Recording(np.array(config.schedule_s), np.array(config.schedule_levels))),
+    "file": lambda config: recorded(read_recording(config)),
+    "udp": lambda config: Live(config, Udp(config)),
+    "lsl": lambda config: Live(config, Lsl(config)),
+    "simulated": lambda config: constant(config.levels),
 }
 
 
 def make_source(config: ComfortConfig, rows: int) -> Source:
     """Return the source `config.source` for N rows; raise ConfigError at a bad recording or stream."""
-    return SOURCES[config.source](config, rows)
+    return (Simulated if config.source == "simulated" else Source)(config, rows)

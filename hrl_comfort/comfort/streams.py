@@ -4,8 +4,6 @@ No bad signal stops the robot. Non-numbers and values far outside the range are 
 holds. After `stall_s` without a good value, the level is CAUTIOUS. Each fault gives one warning when it starts.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import socket
@@ -31,9 +29,6 @@ class Stream(Protocol):
 
     def read(self) -> list[str | float]:
         """Return the values since the last call, oldest first; text is parsed as a number."""
-
-    def close(self) -> None:
-        """Release the stream."""
 
 
 class Signal:
@@ -120,10 +115,6 @@ class Udp:
             except BlockingIOError:
                 return arrived
 
-    def close(self) -> None:
-        """See `Stream`."""
-        self._socket.close()
-
 
 class Lsl:
     """First channel of the Lab Streaming Layer stream `stream.name` (extra `streams`: pylsl).
@@ -153,23 +144,19 @@ class Lsl:
         samples, _ = self._inlet.pull_chunk(timeout=0.0)
         return [sample[0] for sample in samples]
 
-    def close(self) -> None:
-        """See `Stream`."""
-        self._inlet.close_stream()
-
 
 @dataclass(frozen=True)
 class Recording:
     """Levels (E,), each from its time (E,) s on; times rise."""
 
     time_s: NDArray[np.float64]
-    levels: NDArray[np.float64]
+    levels: NDArray[np.int64]
 
     def level(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the levels (N,) at times (N,) s; CAUTIOUS before the first value."""
         # 1e-9 s: a decision that starts at a listed time, up to rounding, has the level of that time.
         at = np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1
-        return np.where(at < 0, float(CAUTIOUS), self.levels[np.maximum(at, 0)])
+        return np.where(at < 0, float(CAUTIOUS), self.levels[np.maximum(at, 0)].astype(np.float64))
 
 
 def read_recording(config: ComfortConfig) -> Recording:
@@ -190,26 +177,22 @@ def read_recording(config: ComfortConfig) -> Recording:
         rows.pop()
     if not rows or [cell.strip() for cell in rows[0]] != ["t", "value"] or len(rows) < 2:
         raise ConfigError(f"{name} must have the columns t,value and at least one line")
-    now = 0.0
+    now, stall_s = 0.0, config.stream.stall_s
     signal = Signal(config, "file", clock=lambda: now)
-    times: list[float] = []
-    levels: list[float] = []
+    entries: list[tuple[float, int]] = []
     for number, row in enumerate(rows[1:], start=2):
         try:
             moment, value = float(row[0]), row[1]
-            valid = len(row) == 2 and math.isfinite(moment) and (not times or moment > times[-1])
+            valid = len(row) == 2 and math.isfinite(moment) and (not entries or moment > entries[-1][0])
         except (ValueError, IndexError):
             valid = False
         if not valid:
             raise ConfigError(f"{name} line {number}: {','.join(row)[:40]!r} must be t,value with rising t in s")
-        if times and moment - signal.last_good_s > config.stream.stall_s and levels[-1] != CAUTIOUS:
-            times.append(max(signal.last_good_s + config.stream.stall_s, np.nextafter(times[-1], math.inf)))
-            levels.append(float(CAUTIOUS))
+        if entries and moment - signal.last_good_s > stall_s and entries[-1][1] != CAUTIOUS:
+            entries.append((max(signal.last_good_s + stall_s, np.nextafter(entries[-1][0], math.inf)), CAUTIOUS))
         now = moment
-        times.append(moment)
-        levels.append(float(signal.level([value])))
-    end = signal.last_good_s + config.stream.stall_s
-    if end > times[-1]:
-        times.append(end)
-        levels.append(float(CAUTIOUS))
+        entries.append((moment, signal.level([value])))
+    if signal.last_good_s + stall_s > entries[-1][0]:
+        entries.append((signal.last_good_s + stall_s, CAUTIOUS))
+    times, levels = zip(*entries, strict=True)
     return Recording(np.array(times), np.array(levels))

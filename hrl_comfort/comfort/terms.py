@@ -6,14 +6,13 @@ degrees a control step, levels C_l from 1 (most cautious) to N_c. All terms are 
 docs/comfort.md lists the differences from Eq. 1 as printed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
-from hrl_comfort.config import ComfortConfig
+from hrl_comfort.config import FAR_AWAY_M, ComfortConfig
 from hrl_comfort.config.checks import part
 
 SMALLEST_M = 1e-10
@@ -21,6 +20,16 @@ OFFSET = -0.1
 """Offset of the paper's distance terms and value of its F_conf2."""
 ROUNDING_DEG = 1e-6
 """Tolerance of increments against rounding by the ramp, radians and float32."""
+
+
+def human_distance(tcp_pos: Tensor, human_pos: Tensor) -> Tensor:
+    """Return the horizontal distance (...,) m from tool (..., 3) to the human's axis (..., 2), as in the paper."""
+    return vector_norm(tcp_pos[..., :2] - human_pos, dim=-1)
+
+
+def present(human_pos: Tensor) -> Tensor:
+    """Return (...,) bool: a human is in the cell; human_pos (..., 2) m is far away for `human=none`."""
+    return human_pos[..., 0] < 0.5 * FAR_AWAY_M
 
 
 def threshold_range(level: Tensor, config: ComfortConfig) -> Tensor:
@@ -102,12 +111,7 @@ def target_distance_one_sided(distance: Tensor, theta: Tensor, config: ComfortCo
 Form = Callable[[Tensor, Tensor, ComfortConfig], Tensor]
 """(distance (...,) m, theta (...,) m, config) -> F_conf1 (...,)."""
 FORMS: dict[str, Form] = {
-    "paper": paper,
-    "reference": reference,
-    "linear": linear,
-    "logarithmic": logarithmic,
-    "target_distance": target_distance,
-    "target_distance_one_sided": target_distance_one_sided,
+    form.__name__: form for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided)
 }
 
 
@@ -129,8 +133,7 @@ def increment_threshold(level: Tensor, max_step_deg: float, config: ComfortConfi
 
 def speed_paper(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Tensor:
     """Return -0.1 above the threshold, else 0 (Eq. 3)."""
-    fast = increment > threshold + ROUNDING_DEG
-    return torch.where(fast, torch.full_like(increment, OFFSET), torch.zeros_like(increment))
+    return torch.where(increment > threshold + ROUNDING_DEG, OFFSET, torch.zeros_like(increment))
 
 
 def speed_hinge(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Tensor:
@@ -143,10 +146,7 @@ def speed_hinge(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Te
 
 SpeedForm = Callable[[Tensor, Tensor, float], Tensor]
 """(increment (...,), threshold (...,), largest increment, degrees each) -> F_conf2 (...,)."""
-SPEED_FORMS: dict[str, SpeedForm] = {
-    "paper": speed_paper,
-    "hinge": speed_hinge,
-}
+SPEED_FORMS: dict[str, SpeedForm] = {"paper": speed_paper, "hinge": speed_hinge}
 
 
 def forms(config: ComfortConfig) -> tuple[Form, Threshold, SpeedForm]:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_comfort.comfort.metrics import present
+from hrl_comfort.comfort.terms import present
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.config.checks import one_of
 from hrl_comfort.envs.columns import step_columns

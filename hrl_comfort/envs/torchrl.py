@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.envs.inputs import checked_action, episode_seed

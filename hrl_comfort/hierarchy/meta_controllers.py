@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import ConfigError
 from hrl_comfort.hierarchy.executor import Choose, Decision
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.comfort.metrics import human_distance
+from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import human, joint_error, tool

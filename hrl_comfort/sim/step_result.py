@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from hrl_comfort.comfort.adapt import TERM
-from hrl_comfort.comfort.metrics import human_distance
 from hrl_comfort.comfort.sources import SourceInput
+from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
 from hrl_comfort.tasks import State, Subtask
 

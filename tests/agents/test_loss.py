@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import deepcopy
+from functools import partial
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from torch import nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.loss import FusedSoftUpdate, TwinSACLoss, bc_loss
+from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
 from hrl_comfort.agents.networks import Actor, TwinCritics
 
 B, D, A = 64, 7, 3
@@ -132,9 +133,11 @@ def test_values_and_gradients_are_those_of_torchrl_at_the_same_seed(layer_norm: 
 
 def test_training_is_that_of_torchrls_loss_and_target_updater() -> None:
     ours = twin_loss()
+    theirs = torchrl_loss(ours)
+    updater = SoftUpdate(theirs, tau=0.1)
+    ours.target_qvalue_network.load_state_dict(ours.qvalue_network.state_dict())  # as SoftUpdate begins
     finals = []
-    for loss, updater in ((torchrl_loss(ours), SoftUpdate), (ours, FusedSoftUpdate)):
-        target = updater(loss, tau=0.1)
+    for loss, update_targets in ((theirs, updater.step), (ours, partial(ours.update_targets, 0.1))):
         optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
         for seed in range(10):
             data = batch(seed)
@@ -142,7 +145,7 @@ def test_training_is_that_of_torchrls_loss_and_target_updater() -> None:
             optimiser.zero_grad()
             sum(out[name] for name in LOSSES).backward()
             optimiser.step()
-            target.step()
+            update_targets()
         torch.manual_seed(5)
         finals.append(loss(batch()))
     for name in LOSSES:

@@ -188,10 +188,9 @@ def test_datagrams_on_loopback_set_the_level() -> None:
     assert (source.level == 1).all()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for text in (b"3", b"6\n", b"rubbish", bytes(range(200, 256))):
-            sender.sendto(text, ("127.0.0.1", source.stream.port))
+            sender.sendto(text, ("127.0.0.1", source.levels.stream.port))
     with pytest.warns(UserWarning, match="not a number"):
         assert (until(source, 7) == 7).all()
-    source.stream.close()
 
 
 def until(source, level: float):
@@ -208,7 +207,6 @@ def test_a_port_that_is_taken_is_refused_in_one_line() -> None:
     first = Udp(comfort("comfort.source=udp", "comfort.stream.port=0"))
     with pytest.raises(ConfigError, match=rf"comfort\.stream\.port={first.port}"):
         Udp(replace_port(first.port))
-    first.close()
 
 
 def replace_port(port: int) -> ComfortConfig:
@@ -236,7 +234,6 @@ def test_a_lab_streaming_layer_outlet_sets_the_level() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert (until(source, 9) == 9).all()
-    source.stream.close()
 
 
 # ---- recordings ----------------------------------------------------------------------------------------

@@ -105,7 +105,7 @@ def test_no_recording_crashes_and_its_levels_are_of_the_range(
     content: bytes, stream: dict[str, float], fresh: Callable[[bytes], Path]
 ) -> None:
     file = fresh(content)
-    levels = tried(lambda: make_source(heard(stream, source="file", file=str(file)), len(TIMES)).at(TIMES))
+    levels = tried(lambda: make_source(heard(stream, source="file", file=str(file)), 1).levels(TIMES, TIMES))
     if levels is not None:
         of_range(levels)
 
