@@ -107,8 +107,9 @@ class EpisodeSampler:
         colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
         if self._evaluation is None:
             motion_id, noise = -1, rng.random((self._plain_horizon, humans.NOISE))
-            later = self.generator(row, episode, LATER_STREAM)
-            noise = np.concatenate([noise, later.random((self.horizon - self._plain_horizon, humans.NOISE))])
+            if self.horizon > self._plain_horizon:
+                later = self.generator(row, episode, LATER_STREAM)
+                noise = np.concatenate([noise, later.random((self.horizon - self._plain_horizon, humans.NOISE))])
         else:
             motion_id = int(self._evaluation.motion_id.take(row, mode="wrap"))
             stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
