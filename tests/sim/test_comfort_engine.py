@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from hrl_comfort.analysis.comfort import time_limit
 from hrl_comfort.comfort.terms import FORMS
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose, environment
@@ -19,7 +20,6 @@ from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans import load_evaluation_set
-from hrl_comfort.plots.figure import _limit
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 
@@ -301,8 +301,8 @@ def failures_counted(folder: Path) -> list[float]:
 
 def test_failures_count_at_the_time_limit_they_ran_under_and_a_figure_agrees(tmp_path: Path) -> None:
     evaluated(tmp_path, "comfort=off", "comfort.beta=1", "levels=[3,10]")
-    limit = _limit(read_run(tmp_path))
-    assert failures_counted(tmp_path) == [134, 40] == [limit(3), limit(10)]
+    limits = time_limit(read_run(tmp_path), np.array([3.0, 10.0]))
+    assert failures_counted(tmp_path) == [134, 40] == limits.tolist()
 
 
 def test_where_the_level_changes_a_failure_counts_at_the_limit_in_force_at_its_end(tmp_path: Path) -> None:
