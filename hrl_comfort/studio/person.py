@@ -128,7 +128,7 @@ class Person:
         session = self._sessions[0]
         episodes = session.engine.episodes
         position = session.walk.position
-        free = humans.outside(position, episodes.sampler.keep_out(episodes.points))
+        free = humans.outside(position, episodes.sampler.keep_out(episodes.draw.points))
         if float(np.linalg.norm(free - position)) <= ARRIVED_M:
             self._leaving = False
             self._set_motion(self.human)
