@@ -28,11 +28,11 @@ class Slider(Source):
     """A comfort level set by hand."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
-        super().__init__(config, rows)
         self.value = float(config.level or min(FIRST_LEVEL, config.levels))
+        super().__init__(replace(config, source="fixed", level=int(self.value)), rows)
+        self.levels = self._set
 
-    def at(self, time_s: Floats) -> Floats:
-        """See `Source`."""
+    def _set(self, time_s: Floats, draws: Floats) -> Floats:
         return np.full(len(time_s), self.value)
 
 
