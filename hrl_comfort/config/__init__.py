@@ -32,6 +32,7 @@ from hrl_comfort.config.hierarchy import HierarchyConfig, HierarchyTrainConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
+from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.studio import StudioConfig
 from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, TaskConfig
 
@@ -41,6 +42,6 @@ __all__ = [
     "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HierarchyConfig",
     "HierarchyTrainConfig", "HumanConfig",
     "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",
-    "ReportConfig", "RewardConfig", "RobotConfig", "StageConfig", "StudioConfig", "TaskConfig",
+    "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig",
     "TrainConfig",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import check_fields, coordinates, within
+from hrl_comfort.config.checks import check_fields, choice, coordinates, within
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,8 @@ class RobotConfig:
     """A key of `scene.robots.ROBOTS`, checked there."""
     home_deg: Annotated[list[float], coordinates(6)]
     """Joint angles of the home pose, degrees."""
+    rating: Annotated[str, choice("collaborative", "full", "paper")]
+    """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
 
     def __post_init__(self) -> None:
         check_fields("robot", self)

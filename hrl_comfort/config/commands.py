@@ -12,6 +12,7 @@ from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMIN
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
 from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
+from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
@@ -41,6 +42,7 @@ class EnvConfig:
     task: TaskConfig
     reward: RewardConfig
     engine: EngineConfig
+    safety: SafetyConfig
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from torch import Tensor
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
 from hrl_comfort.comfort.sources import make_source
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
+from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand
@@ -74,6 +75,7 @@ class Episodes:
         self.source = make_source(config.comfort, rows)
         paid = config.comfort.distance == "arm" and config.comfort.source != "none"
         self._sensors = Sensors(scene, measure_arm or paid)
+        self._drive = make_drive(scene, config, rows)
         self._disturbance = Disturbance(disturbance, rows)
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
@@ -111,7 +113,10 @@ class Episodes:
             fresh = humans.begin(self.config.human, self.draw.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
             targets = self.draw.start[pending, 12:]
-            planned = self._plan(fresh, targets, np.zeros(len(pending), dtype=np.int64))
+            limbs = limbs_of(self.scene, fresh)
+            still = np.zeros_like(targets) if self._drive is None else self._drive.rated(self.draw.start[pending, 6:12])
+            steps = np.zeros(len(pending), dtype=np.int64)
+            planned = self._plan(fresh, limbs, SetPoints(targets, still, np.ones(len(pending))), steps)
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
             sensed = probe(self.draw.start[pending, :12], control)
@@ -122,6 +127,8 @@ class Episodes:
                 self.state = state
             else:
                 raise ConfigError("the first reset must reset every row")
+            if self._drive is not None:
+                self._drive.begin(pending, limbs)
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | self.subtask.failure(state)).numpy()
             pending = pending[bad]
@@ -147,7 +154,8 @@ class Episodes:
     def apply_action(self, action: Array) -> Array:
         """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
 
-        Joint targets are ramped at up to `max_step_deg` a control step; the human walks on meanwhile.
+        Joint targets are ramped at up to `max_step_deg` a control step, or as rating and shield pass it; the human
+        walks on meanwhile.
 
         Raises:
           RuntimeError: a row has no episode yet.
@@ -161,26 +169,59 @@ class Episodes:
             increment = action * np.radians(task.max_step_deg)
         else:
             increment = self._hand.increments(joint_target, action)
-        ramp = np.arange(1, steps * substeps + 1) / substeps
-        targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
-        lowest, highest = self.scene.joint_range.T
-        targets = np.minimum(np.maximum(targets, lowest), highest)
-
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
-        self._walks = self._walked(times)
-        ends = targets[:, substeps - 1 :: substeps].reshape(-1, 6)
-        self._planned = self._plan(self._walks, ends, times.reshape(-1) + 1)
+        if self._drive is None:
+            ramp = np.arange(1, steps * substeps + 1) / substeps
+            targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
+            lowest, highest = self.scene.joint_range.T
+            targets = np.minimum(np.maximum(targets, lowest), highest)
+            velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
+            ends = targets[:, substeps - 1 :: substeps].reshape(-1, 6)
+            points = SetPoints(ends, velocity, np.ones(self.rows * steps))
+            self._walks = humans.Walk.along(list(self._walking(times)))
+            limbs = limbs_of(self.scene, self._walks)
+        else:
+            points, limbs = self._driven(increment / CONTROL_STEP_S, times)
+            ends = points.angles.reshape(self.rows, steps, 1, 6)
+            starts = np.concatenate([joint_target[:, None, None], ends[:, :-1]], axis=1)
+            ramp = np.arange(1, substeps + 1)[:, None] / substeps
+            targets = (starts + ramp * (ends - starts)).reshape(self.rows, -1, 6)
+        self._planned = self._plan(self._walks, limbs, points, times.reshape(-1) + 1)
         return self._controls(targets, self._planned["limbs"], rendered_positions(self.state, self.subtask))
 
-    def _plan(self, walk: humans.Walk, joint_target: Array, steps: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def _driven(self, asked: Array, times: NDArray[np.int64]) -> tuple[SetPoints, Array]:
+        """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
+
+        `asked` (N, 6) rad/s, `times` (N, K). People stop where they touch the arm.
+        """
+        assert self._drive is not None and self.state is not None
+        points = [SetPoints(self.state.joint_target.numpy(), self.state.target_vel.numpy(), self.state.share.numpy())]
+        walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
+        self._drive.begin_decision()
+        for k in range(times.shape[1]):
+            points.append(self._drive.step(points[-1], asked, limbs[-1]))
+            walk = self._walk_on(walks[-1], times[:, k])
+            standing = np.flatnonzero(self._drive.touches(points[-1].angles, limbs_of(self.scene, walk)))
+            walks.append(walk.put(standing, walks[-1].rows(standing)) if len(standing) else walk)
+            limbs.append(limbs_of(self.scene, walks[-1]))
+        self._walks = humans.Walk.along(walks[1:])
+        n, poses = times.size, np.stack(limbs[1:], axis=1)
+        joined = (np.stack([getattr(point, name) for point in points[1:]], axis=1) for name in vars(points[0]))
+        return SetPoints(*(each.reshape(n, *each.shape[2:]) for each in joined)), poses.reshape(n, *poses.shape[2:])
+
+    def _plan(
+        self, walk: humans.Walk, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
         """Return the fields of State (n, ...) that are known before the physics runs, and the `limbs`."""
         return {
-            "joint_target": joint_target,
+            "joint_target": points.angles,
+            "target_vel": points.velocity,
+            "share": points.share,
             "human_pos": walk.position,
             "human_yaw": walk.yaw,
             "human_seen": humans.seen_position(self.config.human, walk.position, self.sampler.spawns),
             "steps": steps,
-            "limbs": limbs_of(self.scene, walk),
+            "limbs": limbs,
         }
 
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
@@ -202,7 +243,10 @@ class Episodes:
         state = result.state.with_(level=self._next_level(result))
         state = self._disturbed(update_placed(state, self.state.stage, self.subtask))
         first = np.arange(self.rows) * self.config.task.action_repeat
-        self.walk = self._walks.rows(first + np.maximum((state.steps - self.state.steps).numpy() - 1, 0))
+        last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
+        self.walk = self._walks.rows(first + last)
+        if self._drive is not None:
+            self._drive.end_decision(last)
         self.state = state
         return replace(result, state=state)
 
@@ -215,19 +259,21 @@ class Episodes:
         assert self.state is not None
         self.state = target_ball(self.state, rows, ball, self.subtask)
 
-    def _walked(self, times: NDArray[np.int64]) -> humans.Walk:
-        """Return the walks, N * K rows, over the control steps that begin at `times` (N, K)."""
+    def _walking(self, times: NDArray[np.int64]) -> Iterator[humans.Walk]:
+        """Yield the K walks over the control steps that begin at `times` (N, K)."""
+        walk = self.walk
+        for k in range(times.shape[1]):
+            walk = self._walk_on(walk, times[:, k])
+            yield walk
+
+    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
+        """Return `walk` after the control step that begins at `times` (N,)."""
         assert self.state is not None
         keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
-        stands = self._disturbance.stands(times)
-        noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
-        walk, walks = self.walk, []
-        for k in range(times.shape[1]):
-            before, walk = walk, humans.advance(self.config.human, walk, noise[:, k], tcp, keep_out)
-            standing = np.flatnonzero(stands[:, k])
-            walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
-            walks.append(walk)
-        return humans.Walk.along(walks)
+        noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
+        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out)
+        standing = np.flatnonzero(self._disturbance.stands(times))
+        return walk.put(standing, before.rows(standing)) if len(standing) else walk
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""
@@ -292,6 +338,7 @@ class Episodes:
             "state": dict(vars(self.state)),
             "source": self.source.state_dict(),
             "disturbance": self._disturbance.state_dict(),
+            "drive": {} if self._drive is None else self._drive.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -303,4 +350,6 @@ class Episodes:
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])
         self._disturbance.load_state_dict(saved["disturbance"])
+        if self._drive is not None:
+            self._drive.load_state_dict(saved["drive"])
         self._ready[:] = True

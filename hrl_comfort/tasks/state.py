@@ -22,6 +22,10 @@ class State:
     """(N, 6) rad/s."""
     joint_target: Tensor
     """(N, 6) rad, targets of the position servos."""
+    target_vel: Tensor
+    """(N, 6) rad/s, velocity of the targets."""
+    share: Tensor
+    """(N,) in [0, 1], part of the speed asked for that rating and shield passed in the last control step."""
     tcp_pos: Tensor
     """(N, 3) m, tool centre point."""
     tcp_home: Tensor

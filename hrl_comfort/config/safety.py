@@ -1,0 +1,31 @@
+"""Configuration of the shield between policy and arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from hrl_comfort.config.checks import check_fields, choice, within
+
+
+@dataclass(frozen=True)
+class SafetyConfig:
+    """Speed and separation monitoring; its guarantee and assumptions are in docs/safety.md."""
+
+    kind: Annotated[str, choice("none", "ssm")]
+    """`ssm` slows the arm so that the person cannot reach it while it is fast; `none` passes everything."""
+    bound: Annotated[str, choice("worst", "observed")]
+    """What the person may do: move at `human_speed_m_s` at any time, or speed up from the measured speed."""
+    human_speed_m_s: Annotated[float, within(0.1, 5.0)]
+    """Largest speed of any part of the person, m/s (ISO 13855: 1.6)."""
+    human_acceleration_m_s2: Annotated[float, within(0.1, 100.0)]
+    """`observed`: largest acceleration of any part of the person, m/s²."""
+    safe_speed_m_s: Annotated[float, within(0.01, 1.0)]
+    """Speed below which a moving arm may meet the person, m/s (ISO 10218-1: 0.25)."""
+    delay_s: Annotated[float, within(0.0, 1.0)]
+    """Age of the person's measured position, s."""
+    margin_m: Annotated[float, within(0.0, 0.5)]
+    """Error of measured positions of person and arm, m."""
+
+    def __post_init__(self) -> None:
+        check_fields("safety", self)

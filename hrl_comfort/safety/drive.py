@@ -1,0 +1,112 @@
+"""From the motion that a policy asks for to the set-points of the arm: rating, then shield."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
+from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.shield import Shield
+from hrl_comfort.scene.ratings import RATINGS
+from hrl_comfort.scene.workcell import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SetPoints:
+    """Set-points of N arms at the end of a control step."""
+
+    angles: Array
+    """(N, J) rad."""
+    velocity: Array
+    """(N, J) rad/s, with which they got there."""
+    share: Array
+    """(N,) of the asked speed that was passed, in [0, 1]; 1 if none was asked."""
+
+
+class Drive:
+    """Set-points of N arms, one control step at a time."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
+        name, robot = config.robot.rating, config.robot.name
+        rated = RATINGS[robot][name]
+        self._rating = Rating(
+            np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
+        )
+        self.arm, self.person = ArmGeometry(scene), PersonGeometry(scene)
+        self._low, self._high = scene.joint_range.T
+        self._shield = None
+        if config.safety.kind == "ssm":
+            self._shield = Shield(self.arm, self.person, self._rating, config.safety, rows)
+
+    def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
+        """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
+        if self._shield is not None:
+            self._shield.begin(rows, limbs)
+
+    def rated(self, velocity: Array) -> Array:
+        """Return velocities (N, J) rad/s slowed to the rated joint speeds."""
+        over = (np.abs(velocity) / self._rating.speed_rad_s).max(axis=1)
+        return velocity / np.maximum(over, 1.0)[:, None]
+
+    def begin_decision(self) -> None:
+        """Begin a decision, of which some control steps may turn out void."""
+        if self._shield is not None:
+            self._shield.begin_decision()
+
+    def end_decision(self, last: NDArray[np.int64]) -> None:
+        """End a decision whose last valid control step is `last` (N,), counted from 0."""
+        if self._shield is not None:
+            self._shield.end_decision(last)
+
+    def step(self, before: SetPoints, asked: Array, limbs: Array) -> SetPoints:
+        """Return the set-points of the next control step.
+
+        `asked` (N, J) rad/s is the motion that the policy wants, `limbs` (N, L, 7) the person now.
+        """
+        angles, velocity = before.angles, before.velocity
+        pose = self.arm.pose(angles)
+        limited = self._rating.limited(self.arm, pose, asked)
+        limited = self._rating.within(self._low, self._high, angles, limited)
+        wanted = self._rating.follow(velocity, limited)
+        if self._shield is not None:
+            wanted = self._shield.step(pose, velocity, wanted, limbs)
+        speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
+        share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
+        return SetPoints(angles + wanted * CONTROL_STEP_S, wanted, share)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what an exact continuation needs."""
+        return {} if self._shield is None else self._shield.state_dict()
+
+    def load_state_dict(self, saved: dict[str, Tensor]) -> None:
+        """Continue from `state_dict`."""
+        if self._shield is not None:
+            self._shield.load_state_dict(saved)
+
+    def touches(self, angles: Array, limbs: Array) -> NDArray[np.bool_]:
+        """Return (N,) whether people at `limbs` (N, L, 7) touch arms at `angles` (N, J) rad."""
+        apart = gaps(self.arm, self.arm.pose(angles).ends, self.person, self.person.ends(limbs))
+        return np.asarray((apart <= 0.0).any(axis=0))
+
+
+def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:
+    """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
+
+    Raises:
+      ConfigError: a shield is asked for, but the paper's arm has no brake.
+    """
+    if config.robot.rating != "paper":
+        return Drive(scene, config, rows)
+    if config.safety.kind != "none":
+        raise ConfigError(
+            f"safety.kind={config.safety.kind} needs an arm that brakes within its rating; "
+            "choose robot.rating=collaborative or full instead of paper"
+        )
+    return None

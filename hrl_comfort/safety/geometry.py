@@ -1,0 +1,227 @@
+"""Capsules of the arm and of the person: positions, distances and speeds, for N cells at once.
+
+Everything is read from the compiled model, so that any serial arm of hinges is handled. Arrays have the batch last
+and x, y, z first, because that is where numpy is fastest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.scene.human import LIMBS
+from hrl_comfort.scene.workcell import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ArmPose:
+    """The arm of N cells at some joint angles."""
+
+    axis: Array
+    """(3, J, N) unit vector of each joint axis, cell frame."""
+    anchor: Array
+    """(3, J, N) m, a point on each joint axis."""
+    ends: Array
+    """(3, C, 2, N) m, ends of the axis of each capsule."""
+
+
+class ArmGeometry:
+    """Kinematics of the C capsules of an arm of J joints; a sphere is a capsule of length 0."""
+
+    def __init__(self, scene: Scene) -> None:
+        model = scene.model
+        joints = [int(model.actuator_trnid[i, 0]) for i in range(model.nu)]
+        bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        self.joints = len(joints)
+        turn, self._offset = _relative_poses(model, bodies)
+        axis = model.jnt_axis[joints]
+        cross = np.cross(np.eye(3), axis[:, None, :])  # (J, 3, 3), v -> axis x v
+        turned = np.stack([turn, turn @ cross, turn @ cross @ cross])
+        self._steps = turned.transpose(0, 2, 3, 1)[..., None]  # Rodrigues: I + sin q K + (1 - cos q) K²
+        self._axis, self._anchor = axis, model.jnt_pos[joints].copy()
+        found = [part for part in _capsules(model, data) if part[0] in bodies]
+        self.link = np.array([bodies.index(part[0]) for part in found])
+        """(C,) joint that moves each capsule."""
+        self._local = np.stack([part[1] for part in found])
+        self.radius = np.array([part[2] for part in found])
+        """(C,) m."""
+        self.lever = self._levers()
+        """(C, J) m, largest possible distance of a point of the capsule from a joint's anchor; 0 beyond it."""
+
+    def pose(self, angles: Array) -> ArmPose:
+        """Return the arm at `angles` (N, J) rad."""
+        fixed, sine, cosine = self._steps
+        steps = fixed + np.sin(angles.T) * sine + (1 - np.cos(angles.T)) * cosine  # (3, 3, J, N)
+        n = len(angles)
+        rotation, anchor = np.empty((3, 3, self.joints, n)), np.empty((3, self.joints, n))
+        turn, origin = np.broadcast_to(np.eye(3)[..., None], (3, 3, n)), np.zeros((3, n))
+        for joint in range(self.joints):
+            anchor[:, joint] = origin + _turned(turn, self._offset[joint])
+            turn = _turned(turn[:, :, None], steps[:, :, joint])
+            origin = anchor[:, joint] - _turned(turn, self._anchor[joint])
+            rotation[:, :, joint] = turn
+        origins = anchor - _turned(rotation, self._anchor.T[..., None])
+        local = self._local.transpose(2, 0, 1)[..., None]
+        ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
+        return ArmPose(_turned(rotation, self._axis.T[..., None]), anchor, ends)
+
+    def point_velocity(self, pose: ArmPose, velocity: Array, part: NDArray[np.int64], point: Array) -> Array:
+        """Return the velocity (3, N) m/s of points (3, N) m fixed to the capsules `part` (N,)."""
+        rows, link = np.arange(len(part)), self.link[part]
+        turning = np.cumsum(pose.axis * velocity.T, axis=1)[:, link, rows]
+        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, link, rows]
+        return _cross(turning, point) - shift
+
+    def speeds(self, pose: ArmPose, velocity: Array) -> Array:
+        """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
+        turning = np.cumsum(pose.axis * velocity.T, axis=1)
+        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        spin = turning[:, self.link]
+        at_ends = _cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
+        return np.asarray(norm(at_ends).max(axis=1) + self.radius[:, None] * norm(spin))
+
+    def bending(self, velocity: Array) -> Array:
+        """Return a bound (C, N) m/s² on the acceleration of any point at constant joint velocities (N, J) rad/s.
+
+        A serial chain at constant joint rates accelerates a point by the sum over joints i <= j of
+        u_i z_i x (u_j z_j x r_j), twice for i < j, where r_j reaches from joint j to the point.
+        """
+        rate = np.abs(velocity)
+        before = np.cumsum(rate, axis=1) - rate
+        return np.asarray(self.lever @ (rate * (rate + 2 * before)).T)
+
+    def _levers(self) -> Array:
+        """Return (C, J) sums of link lengths from each joint's anchor to the farthest point of a capsule."""
+        between = np.linalg.norm(self._offset - np.vstack([np.zeros(3), self._anchor[:-1]]), axis=1)
+        levers = np.zeros((len(self.link), self.joints))
+        for part, link in enumerate(self.link):
+            tip = np.linalg.norm(self._local[part] - self._anchor[link], axis=1).max() + self.radius[part]
+            for joint in range(link + 1):
+                levers[part, joint] = tip + between[joint + 1 : link + 1].sum()
+        return levers
+
+
+class PersonGeometry:
+    """The P capsules of the person: their ends from the poses of the limbs."""
+
+    def __init__(self, scene: Scene) -> None:
+        model, data = scene.model, mujoco.MjData(scene.model)
+        mujoco.mj_kinematics(model, data)
+        limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in LIMBS]
+        found = [part for part in _capsules(model, data) if part[0] in limbs]
+        self._limb = np.array([limbs.index(part[0]) for part in found])
+        self._local = np.stack([part[1] for part in found])
+        self.radius = np.array([part[2] for part in found])
+        """(P,) m."""
+
+    def ends(self, limbs: Array) -> Array:
+        """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
+        moved = limbs.transpose(2, 1, 0)
+        turns = rotations(moved[3:])[:, :, self._limb, None]
+        return np.asarray(moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None]))
+
+
+def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> Array:
+    """Return the distance (C, N) m of each of the arm's capsules from the person, negative in overlap.
+
+    `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and person.
+    """
+    apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
+    return np.asarray((apart - np.add.outer(arm.radius, person.radius)[..., None]).min(axis=1))
+
+
+def segment_distance(p: Array, p_end: Array, q: Array, q_end: Array) -> Array:
+    """Return the distance (...,) between segments p to p_end and q to q_end (3, ...)."""
+    on_p, on_q = closest_points(p, p_end, q, q_end)
+    return norm(on_p - on_q)
+
+
+def closest_points(p: Array, p_end: Array, q: Array, q_end: Array) -> tuple[Array, Array]:
+    """Return the closest points (3, ...) of segments p to p_end and q to q_end (3, ...).
+
+    Those of the lines, clamped to one segment and then to the other (Ericson, Real-Time Collision Detection, 2005,
+    section 5.1.9).
+    """
+    d, e, r = p_end - p, q_end - q, p - q
+    aa, ee = np.maximum(_dot(d, d), 1e-12), np.maximum(_dot(e, e), 1e-12)
+    b, c, f = _dot(d, e), _dot(d, r), _dot(e, r)
+    denominator = aa * ee - b * b
+    s = np.where(denominator > 1e-12, (b * f - c * ee) / np.maximum(denominator, 1e-12), 0.0)
+    t = np.minimum(np.maximum((b * np.minimum(np.maximum(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
+    s = np.minimum(np.maximum((b * t - c) / aa, 0.0), 1.0)
+    return p + d * s, q + e * t
+
+
+def norm(vectors: Array) -> Array:
+    """Return the lengths (...,) of vectors (3, ...)."""
+    return np.asarray(np.sqrt(_dot(vectors, vectors)))
+
+
+def rotations(quaternions: Array) -> Array:
+    """Return the rotation matrices (3, 3, ...) of unit quaternions (4, ...), w first."""
+    w, x, y, z = quaternions
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def _turned(turn: Array, vector: Array) -> Array:
+    """Return rotations (3, 3, ...) times vectors (3, ...)."""
+    return np.asarray(turn[:, 0] * vector[0] + turn[:, 1] * vector[1] + turn[:, 2] * vector[2])
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+
+
+def _cross(first: Array, second: Array) -> Array:
+    a, b, c = first
+    x, y, z = second
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
+def _relative_poses(model: mujoco.MjModel, bodies: list[int]) -> tuple[Array, Array]:
+    """Return rotation (J, 3, 3) of each body in the one before it, and its joint's anchor (J, 3) m there."""
+    turns, anchors = [], []
+    for index, body in enumerate(bodies):
+        turn, origin, at = np.eye(3), np.zeros(3), body
+        until = bodies[index - 1] if index else 0
+        while at != until:
+            fixed = rotations(model.body_quat[at])
+            turn, origin = fixed @ turn, model.body_pos[at] + fixed @ origin
+            at = int(model.body_parentid[at])
+        turns.append(turn)
+        joint = int(model.body_jntadr[body])
+        anchors.append(origin + turn @ model.jnt_pos[joint])
+    return np.stack(turns), np.stack(anchors)
+
+
+def _capsules(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, Array, float]]:
+    """Return body, axis ends (2, 3) in its frame and radius, m, of every capsule and sphere that a body carries.
+
+    A body without joint that is not moved by mocap passes its capsules on to its parent.
+    """
+    found = []
+    for geom in range(model.ngeom):
+        sphere = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
+        if not sphere and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_CAPSULE:
+            continue
+        body = int(model.geom_bodyid[geom])
+        while body and not model.body_jntnum[body] and model.body_mocapid[body] < 0:
+            body = int(model.body_parentid[body])
+        size, half = model.geom_size[geom][:2]
+        axis = (0.0 if sphere else half) * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+        ends = data.geom_xpos[geom] + np.array([-1.0, 1.0])[:, None] * axis
+        found.append((body, (ends - data.xpos[body]) @ data.xmat[body].reshape(3, 3), float(size)))
+    return found
