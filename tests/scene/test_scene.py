@@ -39,7 +39,7 @@ every_robot = pytest.mark.parametrize("name", sorted(ROBOTS))
 
 @cache
 def scene(name: str = "ur3e", substeps: int = 2) -> Scene:
-    return build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0]), CELL, substeps)
+    return build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0], rating="paper"), CELL, substeps)
 
 
 def data_at(cell: Scene, joint_pos: np.ndarray, human: np.ndarray | None = None) -> mujoco.MjData:
@@ -121,7 +121,7 @@ def test_ur3e_constants_are_the_published_ones() -> None:
 
 
 def test_unknown_robot_is_refused_with_the_list_of_known_ones() -> None:
-    stranger = RobotConfig(name="ur7", home_deg=[0, -90, 0, 0, 90, 0])
+    stranger = RobotConfig(name="ur7", home_deg=[0, -90, 0, 0, 90, 0], rating="paper")
     with pytest.raises(ConfigError, match=r"robot\.name='ur7'.*ur3e, ur5e, ur10e"):
         build_scene(stranger, CELL, 2)
 
@@ -237,7 +237,7 @@ def test_tables_hold_the_ball_at_the_goals() -> None:
 
 
 def test_robot_may_stand_on_the_floor() -> None:
-    robot = RobotConfig(name="ur3e", home_deg=[0, -90, 0, 0, 90, 0])
+    robot = RobotConfig(name="ur3e", home_deg=[0, -90, 0, 0, 90, 0], rating="paper")
     cell = build_scene(robot, replace(CELL, base_height_m=0.0), 2)
     assert cell.floor_z == 0.0
     assert data_at(cell, cell.home).ncon == 0
@@ -281,7 +281,7 @@ def test_standing_human_faces_its_yaw_with_the_left_arm_to_the_left() -> None:
 
 @pytest.mark.parametrize(("name", "overshoot_deg"), [("ur3e", 2.5), ("ur5e", 4.0), ("ur10e", 5.0)])
 def test_servos_follow_a_full_speed_ramp_closely_and_settle(name: str, overshoot_deg: float) -> None:
-    cell = build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0]), CELL, 2)
+    cell = build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0], rating="paper"), CELL, 2)
     cell.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # some ramps cross a table
     start = np.radians([0, -45, 60, 0, 90, 0])
     for direction in [*np.eye(6), np.array([1, -1, 1, -1, 1, -1])]:

@@ -1,0 +1,87 @@
+"""Behind the shield no fast link meets a person who keeps to the bounds; without it many do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort import humans
+from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
+from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.safety.contact import UNSAFE_SPEED_M_S, closing_speed
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry
+from hrl_comfort.sim.engine import Engine
+
+ROWS, DECISIONS = 64, 320
+SPEED_M_S, ACCELERATION_M_S2 = 1.6, 3.0
+"""Of the person: the bounds that conf/safety has."""
+WORLD = (
+    "task=pick_place", "human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.spawn=anywhere",
+    "human.spawn_radius_m=[0.8,1.8]", "robot.rating=collaborative",
+)  # fmt: skip
+
+
+class Adversary:
+    """Someone who heads for the tool and draws back at times, within the bounds of speed and acceleration."""
+
+    def __init__(self) -> None:
+        self._velocity = np.zeros((ROWS, 2))
+
+    def __call__(
+        self, config: HumanConfig, walk: humans.Walk, noise: np.ndarray, tcp: np.ndarray, keep_out: humans.KeepOut
+    ) -> humans.Walk:
+        self._velocity[walk.step == 0] = 0.0
+        towards = tcp - walk.position
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+        away = (walk.step // 80 + np.arange(ROWS)) % 3 == 0
+        change = np.where(away[:, None], -towards, towards) * SPEED_M_S - self._velocity
+        most = ACCELERATION_M_S2 * CONTROL_STEP_S / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-9)
+        self._velocity = self._velocity + change * np.minimum(1.0, most)
+        there = walk.position + self._velocity * CONTROL_STEP_S
+        return humans.Walk(there, walk.yaw, walk.spawn, walk.walked_m, walk.speed_m_s, walk.step + 1)
+
+
+def closing_speeds(monkeypatch: pytest.MonkeyPatch, decisions: int, *overrides: str) -> np.ndarray:
+    """Return the closing speed (m,) m/s of the arm at each of m contacts under random actions."""
+    monkeypatch.setattr(humans, "advance", Adversary())
+    engine = Engine(environment(compose("train", [*WORLD, *overrides])), ROWS, 0)
+    arm, person = ArmGeometry(engine.scene), PersonGeometry(engine.scene)
+    rng, state, found = np.random.default_rng(0), engine.reset(), []
+    for _ in range(decisions):
+        result = engine.step(rng.uniform(-1.0, 1.0, (ROWS, 6)))
+        steps = [state, *result.steps]
+        limbs = engine.episodes._planned["limbs"].reshape(ROWS, -1, *engine.episodes._planned["limbs"].shape[1:])
+        touched = torch.stack([step.human_collision for step in steps[1:]], dim=1) & result.valid
+        for row in torch.nonzero(touched.any(dim=1))[:, 0].tolist():
+            k = int(touched[row].int().argmax())
+            angles, velocity = (getattr(steps[k], name)[row][None].numpy() for name in ("joint_pos", "joint_vel"))
+            found.append(closing_speed(arm, person, angles, velocity, limbs[row, k][None])[0])
+        state = engine.reset(np.flatnonzero(result.done.numpy()))
+    engine.close()
+    return np.array(found)
+
+
+@pytest.mark.parametrize("bound", ["worst", "observed"])
+def test_behind_the_shield_no_contact_is_fast(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = closing_speeds(monkeypatch, DECISIONS // 2, "safety=ssm", f"safety.bound={bound}")
+    assert len(found) > 100 and found.max() <= UNSAFE_SPEED_M_S
+
+
+def test_without_it_contacts_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = closing_speeds(monkeypatch, DECISIONS // 8)
+    assert (found > UNSAFE_SPEED_M_S).sum() >= 5
+
+
+def test_the_shielded_engine_goes_on_bit_for_bit_after_its_state_is_loaded() -> None:
+    config = environment(compose("train", [*WORLD, "human=random_walk", "safety=ssm"]))
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1.0, 1.0, (8, 4, 6))
+    one, other = Engine(config, 4, 0), Engine(config, 4, 0)
+    one.reset()
+    for action in actions[:4]:
+        one.step(action)
+    other.load_state_dict(one.state_dict())
+    for action in actions[4:]:
+        first, second = one.step(action).state, other.step(action).state
+        assert torch.equal(first.joint_pos, second.joint_pos) and torch.equal(first.share, second.share)
