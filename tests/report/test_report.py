@@ -23,7 +23,7 @@ from hrl_comfort.report import report
 from hrl_comfort.scene.camera import PicturesUnavailableError
 
 CONFIG = """\
-robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0]}
+robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0], rating: paper}
 cell:
   ball_m: [-0.615, -0.07, 0.287]
   orange_drop_m: [0.647, -0.055, 0.273]
