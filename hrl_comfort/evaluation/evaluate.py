@@ -71,10 +71,11 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
     output = Path(config.output) / "checkpoints"
     check_folder(output)
-    every, curve = Result([], [], []), []
+    every, curve = Result(), []
     for path in found:
         result = rollout(config, str(path))
         every.episodes += result.episodes
+        every.limits += result.limits
         share = success(result.table)
         policy_steps = checkpoint.load(path)["counters"]["policy_steps"]
         interval = share["ci95"] or (None, None)

@@ -69,7 +69,7 @@ def handover(config: EvaluateConfig) -> Path:
         for kind, start in {"own": own_start(config, after), **upstream}.items():
             part = alone(config, after, start, config.policies[after])
             ran = rollout(part)
-            single += [[after, kind, each.episode, each.spawn_id, each.success] for each in ran.episodes]
+            single += [[after, kind, each["episode"], each["spawn_id"], each["success"]] for each in ran.episodes]
             share = success(ran.table)
             matrix.append([after, kind, len(ran.episodes), share["mean"], *(share["ci95"] or (None, None))])
             told = f"{after} from {kind} starts: {cell(share, 100)} % of {len(ran.episodes)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
-from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import COLOURS, EvaluateConfig, TrainingConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
@@ -32,86 +32,55 @@ BATCH = 250
 """Episodes simulated side by side."""
 
 
-@dataclass(frozen=True)
-class Episode:
-    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
-
-    task: str
-    policy: str
-    train_seed: int | None
-    split: str
-    episode_seed: int
-    episode: int
-    colour: str
-    spawn_id: int | None
-    motion_id: int
-    seen: bool | None
-    comfort_level: int | None
-    human: str
-    precision_m: float
-    success: bool
-    steps: int
-    policy_steps: int
-    # `return` is a Python keyword; the column is named without the underscore.
-    return_: float
-    human_collision: bool
-    robot_moving_at_collision: bool | None
-    other_collision: str
-    truncated: bool
-    balls_placed: int
-    comfort_level_mean: float | None
-    measures: dict[str, float | None]
-    """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
-    max_episode_steps: int
-    """Time limit, control steps, that was in force when the episode ended; not a column."""
-
-    def row(self) -> dict[str, Any]:
-        """Return the cells by column."""
-        return {**{name.rstrip("_"): getattr(self, name) for name in OWN}, **self.measures}
-
-
-OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "max_episode_steps"))
-"""Fields of an Episode that are a column each."""
-COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
-"""Of episodes.csv."""
+COLUMNS = (
+    "task", "policy", "train_seed", "split", "episode_seed", "episode", "colour", "spawn_id", "motion_id", "seen",
+    "comfort_level", "human", "precision_m", "success", "steps", "policy_steps", "return", "human_collision",
+    "robot_moving_at_collision", "other_collision", "truncated", "balls_placed", "comfort_level_mean", *MEASURES,
+)  # fmt: skip
+"""Of episodes.csv (docs/metrics.md)."""
+PATH_COLUMNS = [
+    "episode", "step", "stage", "level", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
+    "human_x", "human_y", "human_yaw", "human_distance_m",
+]  # fmt: skip
 
 
 @dataclass
 class Result:
-    """Rows of episodes.csv, options.csv and paths.csv."""
+    """Rows of episodes.csv, options.csv and paths.csv; None is written as an empty cell."""
 
-    episodes: list[Episode]
-    options: list[dict[str, Any]]
-    paths: list[list[Any]]
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    limits: list[int] = field(default_factory=list)
+    """Time limit, control steps, that was in force when each episode ended."""
+    options: list[dict[str, Any]] = field(default_factory=list)
+    paths: list[list[Any]] = field(default_factory=list)
 
     @property
     def table(self) -> DataFrame:
         """The episodes, as read from episodes.csv."""
-        return records_of((episode.row() for episode in self.episodes), "episodes")
+        return records_of(self.episodes, "episodes")
 
     @property
     def success(self) -> float:
         """Fraction of episodes that succeeded."""
-        return float(np.mean([episode.success for episode in self.episodes]))
+        return float(np.mean([episode["success"] for episode in self.episodes]))
 
     def write(self, output: Path, config: EvaluateConfig) -> None:
         """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
         for stale in ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4"):
             (output / stale).unlink(missing_ok=True)
-        write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
+        write_table(output / "episodes.csv", COLUMNS, (row.values() for row in self.episodes))
         if self.options:
             write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
         if self.paths:
             write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
         save_config(config, output / "config.yaml")
-        limits = [episode.max_episode_steps for episode in self.episodes]
-        write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
+        write_json(output / "summary.json", summarise(self.table, config.group_by, self.limits))
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
     """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
     entries = split(config)
-    result = Result([], [], [])
+    result = Result()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -162,7 +131,8 @@ class EvaluationBatch:
         state = self.engine.reset()
         self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
         self.seen = [(state, torch.ones(rows, 1, dtype=torch.bool))]
-        found: dict[int, Episode] = {}
+        found: dict[int, dict[str, Any]] = {}
+        limits: dict[int, int] = {}
         if self.config.record:
             self._record(state, torch.ones(rows, dtype=torch.bool))
         runs: list[OptionRun] = []
@@ -170,11 +140,13 @@ class EvaluationBatch:
             self._add(executed.result, executed.active)
             for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
                 found[row] = self._episode(row, executed.result)
+                limits[row] = self._limit(row, executed.result)
             runs += executed.runs
             advance(int(executed.ended.sum()))
         self.engine.close()
         measured = self._measure()
-        self.result.episodes += [replace(found[row], measures=measured[row]) for row in range(rows)]
+        self.result.episodes += [{**found[row], **measured[row]} for row in range(rows)]
+        self.result.limits += [limits[row] for row in range(rows)]
         self.result.options += [self._option(run) for run in sorted(runs, key=lambda r: (r.row, r.start_step))]
 
     def _add(self, step: StepResult, active: torch.Tensor) -> None:
@@ -224,40 +196,36 @@ class EvaluationBatch:
                 ]
             )
 
-    def _episode(self, row: int, step: StepResult) -> Episode:
-        config, state, entries = self.config, step.state, self.entries
-        success = bool(step.success[row])
-        hit = bool(state.human_collision[row])
-        colour = COLOURS[int(state.colours[row, 0])]
+    def _episode(self, row: int, step: StepResult) -> dict[str, Any]:
+        """Return the row's cells of episodes.csv before its measures."""
+        config, state, entries, episodes = self.config, step.state, self.entries, self.engine.episodes
+        success, hit = bool(step.success[row]), bool(state.human_collision[row])
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
-        episodes = self.engine.episodes
-        return Episode(
-            task=config.task.name,
-            policy=self.label,
-            train_seed=self.train_seed,
-            split=config.split,
-            episode_seed=int(entries.episode_seed[row]),
-            episode=int(entries.episode[row]),
-            colour=colour,
-            spawn_id=None if episodes.spawn_id[row] < 0 else int(episodes.spawn_id[row]),
-            motion_id=int(episodes.motion_id[row]),
-            seen=None if entries.drawn else bool(entries.seen[row]),
-            comfort_level=self._level(row, config),
-            human=config.human.motion,
-            precision_m=config.task.precision.grasp_tolerance_m,
-            success=success,
-            steps=int(state.steps[row]),
-            policy_steps=int(self.totals["policy_steps"][row]),
-            return_=rounded(self.totals["return"][row]),
-            human_collision=hit,
-            robot_moving_at_collision=bool(step.robot_moving[row]) if hit else None,
-            other_collision="table" if table else "self" if itself else "none",
-            truncated=not success and not (hit or table or itself),
-            balls_placed=int(state.placed[row].sum()),
-            comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
-            measures={},
-            max_episode_steps=self._limit(row, step),
-        )
+        return {
+            "task": config.task.name,
+            "policy": self.label,
+            "train_seed": self.train_seed,
+            "split": config.split,
+            "episode_seed": int(entries.episode_seed[row]),
+            "episode": int(entries.episode[row]),
+            "colour": COLOURS[int(state.colours[row, 0])],
+            "spawn_id": None if episodes.spawn_id[row] < 0 else int(episodes.spawn_id[row]),
+            "motion_id": int(episodes.motion_id[row]),
+            "seen": None if entries.drawn else bool(entries.seen[row]),
+            "comfort_level": self._level(row, config),
+            "human": config.human.motion,
+            "precision_m": config.task.precision.grasp_tolerance_m,
+            "success": success,
+            "steps": int(state.steps[row]),
+            "policy_steps": int(self.totals["policy_steps"][row]),
+            "return": rounded(self.totals["return"][row]),
+            "human_collision": hit,
+            "robot_moving_at_collision": bool(step.robot_moving[row]) if hit else None,
+            "other_collision": "table" if table else "self" if itself else "none",
+            "truncated": not success and not (hit or table or itself),
+            "balls_placed": int(state.placed[row].sum()),
+            "comfort_level_mean": None if config.comfort.source == "none" else rounded(self._mean_level(row)),
+        }
 
     def _mean_level(self, row: int) -> float:
         return float(self.totals["level"][row] / self.totals["steps"][row])
@@ -283,12 +251,6 @@ class EvaluationBatch:
         return {"episode": int(self.entries.episode[row]), "comfort_level": level, **line}
 
 
-PATH_COLUMNS = [
-    "episode", "step", "stage", "level", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
-    "human_x", "human_y", "human_yaw", "human_distance_m",
-]  # fmt: skip
-
-
 def rounded(value: float) -> float:
     """Return a number as the tables hold it, to six decimals."""
     return round(float(value), 6)
@@ -300,4 +262,4 @@ def train_seed(source: str) -> int | None:
     if folder is None:
         return None
     trained = load_config(folder)
-    return trained.train_seed if isinstance(trained, TrainConfig | MetaControllerTrainConfig) else None
+    return trained.train_seed if isinstance(trained, TrainingConfig) else None

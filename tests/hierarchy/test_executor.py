@@ -169,7 +169,7 @@ def test_every_division_of_the_task_chains_to_the_whole_cycle(division: str) -> 
     config = compose("evaluate", ["task=cycle", "meta_controller=scripted", f"division={division}", "episodes=2"])
     policies = dict.fromkeys(config.meta_controller.options, "expert")
     result = rollout(replace(config, policies=policies))
-    assert [episode.success for episode in result.episodes] == [True, True]
+    assert [episode["success"] for episode in result.episodes] == [True, True]
     assert [run["option"] for run in result.options if run["episode"] == 0] == list(config.meta_controller.options)
 
 

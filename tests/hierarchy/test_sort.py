@@ -297,7 +297,7 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
             ],
         )
     )  # fmt: skip
-    assert len(result.episodes) == 2 and np.isfinite([e.return_ for e in result.episodes]).all()
+    assert len(result.episodes) == 2 and np.isfinite([e["return"] for e in result.episodes]).all()
 
 
 def test_a_controller_is_taught_beside_the_people_of_its_skills_in_a_task_of_its_own(tmp_path) -> None:

@@ -25,7 +25,7 @@ def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None
     result = measured(*overrides, "disturbance=drop")
     went_home: list[bool] = []
     for episode in result.episodes:
-        runs = [run for run in result.options if run["episode"] == episode.episode]
+        runs = [run for run in result.options if run["episode"] == episode["episode"]]
         lost = [run["termination"] for run in runs].index("preempted")
         assert runs[lost]["option"] == "place"
         after = runs[lost + 1 :]
@@ -38,8 +38,8 @@ def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None
 def test_a_policy_for_the_whole_task_loses_its_ball_too() -> None:
     config = compose("evaluate", ["task=pick_place", "policy=expert", "human=none", "episodes=4"])
     calm, disturbed = (rollout(replace(config, disturbance=kind)).episodes for kind in ("none", "drop"))
-    done = [(b, a) for b, a in zip(calm, disturbed, strict=True) if a.success]
-    assert done and all(after.steps > before.steps for before, after in done)
+    done = [(b, a) for b, a in zip(calm, disturbed, strict=True) if a["success"]]
+    assert done and all(after["steps"] > before["steps"] for before, after in done)
 
 
 def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
