@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hrl_comfort.config.checks import XYZ, JointAngles, within
+from hrl_comfort.config.constants import MAX_ENVS
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class CellConfig:
 class EngineConfig:
     """The batched simulation."""
 
-    num_envs: Annotated[int, within(1, 65536)]
+    num_envs: Annotated[int, within(1, MAX_ENVS)]
     """Number of cells."""
     threads: Annotated[int, within(1, 256)]
     """Threads of the simulation."""
