@@ -5,20 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import check_fields, coordinates, within
+from hrl_comfort.config.checks import check_fields, coordinates, point, within
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """The arm; its kinematics and masses are constants of `scene.robots`."""
+    """The arm; its kinematics and masses are those of `scene.robots`."""
 
     name: str
-    """A key of `scene.robots.ROBOTS`, checked there."""
-    home_deg: Annotated[list[float], coordinates(6)]
-    """Joint angles of the home pose, degrees."""
+    """A key of `scene.robots.ROBOTS`, an entry point or `package.module:name`, checked there."""
+    home_deg: list[float] | None
+    """Joint angles of the home pose, degrees; null is the arm's own."""
 
     def __post_init__(self) -> None:
         check_fields("robot", self)
+        if self.home_deg is not None:
+            point("robot.home_deg", self.home_deg, len(self.home_deg))
 
 
 @dataclass(frozen=True)

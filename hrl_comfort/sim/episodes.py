@@ -22,7 +22,7 @@ from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
-from hrl_comfort.sim.cartesian import CartesianHand
+from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
@@ -31,7 +31,7 @@ from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
-"""(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
+"""(joints (r, 2 J): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
 
 class Episodes:
@@ -58,6 +58,8 @@ class Episodes:
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
         self.precision_m = config.task.precision.grasp_tolerance_m
+        self.action_dim = action_dim(scene, config.task)
+        """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
 
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
@@ -81,7 +83,7 @@ class Episodes:
         self._walks = self.walk
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
-        """Begin the next episode of `rows`; return their joints (r, 12): angles rad, velocities rad/s.
+        """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
 
         Draws are repeated until the cell begins free of contact and unsolved.
 
@@ -100,7 +102,7 @@ class Episodes:
         return self._begin(rows, {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}, probe)
 
     def _begin(self, rows: NDArray[np.int64], attempts: dict[int, Iterator[Draw]], probe: Probe) -> Array:
-        pending = rows
+        pending, moving = rows, 2 * len(self.scene.joints)
         for _ in range(ATTEMPTS):
             for row in pending:
                 for name, value in vars(next(attempts[row])).items():
@@ -110,11 +112,11 @@ class Episodes:
             self.source.begin(pending)
             fresh = humans.begin(self.config.human, self.draw.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
-            targets = self.draw.start[pending, 12:]
+            targets = self.draw.start[pending, moving:]
             planned = self._plan(fresh, targets, np.zeros(len(pending), dtype=np.int64))
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
-            sensed = probe(self.draw.start[pending, :12], control)
+            sensed = probe(self.draw.start[pending, :moving], control)
             state = self._first_state(pending, self._sensors.read(sensed, planned))
             if self.state is not None:
                 self.state = self.state.put(torch.from_numpy(pending), state)
@@ -127,7 +129,7 @@ class Episodes:
             pending = pending[bad]
             if not len(pending):
                 self._ready[rows] = True
-                return self.draw.start[rows, :12]
+                return self.draw.start[rows, :moving]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def rewind(self) -> None:
@@ -145,7 +147,7 @@ class Episodes:
             self.draw.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
 
     def apply_action(self, action: Array) -> Array:
-        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
+        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, A) in [-1, 1].
 
         Joint targets are ramped at up to `max_step_deg` a control step; the human walks on meanwhile.
 
@@ -168,7 +170,7 @@ class Episodes:
 
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         self._walks = self._walked(times)
-        ends = targets[:, substeps - 1 :: substeps].reshape(-1, 6)
+        ends = targets[:, substeps - 1 :: substeps].reshape(-1, targets.shape[-1])
         self._planned = self._plan(self._walks, ends, times.reshape(-1) + 1)
         return self._controls(targets, self._planned["limbs"], rendered_positions(self.state, self.subtask))
 
