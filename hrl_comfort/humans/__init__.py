@@ -1,21 +1,13 @@
-"""Human motions (one file each), spawn points and the human position in observations."""
-
-from __future__ import annotations
+"""Human motions, spawn points and the human position in observations."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.config.checks import part
-from hrl_comfort.humans.approach import approach
-from hrl_comfort.humans.arc import arc
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
-from hrl_comfort.humans.live import live, pose_source
-from hrl_comfort.humans.none import none
-from hrl_comfort.humans.patrol import patrol
-from hrl_comfort.humans.playback import playback, read_motion
-from hrl_comfort.humans.random_walk import random_walk
-from hrl_comfort.humans.still import still
+from hrl_comfort.humans.live import pose_source
+from hrl_comfort.humans.motions import MOTIONS, UNBOUNDED, recorded_pose
 from hrl_comfort.humans.walk import (
     NOISE,
     SPEED_SMOOTHING,
@@ -28,22 +20,8 @@ from hrl_comfort.humans.walk import (
     length,
     outside,
 )
-from hrl_comfort.humans.work import work
 
-MOTIONS: dict[str, Motion] = {
-    "none": none,
-    "still": still,
-    "random_walk": random_walk,
-    "arc": arc,
-    "approach": approach,
-    "playback": playback,
-    "work": work,
-    "patrol": patrol,
-    "live": live,
-}
 MAX_SPAWN_DRAWS = 1000
-UNBOUNDED = ("none", "playback", "live")
-"""Motions to which `bound_m` and `keep_out_m` do not apply."""
 
 
 def motion(name: str) -> Motion:
@@ -59,19 +37,20 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
     """Return n humans at `spawn` (n, 2) m, facing the robot.
 
     Motion `none` puts them far away, `playback` at the start of its file.
+
+    Raises:
+      ConfigError: there is no such motion, or its file is damaged.
     """
+    motion(config.motion)
     n = len(spawn)
-    position, yaw = spawn.copy(), facing_base(spawn)
-    if motion(config.motion) is none:
-        position, yaw = np.tile([FAR_AWAY_M, 0.0], (n, 1)), np.zeros(n)
+    walk = Walk(spawn.copy(), facing_base(spawn), spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
+    if config.motion == "none":
+        walk.position[:], walk.yaw[:] = (FAR_AWAY_M, 0.0), 0.0
     elif config.motion == "playback":
-        assert config.file is not None
-        time, poses = read_motion(config.file)
-        x, y, facing = (np.interp(0.0, time, column) for column in poses.T)
-        position, yaw = np.tile([x, y], (n, 1)), np.full(n, facing)
+        walk.position[:], walk.yaw[:] = recorded_pose(config, np.zeros(n))
     elif config.motion == "live":
         pose_source(config.file)  # a source that cannot be opened is refused before the first step
-    return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
+    return walk
 
 
 def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
@@ -111,8 +90,7 @@ def around(goals: Array, radius_m: float, rows: int) -> KeepOut:
 
 def training_spawns(config: HumanConfig) -> NDArray[np.int64]:
     """Return the indices of the spawn points that are not held out."""
-    held_out = set(config.held_out)
-    return np.array([i for i in range(len(config.spawns_m)) if i not in held_out], dtype=np.int64)
+    return np.setdiff1d(np.arange(len(config.spawns_m)), config.held_out)
 
 
 def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:

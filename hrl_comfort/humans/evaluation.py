@@ -1,18 +1,16 @@
 """Evaluation splits: the committed set of 1,000 spawns, motion seeds and episode seeds, and validation draws."""
 
-from __future__ import annotations
-
-import csv
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
+from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from hrl_comfort.config import FIRST_SEED, SPLITS, ConfigError
+from hrl_comfort.config import FIRST_SEED, SPLITS
 
-FILE = "humans/evaluation_set.csv"
 COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
 MOTION_STREAM = 7
 """Second word of the random key of a motion; it keeps motions and episodes on separate streams."""
@@ -32,20 +30,20 @@ class EvaluationSet:
     motion_id: NDArray[np.int64]
     seen: NDArray[np.bool_]
 
-    def part(self, start: int, stop: int) -> EvaluationSet:
+    def part(self, start: int, stop: int) -> Self:
         """Return the entries from `start` to `stop`, exclusive."""
         return self.at(slice(start, stop))
 
-    def at(self, index: slice | NDArray[np.int64]) -> EvaluationSet:
+    def at(self, index: slice | NDArray[np.int64]) -> Self:
         """Return the entries that `index` selects."""
-        return EvaluationSet(**{name: value[index] for name, value in vars(self).items()})
+        return type(self)(**{name: value[index] for name, value in vars(self).items()})
 
     @property
     def drawn(self) -> bool:
         """Whether spawns and starts are drawn as in training."""
         return bool((self.spawn_id < 0).all())
 
-    def reseeded(self, seed: int) -> EvaluationSet:
+    def reseeded(self, seed: int) -> Self:
         """Return the same spawns and motions with episode seeds from `seed` on."""
         return replace(self, episode_seed=self.episode_seed - FIRST_SEED + seed)
 
@@ -68,36 +66,8 @@ def validation_set(seed: int, episodes: int) -> EvaluationSet:
 
 @lru_cache(maxsize=1)
 def load_evaluation_set() -> EvaluationSet:
-    """Return the committed set; raise ConfigError if its file is damaged."""
-    file = files("hrl_comfort.humans") / "evaluation_set.csv"
-    return parse_evaluation_set(file.read_text(encoding="utf-8"))
-
-
-def parse_evaluation_set(text: str) -> EvaluationSet:
-    """Return the set in the CSV `text`.
-
-    Raises:
-      ConfigError: wrong columns, or a bad line (named).
-    """
-    header, *lines = list(csv.reader(text.splitlines())) or [[]]
-    if tuple(header) != COLUMNS or not lines:
-        raise ConfigError(f"{FILE} must have the columns {','.join(COLUMNS)} and at least one episode")
-    rows = []
-    for number, line in enumerate(lines, start=2):
-        try:
-            episode, seed, spawn, x, y, motion, known = line
-            whole, place = [int(v) for v in (episode, seed, spawn, motion)], (float(x), float(y))
-            seen = {"True": True, "False": False}[known]
-            valid = whole[0] == number - 2 and whole[1] >= FIRST_SEED and whole[2] >= 0 and np.isfinite(place).all()
-        except (ValueError, KeyError):
-            valid = False
-        if not valid:
-            raise ConfigError(
-                f"{FILE} line {number}: {','.join(line)!r} must hold {','.join(COLUMNS)}: episode {number - 2}, "
-                f"a seed from {FIRST_SEED}, a spawn from 0, finite x and y (m), a motion, seen True or False"
-            )
-        rows.append((*whole[:3], place, whole[3], seen))
-    entries = EvaluationSet(*map(np.array, zip(*rows, strict=True)))
-    for column in vars(entries).values():
-        column.setflags(write=False)
-    return entries
+    """Return the committed set."""
+    with (files("hrl_comfort.humans") / "evaluation_set.csv").open(encoding="utf-8") as file:
+        table = pd.read_csv(file, float_precision="round_trip")
+    columns = {name: table[name].to_numpy() for name in COLUMNS if name not in ("x", "y")}
+    return EvaluationSet(**columns, position=table[["x", "y"]].to_numpy())

@@ -1,9 +1,8 @@
 """State of a walk, keep-out discs and the gait, shared by all motions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,23 +35,21 @@ class Walk:
     step: NDArray[np.int64]
     """(n,) control steps since the start."""
 
-    def rows(self, index: NDArray[np.int64]) -> Walk:
+    def rows(self, index: NDArray[np.int64]) -> Self:
         """Return the walks of the rows `index`."""
-        return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
+        return type(self)(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
-    def put(self, index: NDArray[np.int64], other: Walk) -> Walk:
+    def put(self, index: NDArray[np.int64], other: Self) -> Self:
         """Return a copy with the rows at `index` replaced by `other`."""
-        replaced = {}
-        for field in fields(self):
-            value = getattr(self, field.name).copy()
-            value[index] = getattr(other, field.name)
-            replaced[field.name] = value
-        return Walk(**replaced)
+        copied = {name: value.copy() for name, value in vars(self).items()}
+        for name, value in copied.items():
+            value[index] = getattr(other, name)
+        return type(self)(**copied)
 
     @classmethod
-    def along(cls, walks: Sequence[Walk]) -> Walk:
+    def along(cls, walks: Sequence[Self]) -> Self:
         """Return K walks of n humans as one walk of n * K rows; the K rows of a human are adjacent."""
-        stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
+        stacked = {name: np.stack([getattr(walk, name) for walk in walks], axis=1) for name in vars(walks[0])}
         return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
 
 
@@ -69,8 +66,6 @@ class KeepOut:
 
     def entered(self, position: Array) -> NDArray[np.bool_]:
         """Return (n,) bool: position (n, 2) m lies in a disc."""
-        if not self.centres.shape[1]:
-            return np.zeros(len(position), dtype=bool)
         return np.asarray((length(position[:, None] - self.centres) < self.radius_m).any(axis=1))
 
     def rim(self, position: Array) -> Array:

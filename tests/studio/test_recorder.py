@@ -13,7 +13,7 @@ from hrl_comfort.config import ConfigError, ReportConfig, StudioConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans.live import HELD
-from hrl_comfort.humans.playback import read_motion
+from hrl_comfort.humans.motions import read_motion
 from hrl_comfort.report.report import report
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.recorder import Recorder
