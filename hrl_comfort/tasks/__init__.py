@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.checks import part
-from hrl_comfort.tasks.cycle import CYCLE
+from hrl_comfort.config.checks import one_of, part
+from hrl_comfort.tasks.cycle import CYCLE, PICK_PLACE, sort
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
-from hrl_comfort.tasks.pick_place import PICK_PLACE
 from hrl_comfort.tasks.place import PLACE
-from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
-from hrl_comfort.tasks.reach import REACH
+from hrl_comfort.tasks.reach import POINT_TO_POINT, REACH
 from hrl_comfort.tasks.return_home import RETURN
-from hrl_comfort.tasks.sort import sort
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Ball, Stage, Start, Subtask
 
@@ -34,8 +31,7 @@ def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
     found = part("task.name", name, SUBTASKS)
     if not isinstance(found, Subtask):
         raise ConfigError(f"task.name={name!r} is of type {type(found).__name__}; it must be a Subtask")
-    if observation not in LAYOUTS:
-        raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
+    one_of("task.observation", observation, tuple(LAYOUTS))
     chosen = sort(balls) if name == "sort" else found if found.name == name else replace(found, name=name)
     if observation == "default":
         return chosen

@@ -1,4 +1,4 @@
-"""Reach: bring the tool to one point, fixed or drawn for each episode."""
+"""Reach and point to point: bring the tool to one point, or to two, fixed or drawn for each episode."""
 
 from __future__ import annotations
 
@@ -24,3 +24,4 @@ def reach_point(index: int) -> Stage:
 
 
 REACH = standard_subtask("reach", (reach_point(0),))
+POINT_TO_POINT = standard_subtask("point_to_point", (reach_point(0), reach_point(1)))

@@ -31,18 +31,14 @@ def progress(stages: tuple[Stage, ...], joint_space: bool) -> TransitionFunction
     return term
 
 
-def completion(index: int) -> TransitionFunction:
-    """Return 1 at the step that completes stage `index`, else 0."""
+def completion(stages: tuple[Stage, ...], bonus: str) -> TransitionFunction:
+    """Return 1 at the step that completes a stage with this `bonus`, else 0."""
+    pays = torch.tensor([*(stage.bonus == bonus for stage in stages), False])
 
     def term(before: State, after: State) -> Tensor:
-        return ((before.stage == index) & (after.stage == index + 1)).to(before.tcp_pos.dtype)
+        return (pays[before.stage] & (after.stage == before.stage + 1)).to(before.tcp_pos.dtype)
 
     return term
-
-
-def total(terms: list[TransitionFunction]) -> TransitionFunction:
-    """Return the sum of terms that share one weight."""
-    return lambda before, after: torch.stack([term(before, after) for term in terms]).sum(0)
 
 
 def arrival_speed(before: State, after: State) -> Tensor:
@@ -89,8 +85,6 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, TransitionFunction]:
     if any(stage.joint_space for stage in stages):
         terms["home_progress"] = progress(stages, joint_space=True)
         terms["return_shaping"] = return_shaping
-    for bonus in dict.fromkeys(stage.bonus for stage in stages):
-        paid = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
-        terms[bonus] = paid[0] if len(paid) == 1 else total(paid)
+    terms |= {stage.bonus: completion(stages, stage.bonus) for stage in stages}
     common = (arrival_speed, human_collision, other_collision, step, overtime)
     return {**terms, **{term.__name__: term for term in common}}
