@@ -3,8 +3,6 @@
 An undefined value is None, never zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

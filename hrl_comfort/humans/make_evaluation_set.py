@@ -4,8 +4,6 @@ Seen and unseen spawns alternate, so every prefix of the set is balanced. Seen s
 of a training point, unseen ones within UNSEEN_JITTER_M of a held-out point.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import sys

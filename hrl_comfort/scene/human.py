@@ -1,7 +1,5 @@
 """A walking human of five capsule mocap bodies, posed by position and gait."""
 
-from __future__ import annotations
-
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import ArrayLike, NDArray

@@ -1,7 +1,5 @@
 """The cell (robot, tables, pedestal, floor, human), compiled to one MuJoCo model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

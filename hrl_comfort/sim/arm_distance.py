@@ -1,7 +1,5 @@
 """Smallest distance between any link of the robot and any body part of the human, batched."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -35,21 +33,20 @@ class ArmDistance:
         self._robot = ROBOTS[scene.robot]
         model, data = scene.model, mujoco.MjData(scene.model)
         mujoco.mj_kinematics(model, data)
-        links = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"robot/{link}") for link in LINKS]
-        limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in LIMBS]
+        links = [model.body(f"robot/{link}").id for link in LINKS]
+        limbs = [model.body(limb).id for limb in LIMBS]
         self._arm, self._person = [], []
         for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
+            owner = int(model.geom_bodyid[geom])
+            while owner not in (*links, *limbs, 0):
+                owner = int(model.body_parentid[owner])
+            if owner == 0:
+                continue  # neither arm nor human
             size, half = model.geom_size[geom][:2]
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
                 half = 0.0
             axis = half * data.geom_xmat[geom].reshape(3, 3)[:, 2]
             ends = data.geom_xpos[geom] + np.array([-1.0, 1.0])[:, None] * axis
-            owner = body
-            while owner not in links and owner not in limbs and owner != 0:
-                owner = int(model.body_parentid[owner])
-            if owner == 0:
-                continue  # neither arm nor human
             local = (ends - data.xpos[owner]) @ data.xmat[owner].reshape(3, 3)
             if owner in links:
                 self._arm.append((links.index(owner), local, size))
@@ -60,31 +57,29 @@ class ArmDistance:
 
     def __call__(self, joints: Array, limbs: Array) -> Array:
         """Return (...,) m, negative in overlap; joints (..., 6) rad, limbs (..., 5, 7) as `limb_poses`."""
-        frames = link_frames(self._robot, joints)
-        arm = [frames[link][1][..., None, :] + ends @ np.swapaxes(frames[link][0], -1, -2)
-               for link, ends, _ in self._arm]  # fmt: skip
-        turns = rotations(limbs[..., 3:])
-        person = [
-            limbs[..., limb, None, :3] + ends @ np.swapaxes(turns[..., limb, :, :], -1, -2)
-            for limb, ends, _ in self._person
-        ]
+        links, turns = link_frames(self._robot, joints), rotations(limbs[..., 3:])
+        arm = [_placed(ends, *links[link]) for link, ends, _ in self._arm]
+        person = [_placed(ends, turns[..., limb, :, :], limbs[..., limb, :3]) for limb, ends, _ in self._person]
         first = np.stack(arm, axis=-3)[..., :, None, :, :]
         second = np.stack(person, axis=-3)[..., None, :, :, :]
         gap = segment_distance(first[..., 0, :], first[..., 1, :], second[..., 0, :], second[..., 1, :])
         return np.asarray((gap - self._sum).min(axis=(-2, -1)))
 
 
+def _placed(points: Array, turn: Array, origin: Array) -> Array:
+    """Return points (p, 3) of frames with rotations (..., 3, 3) and origins (..., 3), m: (..., p, 3)."""
+    return np.asarray(origin[..., None, :] + points @ np.swapaxes(turn, -1, -2))
+
+
 def rotations(quaternions: Array) -> Array:
     """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4), w first."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def segment_distance(p: Array, p_end: Array, q: Array, q_end: Array) -> Array:

@@ -1,7 +1,5 @@
 """Balls through an episode, as functions of State: target, placed balls and where each is rendered."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import NDArray

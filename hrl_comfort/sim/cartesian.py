@@ -1,7 +1,5 @@
 """Task-space actions: tool displacements to joint increments, by mink."""
 
-from __future__ import annotations
-
 import mink
 import numpy as np
 from numpy.typing import NDArray

@@ -4,8 +4,6 @@
 the table of the first ball's drop point, and walks on after BLOCK_STEPS.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

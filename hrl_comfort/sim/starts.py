@@ -6,8 +6,6 @@ have three numbers more, on which the terminal states of a policy depend: the hu
 NaN without one.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from zipfile import BadZipFile

@@ -1,7 +1,5 @@
 """Result of one decision: rewards, last state and termination."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

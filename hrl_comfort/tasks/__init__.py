@@ -1,7 +1,5 @@
 """Subtasks as values, by name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hrl_comfort.config import ConfigError

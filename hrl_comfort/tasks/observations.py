@@ -4,8 +4,6 @@ Lengths are metres, angles are scaled by pi, velocities by the servo's speed. Po
 clamped to `HORIZON_M`, so that an absent person is a bounded number.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Pick: bring the tool to the ball, from home."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask

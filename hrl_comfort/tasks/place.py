@@ -1,7 +1,5 @@
 """Place: carry the ball to the drop point of its colour, from where a pick ends."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask

@@ -1,7 +1,5 @@
 """Reach and point to point: bring the tool to one point, or to two, fixed or drawn for each episode."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask

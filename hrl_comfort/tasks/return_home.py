@@ -1,7 +1,5 @@
 """Return: bring every joint back to home, from where a place ends."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask

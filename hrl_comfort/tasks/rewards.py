@@ -4,8 +4,6 @@ A term maps the states before and after one control step to (N,). The reward of 
 over its control steps, of the weighted terms.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm

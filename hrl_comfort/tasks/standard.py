@@ -1,7 +1,5 @@
 """Subtasks with the standard observations and rewards of their stages."""
 
-from __future__ import annotations
-
 from hrl_comfort.tasks import observations, rewards
 from hrl_comfort.tasks.subtask import Stage, Start, Subtask
 

@@ -1,8 +1,7 @@
 """State of the cells as the subtasks observe it: a frozen record of tensors, batch first."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -85,16 +84,16 @@ class State:
         pink = (self.colours == 1)[..., None]
         return torch.where(pink, self.pink_drop[:, None], self.orange_drop[:, None])
 
-    def rows(self, index: Tensor) -> State:
+    def rows(self, index: Tensor) -> Self:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
-        return State(**{name: value.index_select(0, index) for name, value in vars(self).items()})
+        return type(self)(**{name: value.index_select(0, index) for name, value in vars(self).items()})
 
-    def with_(self, **changes: Tensor) -> State:
+    def with_(self, **changes: Tensor) -> Self:
         """Return a copy with the given fields replaced."""
-        return State(**(vars(self) | changes))
+        return type(self)(**(vars(self) | changes))
 
-    def put(self, index: Tensor, other: State) -> State:
+    def put(self, index: Tensor, other: Self) -> Self:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = vars(other)
-        return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in vars(self).items()})
+        return type(self)(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in vars(self).items()})

@@ -1,7 +1,5 @@
 """Stages and subtasks as values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
