@@ -8,29 +8,9 @@ from hrl_comfort.config.checks import part
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
 from hrl_comfort.humans.live import pose_source
 from hrl_comfort.humans.motions import MOTIONS, UNBOUNDED, recorded_pose
-from hrl_comfort.humans.walk import (
-    NOISE,
-    SPEED_SMOOTHING,
-    Array,
-    KeepOut,
-    Motion,
-    Walk,
-    facing_base,
-    gait,
-    length,
-    outside,
-)
+from hrl_comfort.humans.walk import NOISE, SPEED_SMOOTHING, Array, KeepOut, Walk, facing_base, gait, length, outside
 
 MAX_SPAWN_DRAWS = 1000
-
-
-def motion(name: str) -> Motion:
-    """Return the motion `name`: one of MOTIONS, an entry point, or `package.module:name`.
-
-    Raises:
-      ConfigError: there is none.
-    """
-    return part("human.motion", name, MOTIONS)
 
 
 def begin(config: HumanConfig, spawn: Array) -> Walk:
@@ -41,7 +21,7 @@ def begin(config: HumanConfig, spawn: Array) -> Walk:
     Raises:
       ConfigError: there is no such motion, or its file is damaged.
     """
-    motion(config.motion)
+    part("human.motion", config.motion, MOTIONS)
     n = len(spawn)
     walk = Walk(spawn.copy(), facing_base(spawn), spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
     if config.motion == "none":
@@ -59,7 +39,8 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
     A step beyond `bound_m` from the spawn ends at that distance. A step into a keep-out disc slides along
     its rim. The human stays in place if the slide ends in another disc or beyond `bound_m`.
     """
-    position, yaw = motion(config.motion)(config, walk, noise, tcp)
+    motion = part("human.motion", config.motion, MOTIONS)
+    position, yaw = motion(config, walk, noise, tcp)
     if config.motion not in UNBOUNDED:
         offset = position - walk.spawn
         shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
@@ -150,6 +131,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "UNBOUNDED", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin",
-    "gait", "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position",
+    "gait", "jittered_spawn", "load_evaluation_set", "moved_spawns", "outside", "seen_position",
     "split_set", "training_spawn", "training_spawns", "validation_set",
 ]  # fmt: skip
