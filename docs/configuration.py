@@ -12,10 +12,9 @@ import re
 import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from hrl_comfort.config import checks
 from hrl_comfort.config.compose import compose
@@ -76,15 +75,17 @@ def docstrings(kind: type) -> dict[str, str]:
 def allowed(hint: Any) -> str:
     """Return what the checks of a field's type allow."""
     said = []
-    for check in getattr(hint, "__metadata__", ()):
-        if isinstance(check, partial) and check.func is checks.between:
-            low, high = check.keywords["low"], check.keywords["high"]
+    optional = [each for each in get_args(hint) if get_origin(each) is Annotated]
+    for check in getattr(optional[0] if optional else hint, "__metadata__", ()):
+        keywords = getattr(getattr(check, "func", None), "keywords", {})
+        if "low" in keywords:
+            low, high = keywords["low"], keywords["high"]
             said.append(f"from {low:g}" if high > 1e9 else f"{low:g} to {high:g}")
-        elif isinstance(check, partial) and check.func in (checks.one_of, checks.part_name):
-            names = check.keywords.get("allowed") or (*check.keywords["known"], "package.module:name")
+        elif "names" in keywords:
+            names = (*keywords["names"], *(["package.module:name"] if "key" in keywords else []))
             said.append(", ".join(f"`{name}`" for name in names))
-        elif isinstance(check, partial) and check.func is checks.point:
-            said.append(f"{check.keywords['size']} numbers")
+        elif hint in (checks.Pair, checks.Point, checks.Joints):
+            said.append(f"{check.metadata[0].min_length} numbers")
     return "; ".join(said)
 
 

@@ -16,9 +16,11 @@ from hrl_comfort.config.commands import (
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
+    HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     TrainConfig,
+    TrainingConfig,
 )
 from hrl_comfort.config.constants import (
     CONTROL_STEP_S,
@@ -28,10 +30,9 @@ from hrl_comfort.config.constants import (
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
-from hrl_comfort.config.hierarchy import HierarchyConfig, HierarchyTrainConfig
+from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
-from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.studio import StudioConfig
 from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, TaskConfig
@@ -43,5 +44,5 @@ __all__ = [
     "HierarchyTrainConfig", "HumanConfig",
     "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",
     "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig",
-    "TrainConfig",
+    "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

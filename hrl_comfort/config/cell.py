@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import check_fields, choice, coordinates, within
+from hrl_comfort.config.checks import Joints, Point, choice, within
 
 
 @dataclass(frozen=True)
@@ -14,24 +14,21 @@ class RobotConfig:
 
     name: str
     """A key of `scene.robots.ROBOTS`, checked there."""
-    home_deg: Annotated[list[float], coordinates(6)]
+    home_deg: Joints
     """Joint angles of the home pose, degrees."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
-
-    def __post_init__(self) -> None:
-        check_fields("robot", self)
 
 
 @dataclass(frozen=True)
 class CellConfig:
     """Layout of the cell: metres, cell frame (robot base at the origin, z up)."""
 
-    ball_m: Annotated[list[float], coordinates(3)]
+    ball_m: Point
     """Centre of the ball on the pick table, m."""
-    orange_drop_m: Annotated[list[float], coordinates(3)]
+    orange_drop_m: Point
     """Drop point of orange balls, m."""
-    pink_drop_m: Annotated[list[float], coordinates(3)]
+    pink_drop_m: Point
     """Drop point of pink balls, m."""
     ball_radius_m: Annotated[float, within(0.005, 0.2)]
     """Radius of a ball, m."""
@@ -39,9 +36,6 @@ class CellConfig:
     """Half the side of each square table, m."""
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
-
-    def __post_init__(self) -> None:
-        check_fields("cell", self)
 
 
 @dataclass(frozen=True)
@@ -54,6 +48,3 @@ class EngineConfig:
     """Threads of the simulation."""
     substeps: Annotated[int, within(1, 100)]
     """Physics steps a control step of 20 ms."""
-
-    def __post_init__(self) -> None:
-        check_fields("engine", self)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, Field, ValidationError
+
 
 T = TypeVar("T")
 MAX_LINE = 1000
 """Longest message in characters, without the ellipsis."""
 FARTHEST = 1000.0
 """Largest coordinate, m, and angle, degrees; squares of larger values may overflow."""
-Check = Callable[[str, Any], None]
-"""(key, value): raises ConfigError if the value is not allowed."""
 
 
 class ConfigError(ValueError):
@@ -40,12 +41,6 @@ class UnknownKeyError(ConfigError):
         self.key = key
 
 
-def filled(key: str, value: object) -> None:
-    """Raise ConfigError if `value` is an empty text."""
-    if value == "":
-        raise ConfigError(f"{key}='' is empty; it takes a value")
-
-
 def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise ConfigError unless `value` is one of `allowed`."""
     if value not in allowed:
@@ -58,47 +53,40 @@ def between(key: str, value: float, low: float, high: float) -> None:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 
-def widths(key: str, value: list[int]) -> None:
-    """Raise ConfigError unless `value` is a list of hidden-layer widths."""
-    if not value or any(not 1 <= width <= 8192 for width in value):
-        raise ConfigError(f"{key}={list(value)!r} must be layer widths from 1 to 8192")
+def _in_range(value: float, low: float, high: float) -> float:
+    between("", value, low, high)
+    return value
 
 
-def point(key: str, value: list[float], size: int, farthest: float = FARTHEST) -> None:
-    """Raise ConfigError unless `value` is `size` numbers within ±`farthest`."""
-    if len(value) != size or not all(abs(v) <= farthest for v in value):
-        raise ConfigError(f"{key}={list(value)!r} must be {size} finite numbers within ±{farthest:g}")
+def _allowed(value: str, names: tuple[str, ...]) -> str:
+    one_of("", value, names)
+    return value
 
 
-def unique(key: str, value: list[int]) -> None:
-    """Raise ConfigError if `value` contains an entry twice."""
+def _unique(value: list[int]) -> list[int]:
     if len(set(value)) < len(value):
-        raise ConfigError(f"{key}={list(value)!r} contains an entry twice; leave one out")
+        raise ConfigError(f"={value!r} contains an entry twice; leave one out")
+    return value
 
 
-def within(low: float, high: float) -> Check:
-    """Return the check `between` of [low, high]."""
-    return partial(between, low=low, high=high)
+def within(low: float, high: float) -> AfterValidator:
+    """Return the check of a field that its value is in [low, high]."""
+    return AfterValidator(partial(_in_range, low=low, high=high))
 
 
-def choice(*names: str) -> Check:
-    """Return the check `one_of` of `names`."""
-    return partial(one_of, allowed=names)
+def choice(*names: str) -> AfterValidator:
+    """Return the check of a field that its value is one of `names`."""
+    return AfterValidator(partial(_allowed, names=names))
 
 
-def coordinates(size: int) -> Check:
-    """Return the check `point` of `size` numbers."""
-    return partial(point, size=size)
-
-
-def each(check: Check) -> Check:
-    """Return `check` for every entry of a list."""
-
-    def entries(key: str, value: list[Any]) -> None:
-        for index, entry in enumerate(value):
-            check(f"{key}[{index}]", entry)
-
-    return entries
+unique = AfterValidator(_unique)
+"""Check of a list that no entry is in it twice."""
+Coordinate = Annotated[float, within(-FARTHEST, FARTHEST)]
+Pair = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+Point = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+Joints = Annotated[list[Coordinate], Field(min_length=6, max_length=6)]
+Widths = Annotated[list[Annotated[int, within(1, 8192)]], Field(min_length=1)]
+"""Widths of hidden layers."""
 
 
 def is_object(value: str) -> bool:
@@ -150,18 +138,24 @@ def part(key: str, name: str, known: Mapping[str, T]) -> T:
     return found
 
 
-def named(*known: str) -> Check:
-    """Return the check `part_name` of `known`."""
-    return partial(part_name, known=known)
+def named(key: str, *known: str) -> AfterValidator:
+    """Return the check `part_name` of the field `key`."""
+    return AfterValidator(partial(_named, key=key, names=known))
 
 
-def check_fields(section: str, config: Any) -> None:
-    """Run the checks in the `Annotated` types of a dataclass; null passes.
+def _named(value: str, key: str, names: tuple[str, ...]) -> str:
+    part_name(key, value, names)
+    return value
 
-    Raises:
-      ConfigError: a check of the field `section`.name fails.
-    """
-    for name, hint in get_type_hints(type(config), include_extras=True).items():
-        value = getattr(config, name)
-        for check in getattr(hint, "__metadata__", ()) if value is not None else ():
-            check(f"{section}.{name}" if section else name, value)
+
+def first_error(error: ValidationError) -> str:
+    """Return the first error of pydantic with its place and value, on one line."""
+    first = error.errors(include_url=False)[0]
+    key, own = ".".join(map(str, first["loc"])), first.get("ctx", {}).get("error")
+    if own is not None:  # our own checks of a field begin with `=`, those of several fields with a key
+        return f"{key}{own}" if str(own).startswith("=") else str(own)
+    if first["type"] == "missing":
+        return f"{key} must be set"
+    if first["type"] == "string_too_short":
+        return f"{key}='' is empty; it takes a value"
+    return f"{key}={first['input']!r:.200}: {first['msg']}" if key else first["msg"]

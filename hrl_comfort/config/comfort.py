@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, each, named, point, within
+from hrl_comfort.config.checks import ConfigError, between, choice, named, within
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
 FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
 SPEED_FORMS = ("paper", "hinge")
-MAX_TIME_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,6 @@ class StreamConfig:
     """`lsl`: name of the stream; its first channel is read."""
 
     def __post_init__(self) -> None:
-        check_fields("comfort.stream", self)
         if self.low == self.high:
             raise ConfigError(f"comfort.stream.high={self.high!r} must differ from comfort.stream.low")
 
@@ -56,9 +54,6 @@ class PersonConfig:
     recovery_s: Annotated[float, within(0.01, 3600.0)]
     """Time constant of the recovery, s."""
 
-    def __post_init__(self) -> None:
-        check_fields("comfort.person", self)
-
 
 @dataclass(frozen=True)
 class ComfortConfig:
@@ -72,15 +67,15 @@ class ComfortConfig:
     """`source=fixed`: the level."""
     change_s: Annotated[float, within(0.1, 3600.0)]
     """`source=changing`: mean time between two changes, s."""
-    schedule_s: list[float]
+    schedule_s: list[Annotated[float, within(0.0, 1e9)]]
     """`source=schedule`: rising start times of the levels, s from the start of the episode; the first is 0."""
     schedule_levels: list[int]
     """`source=schedule`: the levels."""
     file: str | None
     """`source=file`: CSV with columns t (s) and value."""
-    form: Annotated[str, named(*FORMS)]
+    form: Annotated[str, named("comfort.form", *FORMS)]
     """Form of the distance term, F_conf1."""
-    threshold: Annotated[str, named(*THRESHOLDS)]
+    threshold: Annotated[str, named("comfort.threshold", *THRESHOLDS)]
     """Distance threshold theta as a function of the level."""
     distance: Annotated[str, choice(*DISTANCES)]
     """`tool`: horizontal, tool to the human's axis. `arm`: smallest between any link and any body part."""
@@ -96,7 +91,7 @@ class ComfortConfig:
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]
     """Weight of the speed term, F_conf2 (Eq. 4)."""
-    speed_form: Annotated[str, named(*SPEED_FORMS)]
+    speed_form: Annotated[str, named("comfort.speed_form", *SPEED_FORMS)]
     """Form of the speed term, F_conf2."""
     scale: Annotated[float, within(-100.0, 100.0)]
     """Weight of F_comfort in the reward of every control step; a negative one subtracts (Eq. 1)."""
@@ -104,7 +99,6 @@ class ComfortConfig:
     person: PersonConfig
 
     def __post_init__(self) -> None:
-        check_fields("comfort", self)
         if self.source == "fixed" and self.level is None:
             raise ConfigError(f"comfort.level=null: comfort.source=fixed needs one of 1 to {self.levels}")
         if self.level is not None:
@@ -124,7 +118,7 @@ class ComfortConfig:
             raise ConfigError("comfort.schedule_s=[] must hold times, the first 0, such as [0,2]")
         if len(times) != len(levels):
             raise ConfigError(f"comfort.schedule_levels={levels} must have the length of comfort.schedule_s={times}")
-        point("comfort.schedule_s", times, len(times), MAX_TIME_S)
         if times and (times[0] != 0 or any(after <= before for before, after in pairwise(times))):
             raise ConfigError(f"comfort.schedule_s={times} must start at 0 and rise")
-        each(within(1, self.levels))("comfort.schedule_levels", levels)
+        for level in levels:
+            between("comfort.schedule_levels", level, 1, self.levels)

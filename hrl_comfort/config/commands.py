@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from pydantic import ConfigDict, Field
+
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
-from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, each, unique, within
+from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED, VALIDATION_SEED
+from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
-from hrl_comfort.config.meta_controller import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import RewardConfig, TaskConfig
 
@@ -32,7 +34,14 @@ FIGURES = (
 
 
 @dataclass(frozen=True)
-class EnvConfig:
+class CommandConfig:
+    """Settings of pydantic that hold for every section of a command."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", str_min_length=1)
+
+
+@dataclass(frozen=True)
+class EnvConfig(CommandConfig):
     """Sections of an environment."""
 
     robot: RobotConfig
@@ -46,11 +55,9 @@ class EnvConfig:
 
 
 @dataclass(frozen=True)
-class TrainConfig(EnvConfig):
-    """`hrl-comfort train`."""
+class TrainingConfig(EnvConfig):
+    """Keys of every training."""
 
-    curriculum: CurriculumConfig
-    agent: AgentConfig
     train_seed: Annotated[int, within(0, 2**63 - 1)]
     """Seed of networks, exploration and replay."""
     episode_seed: Annotated[int, within(0, VALIDATION_SEED - 1)]
@@ -59,20 +66,52 @@ class TrainConfig(EnvConfig):
     """Run folder."""
     resume: str | None
     """Run folder to continue with its own config.yaml."""
+
+
+@dataclass(frozen=True)
+class TrainConfig(TrainingConfig):
+    """`hrl-comfort train`."""
+
+    curriculum: CurriculumConfig
+    agent: AgentConfig
     initial_policy: str | None
     """policy.pt or run folder of the initial actor, critics and normaliser."""
 
     def __post_init__(self) -> None:
-        check_fields("", self)
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
-        between("agent.demonstrator_envs", self.agent.demonstrator_envs, 0, self.engine.num_envs - 1)
-        total = sum(stage.policy_steps for stage in self.curriculum.stages)
-        if self.curriculum.stages and total != self.agent.policy_steps:
-            raise ConfigError(f"agent.policy_steps={self.agent.policy_steps} is not {total}, the sum of its stages'")
+        if self.agent.demonstrator_envs >= self.engine.num_envs:
+            raise ConfigError(
+                f"agent.demonstrator_envs={self.agent.demonstrator_envs} must be below "
+                f"engine.num_envs={self.engine.num_envs}"
+            )
 
 
 @dataclass(frozen=True)
-class MetaControllerTrainConfig(EnvConfig):
+class HierarchyTrainConfig(TrainConfig):
+    """`hrl-comfort train hierarchy`; the sections of `train` hold for every option."""
+
+    meta_controller: MetaControllerConfig
+    hierarchy: HierarchyConfig
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key, value, default in (
+            ("task.name", self.task.name, "pick"),
+            ("task.start", self.task.start, "ik"),
+            ("initial_policy", self.initial_policy, None),
+            ("agent.next_skill", self.agent.next_skill, None),
+        ):
+            if value != default:
+                raise ConfigError(f"{key}={value}: train hierarchy sets it for each option; leave it out")
+        for option in self.meta_controller.options:
+            if option not in self.hierarchy.shares:
+                raise ConfigError(f"hierarchy.shares has no {option}, an option of the division")
+        if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
+            raise ConfigError("hierarchy.controller= sorts with pick, place and return: choose division=three")
+
+
+@dataclass(frozen=True)
+class MetaControllerTrainConfig(TrainingConfig):
     """`hrl-comfort train meta_controller`: training of a meta-controller over frozen policies."""
 
     meta_controller: MetaControllerConfig
@@ -81,17 +120,8 @@ class MetaControllerTrainConfig(EnvConfig):
     """Policy of each subtask."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
     """Disturbance of each episode, one of DISTURBANCES."""
-    train_seed: Annotated[int, within(0, 2**63 - 1)]
-    """Seed of networks, exploration and replay."""
-    episode_seed: Annotated[int, within(0, VALIDATION_SEED - 1)]
-    """Seed of the episodes."""
-    output: str
-    """Run folder."""
-    resume: str | None
-    """Run folder to continue with its own config.yaml."""
 
     def __post_init__(self) -> None:
-        check_fields("", self)
         if self.task.name != "sort":
             raise ConfigError(
                 f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort"
@@ -134,7 +164,6 @@ class EvaluateConfig(EnvConfig):
     """Folder of the evaluation."""
 
     def __post_init__(self) -> None:
-        check_fields("", self)
         if self.disturbance != "none":
             self._check_disturbance()
         chained = self.meta_controller.name != "none"
@@ -173,7 +202,8 @@ class EvaluateConfig(EnvConfig):
 
     def _check_levels(self) -> None:
         said, source = f"levels={list(self.levels)}", self.comfort.source
-        each(within(1, self.comfort.levels))("levels", self.levels)
+        for level in self.levels:
+            between("levels", level, 1, self.comfort.levels)
         if source not in ("none", "fixed", "random"):
             raise ConfigError(f"{said} does not go with comfort.source={source}; choose none, fixed or random")
         if self.terminal_states is not None:
@@ -183,7 +213,7 @@ class EvaluateConfig(EnvConfig):
 
 
 @dataclass(frozen=True)
-class ReportConfig:
+class ReportConfig(CommandConfig):
     """`hrl-comfort report`."""
 
     run: str
@@ -195,14 +225,14 @@ class ReportConfig:
 
 
 @dataclass(frozen=True)
-class FigureConfig:
+class FigureConfig(CommandConfig):
     """`hrl-comfort figure`."""
 
     kind: Annotated[str, choice(*FIGURES)]
     """Kind of figure."""
-    evaluations: list[str]
+    evaluations: Annotated[list[str], Field(min_length=1)]
     """Folders of evaluations, or patterns such as `runs/*/eval`."""
-    output: str
+    output: Annotated[str, Field(pattern=r"\.png$")]
     """PNG file; its numbers, if any, go to a JSON file of the same name."""
     labels: list[str]
     """`plane`, `people`: a name for each of `evaluations`; equal names form one series of `plane`."""
@@ -217,11 +247,6 @@ class FigureConfig:
     """`jump`: time of the level change, s from the start of the episode."""
 
     def __post_init__(self) -> None:
-        check_fields("", self)
-        if not self.evaluations:
-            raise ConfigError("evaluations=[] must name at least one folder of an evaluation")
-        if not self.output.endswith(".png"):
-            raise ConfigError(f"output={self.output!r} must end in .png")
         if self.labels and len(self.labels) != len(self.evaluations):
             raise ConfigError(f"labels={list(self.labels)} must be as many as evaluations, or none")
         if len(self.episodes) > 2 and self.kind != "timeline":

@@ -19,7 +19,7 @@ from yaml import YAMLError
 from hrl_comfort.config import ConfigError, EnvConfig, HierarchyTrainConfig, TrainConfig
 from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
 from hrl_comfort.config.stages import stages_of, with_budget
-from hrl_comfort.config.structured import freeze, schema
+from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
 
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
@@ -58,25 +58,24 @@ def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Confi
 
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
     """
-    if not issubclass(cls, TrainConfig):
-        return freeze(cls, node)
-    asked = any(line.startswith("agent.policy_steps=") for line in overrides)
-    total, stages = node.agent.policy_steps, node.curriculum.stages
-    if stages and not OmegaConf.missing_keys(stages):
-        node.agent.policy_steps = sum(stage.policy_steps for stage in stages)
     config = freeze(cls, node)
-    stages_of(config)
-    if not asked:
+    if not isinstance(config, TrainConfig):
         return config
-    if isinstance(config, HierarchyTrainConfig) and stages:
-        share = total / config.agent.policy_steps
+    stages_of(config)
+    total = sum(stage.policy_steps for stage in config.curriculum.stages)
+    if not total:
+        return config
+    asked = config.agent.policy_steps
+    if not any(line.startswith("agent.policy_steps=") for line in overrides):
+        return dataclasses.replace(config, agent=dataclasses.replace(config.agent, policy_steps=total))
+    if isinstance(config, HierarchyTrainConfig):
         again = [
-            dataclasses.replace(each, policy_steps=max(1, round(share * each.policy_steps)))
+            dataclasses.replace(each, policy_steps=max(1, round(asked / total * each.policy_steps)))
             for each in config.hierarchy.refinement
         ]
         hierarchy = dataclasses.replace(config.hierarchy, refinement=again)
         config = dataclasses.replace(config, hierarchy=hierarchy)
-    return with_budget(config, total)
+    return with_budget(config, asked)
 
 
 def environment(config: EnvConfig) -> EnvConfig:
@@ -102,7 +101,7 @@ def load_config(path: str | Path) -> Config:
         loaded = OmegaConf.load(file)
         for cls in ROOTS.values():
             if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
-                return freeze(cls, OmegaConf.merge(OmegaConf.structured(schema(cls)), loaded))
+                return freeze(cls, loaded)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{file}: {one_line(error)}") from error
     except ConfigError:

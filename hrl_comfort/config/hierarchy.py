@@ -1,21 +1,72 @@
-"""Configuration of `hrl-comfort train hierarchy`: a training for each option of a cycle, then the whole."""
+"""Configuration of the hierarchy: its trainings, and the meta-controller above its options."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, between, check_fields, within
-from hrl_comfort.config.commands import TrainConfig
+from hrl_comfort.config.checks import Widths, between, choice, unique, within
 from hrl_comfort.config.learning import StageConfig
-from hrl_comfort.config.meta_controller import MetaControllerConfig
+
+CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
+
+
+@dataclass(frozen=True)
+class MetaControllerConfig:
+    """The meta-controller, which sequences frozen policies."""
+
+    name: Annotated[str, choice(*CONTROLLERS)]
+    """Kind of controller; `none` runs a single policy."""
+    options: list[str]
+    """Subtasks in the order of the scripted controller."""
+    time_limit_steps: Annotated[int, within(1, 100_000)]
+    """Control steps after which an option (of `sort`, a skill) is preempted."""
+    retries: Annotated[int, within(0, 100)]
+    """Retries of a preempted option; `sort` retries until the episode ends."""
+    level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
+    """`sort`: levels, 1 to `comfort.levels`, that the controller may give a skill instead of the current level."""
+
+
+@dataclass(frozen=True)
+class MetaControllerAgentConfig:
+    """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
+
+    options: Annotated[int, within(1, 1e9)]
+    """Options to train for, over all cells."""
+    warmup_options: Annotated[int, within(0, 1e9)]
+    """Random options before the first update."""
+    updates_per_option: Annotated[float, within(0.0, 16.0)]
+    """Updates of the network an option."""
+    batch_size: Annotated[int, within(1, 65536)]
+    """Options a batch."""
+    buffer_size: int
+    """Capacity of the replay buffer in options, at least `batch_size`."""
+    learning_rate: Annotated[float, within(0.0, 1.0)]
+    """Learning rate of Adam."""
+    tau: Annotated[float, within(0.0, 1.0)]
+    """Update rate of the target network."""
+    ema_rate: Annotated[float, within(1e-6, 1.0)]
+    """Weight of the latest network in the moving average that is saved; 1 saves the latest."""
+    gamma: Annotated[float, within(0.0, 1.0)]
+    """Discount a control step; an option of k steps has gamma**k."""
+    hidden: Widths
+    """Widths of the hidden layers."""
+    exploration_start: Annotated[float, within(0.0, 1.0)]
+    """Probability of a random option at the start."""
+    exploration_end: Annotated[float, within(0.0, 1.0)]
+    """The same from half of the training on; linear in between."""
+    log_every: Annotated[int, within(1, 1e9)]
+    """Options between two rows of meta_controller_metrics.csv, and between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        between("meta_controller_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
 
 
 @dataclass(frozen=True)
 class HierarchyConfig:
     """Budgets and steps of a hierarchy's trainings."""
 
-    shares: dict[str, float]
+    shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
     """Budget of each option's training, as a multiple of `agent.policy_steps`; so of every stage."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Episodes that record the starts of the next option."""
@@ -28,32 +79,3 @@ class HierarchyConfig:
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: list[str]
     """Overrides of `train meta_controller`, run above the options; none: the scripted controller alone."""
-
-    def __post_init__(self) -> None:
-        check_fields("hierarchy", self)
-        for name, share in self.shares.items():
-            between(f"hierarchy.shares.{name}", share, 0.001, 1000.0)
-
-
-@dataclass(frozen=True)
-class HierarchyTrainConfig(TrainConfig):
-    """`hrl-comfort train hierarchy`; the sections of `train` hold for every option."""
-
-    meta_controller: MetaControllerConfig
-    hierarchy: HierarchyConfig
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for key, value, default in (
-            ("task.name", self.task.name, "pick"),
-            ("task.start", self.task.start, "ik"),
-            ("initial_policy", self.initial_policy, None),
-            ("agent.next_skill", self.agent.next_skill, None),
-        ):
-            if value != default:
-                raise ConfigError(f"{key}={value}: train hierarchy sets it for each option; leave it out")
-        for option in self.meta_controller.options:
-            if option not in self.hierarchy.shares:
-                raise ConfigError(f"hierarchy.shares has no {option}, an option of the division")
-        if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
-            raise ConfigError("hierarchy.controller= sorts with pick, place and return: choose division=three")

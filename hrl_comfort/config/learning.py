@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from hrl_comfort.config.checks import ConfigError, check_fields, choice, widths, within
+from pydantic import Field
+
+from hrl_comfort.config.checks import ConfigError, Widths, between, choice, within
 
 
 @dataclass(frozen=True)
 class StageConfig:
     """One stage of a training. The fields with a default are those that a list in YAML may leave out."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     """Written to the column `stage` of metrics.csv."""
     policy_steps: Annotated[int, within(1, 1e9)]
     """Policy calls of this stage, over all environments."""
@@ -23,11 +24,6 @@ class StageConfig:
     """`clear` empties the replay buffer at the start of the stage; `keep` keeps it, old rewards included."""
     optimiser: Annotated[str, choice("keep", "fresh")] = "fresh"
     """`fresh` resets the optimiser's moments at the start of the stage; `keep` keeps them."""
-
-    def __post_init__(self) -> None:
-        if not re.fullmatch(r"[\w.-]+", self.name):
-            raise ConfigError(f"curriculum.stages: name={self.name!r} must be letters, digits and ._- only")
-        check_fields(f"curriculum.stages ({self.name})", self)
 
 
 @dataclass(frozen=True)
@@ -55,8 +51,7 @@ class CurriculumConfig:
     """`linear`: share of the stage after which `end_m` is reached."""
 
     def __post_init__(self) -> None:
-        check_fields("curriculum", self)
-        within(self.end_m, 0.5)("curriculum.start_m", self.start_m)
+        between("curriculum.start_m", self.start_m, self.end_m, 0.5)
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ConfigError(f"curriculum.stages are named {', '.join(names)}; give each a name of its own")
@@ -80,7 +75,7 @@ class AgentConfig:
     """Capacity of the replay buffer in transitions, at least `batch_size`."""
     learning_rate: Annotated[float, within(0.0, 1.0)]
     """Learning rate of Adam."""
-    learning_rate_end: Annotated[float | None, within(0.0, 1.0)]
+    learning_rate_end: Annotated[float, within(0.0, 1.0)] | None
     """Learning rate at the end of the stage, reached linearly; null keeps it."""
     critic_layer_norm: bool
     """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
@@ -90,7 +85,7 @@ class AgentConfig:
     """Weight of the latest actor in the moving average that is saved (Polyak and Juditsky 1992); 1 saves the latest."""
     gamma: Annotated[float, within(0.0, 1.0)]
     """Discount a control step; a decision of k steps has gamma**k."""
-    hidden: Annotated[list[int], widths]
+    hidden: Widths
     """Widths of the hidden layers."""
     entropy_coefficient: Annotated[float, within(1e-8, 100.0)]
     """Initial entropy coefficient, which is learned."""
@@ -118,8 +113,7 @@ class AgentConfig:
     """Number of checkpoints to keep."""
 
     def __post_init__(self) -> None:
-        check_fields("agent", self)
-        within(self.batch_size, 1e8)("agent.buffer_size", self.buffer_size)
+        between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
         if (self.demonstrator is None) != (self.demonstrator_envs == 0):
             raise ConfigError(
                 f"agent.demonstrator_envs={self.demonstrator_envs} does not go with "

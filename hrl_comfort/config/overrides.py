@@ -98,8 +98,9 @@ def _quoted(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, (list, tuple)):
         return f"[{','.join(map(_quoted, value))}]"
-    if isinstance(value, (int, float)) or re.fullmatch(r"[\w./-]+", str(value), re.ASCII):
+    if isinstance(value, (int, float)) or re.fullmatch(r"[\w.-]*/[\w./-]*", str(value), re.ASCII):
         return str(value)
+    # Everything else in quotes, for a text may look like a number.
     # Hydra takes a backslash literally unless a quote, or the end of the text, follows the backslashes.
     escaped = re.sub(r"(\\+)(?='|$)", r"\1\1", str(value)).replace("'", "\\'")
     return f"'{escaped}'"
@@ -120,6 +121,11 @@ def _parsed(line: str, sweep: bool) -> Override:
     try:
         parsed = OverridesParser.create().parse_override(line)
     except (HydraException, ValueError) as error:  # ValueError: a number of thousands of digits
+        if entry := re.search(r"[\[,]\s*([\w./]+=[^,'\"\]]*)", line):
+            raise ConfigError(
+                f"{line!r} is not an override: put {entry[1]} in inner quotes, as in "
+                "\"hierarchy.controller=['human=patrol']\""
+            ) from error
         raise ConfigError(
             f"{line!r} is not an override; write key=value, such as human=arc, and quote a value with other "
             "characters than letters, digits and ./-_ : \"output='my run'\""
@@ -166,7 +172,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         kind = fields[name]
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
-    return line
+    in_list = any(part.isdigit() for part in parts)  # an entry may leave out keys that have a default
+    return f"++{line}" if in_list and line[0] != "+" else line
 
 
 def _near(word: str, words: Iterable[str]) -> str:

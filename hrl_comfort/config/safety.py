@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import check_fields, choice, within
+from hrl_comfort.config.checks import choice, within
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,3 @@ class SafetyConfig:
     """Age of the person's measured position, s."""
     margin_m: Annotated[float, within(0.0, 0.5)]
     """Error of measured positions of person and arm, m."""
-
-    def __post_init__(self) -> None:
-        check_fields("safety", self)

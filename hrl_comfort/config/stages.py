@@ -12,8 +12,8 @@ from omegaconf.errors import OmegaConfBaseException
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.commands import TrainConfig
 from hrl_comfort.config.learning import StageConfig
-from hrl_comfort.config.overrides import one_line
-from hrl_comfort.config.structured import freeze, schema
+from hrl_comfort.config.overrides import check_overrides, one_line, override
+from hrl_comfort.config.structured import freeze
 
 T = TypeVar("T", bound=TrainConfig)
 SETTABLE = ("agent", "comfort", "curriculum", "human", "reward", "task.precision", "task.resample_start_probability")
@@ -34,11 +34,11 @@ def train_config(config: TrainConfig, **changes: Any) -> TrainConfig:
     return TrainConfig(**{**fields, **changes})
 
 
-def stages_of(config: TrainConfig) -> list[tuple[StageConfig, TrainConfig]]:
+def stages_of(config: TrainConfig, key: str = "curriculum.stages") -> list[tuple[StageConfig, TrainConfig]]:
     """Return every stage of a training and the configuration that is in force in it.
 
     Each is the run's own configuration with that stage's values: they do not accumulate from stage to stage. A
-    training without stages is one stage, `train`.
+    training without stages is one stage, `train`. An error names the stages by `key`.
 
     Raises:
         ConfigError: a stage sets a key that is not there or that holds for the whole training, or its value is not
@@ -52,18 +52,19 @@ def stages_of(config: TrainConfig) -> list[tuple[StageConfig, TrainConfig]]:
         try:
             found.append((stage, _in_stage(config, stage, number)))
         except (ConfigError, OmegaConfBaseException) as error:
-            raise ConfigError(f"curriculum.stages.{number} ({stage.name}): {one_line(error)}") from error
+            raise ConfigError(f"{key}.{number}.set: {one_line(error)}") from error
     return found
 
 
 def _in_stage(config: TrainConfig, stage: StageConfig, number: int) -> TrainConfig:
-    node = OmegaConf.merge(OmegaConf.structured(schema(TrainConfig)), dataclasses.asdict(train_config(config)))
+    node = OmegaConf.create(dataclasses.asdict(train_config(config)))
     node.curriculum.stages = []
     node.agent.policy_steps = stage.policy_steps
     node.episode_seed += number * EPISODE_SEEDS
     for key, value in flat(stage.set):
         if key in FIXED or not any(f"{key}.".startswith(f"{part}.") for part in SETTABLE):
             raise ConfigError(f"{key} cannot change within a training; a stage sets values of {', '.join(SETTABLE)}")
+        check_overrides("train", [override(key, value)])
         OmegaConf.update(node, key, value)
     changed = freeze(TrainConfig, node)
     if (changed.comfort.source == "none") != (config.comfort.source == "none"):
@@ -88,8 +89,9 @@ def with_budget(config: T, policy_steps: int) -> T:
         dataclasses.replace(stage, policy_steps=end - begin)
         for stage, begin, end in zip(config.curriculum.stages, [0, *ends], ends, strict=False)
     ]
-    return dataclasses.replace(
+    changed = dataclasses.replace(
         config,
         curriculum=dataclasses.replace(config.curriculum, stages=stages),
         agent=dataclasses.replace(config.agent, policy_steps=policy_steps),
     )
+    return freeze(type(config), OmegaConf.create(dataclasses.asdict(changed)))

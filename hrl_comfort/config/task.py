@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, between, check_fields, choice, coordinates, each, within
+from hrl_comfort.config.checks import ConfigError, Pair, Point, choice, within
 
 COLOURS = ("orange", "pink")
 """By number in `State.colour`."""
@@ -23,9 +23,6 @@ class PrecisionConfig:
     home_tolerance_deg: Annotated[float, within(0.1, 60.0)]
     """Largest joint error at which `return` is done, degrees."""
 
-    def __post_init__(self) -> None:
-        check_fields("task.precision", self)
-
 
 @dataclass(frozen=True)
 class TaskConfig:
@@ -37,7 +34,7 @@ class TaskConfig:
     """Colour of the balls."""
     balls: int
     """Number of balls on the pick table; above 1 for `sort` only."""
-    ball_slots_m: Annotated[list[list[float]], each(coordinates(2))]
+    ball_slots_m: list[Pair]
     """Possible positions (x, y) of balls relative to `cell.ball_m`, m; each ball has a slot of its own."""
     ball_jitter_m: Annotated[float, within(0.0, 0.1)]
     """Largest offset of a ball from its slot along x and along y, m."""
@@ -60,9 +57,9 @@ class TaskConfig:
     """Layout of the observation, as of `tasks.observations`."""
     point: Annotated[str, choice("fixed", "random")]
     """`reach`: the goal is `point_m`, or random in each episode."""
-    point_m: Annotated[list[float], coordinates(3)]
+    point_m: Point
     """`reach`, `point_to_point`: the fixed point, m."""
-    second_point_m: Annotated[list[float], coordinates(3)]
+    second_point_m: Point
     """`point_to_point`: fixed second point, m."""
     start: str
     """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
@@ -70,7 +67,6 @@ class TaskConfig:
     """Training: probability of a new random human and level for a recorded start, instead of the recorded ones."""
 
     def __post_init__(self) -> None:
-        check_fields("task", self)
         if not 1 <= self.balls <= len(self.ball_slots_m):
             raise ConfigError(
                 f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the length of task.ball_slots_m"
@@ -79,41 +75,40 @@ class TaskConfig:
             raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort")
 
 
+Weight = Annotated[float, within(-1e4, 1e4)]
+
+
 @dataclass(frozen=True)
 class RewardConfig:
     """Weight of each reward term; docs/tasks.md has their equations and units."""
 
-    progress: float
+    progress: Weight
     """Per m of decrease of the tool's distance from its goal."""
-    home_progress: float
+    home_progress: Weight
     """Per rad of decrease of the sum of joint errors, in `return`."""
-    pick: float
+    pick: Weight
     """Completion of `pick`."""
-    place: float
+    place: Weight
     """Completion of `place`."""
-    home: float
+    home: Weight
     """Completion of `return`."""
-    reach: float
+    reach: Weight
     """Completion of `reach`."""
-    arrival_speed: float
+    arrival_speed: Weight
     """Per rad/s of joint velocity (Euclidean norm) at the control step that completes a stage."""
-    human_collision: float
+    human_collision: Weight
     """Contact of the robot with the human."""
-    other_collision: float
+    other_collision: Weight
     """Contact of the robot with the cell or itself."""
-    step: float
+    step: Weight
     """Every control step."""
-    overtime: float
+    overtime: Weight
     """Every control step after `tasks.rewards.LATE_STEPS`."""
-    return_shaping: float
+    return_shaping: Weight
     """The released code's shaping of `return`."""
-    k1: float
+    k1: Weight
     """Factor of the bonus `pick` (Eq. 1)."""
-    k2: float
+    k2: Weight
     """Factor of the bonus `place` (Eq. 1)."""
-    k3: float
+    k3: Weight
     """Factor of the bonus `home` (Eq. 1)."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            between(f"reward.{field.name}", getattr(self, field.name), -1e4, 1e4)

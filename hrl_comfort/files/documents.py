@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
-from hrl_comfort.config.checks import ConfigError
+from hrl_comfort.config.checks import ConfigError, first_error
 
 T = TypeVar("T")
 
@@ -53,10 +53,7 @@ def read_json(path: Path, kind: type[T]) -> T:
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        cell = "" if not place or first["type"] == "missing" else f"={first['input']!r:.60}"
-        raise damaged(path, f"{place}{cell}: {first['msg']}".removeprefix(": ")) from None
+        raise damaged(path, first_error(error)) from None
 
 
 def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:

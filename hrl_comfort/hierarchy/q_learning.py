@@ -19,7 +19,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.meta_controller import MetaControllerAgentConfig
+from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
 from hrl_comfort.hierarchy.executor import Choose, Decision
 from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
 from hrl_comfort.policies.actor import WIDEST

@@ -16,7 +16,6 @@ from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.checks import filled
 from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import Run, job
@@ -113,7 +112,8 @@ def _plugin_overrides(overrides: list[str]) -> list[str]:
 def _folder_overrides(output: str) -> list[str]:
     """Return Hydra's overrides for `output`: numbered subfolders, unless it contains `${...}`."""
     output = output.strip("'\"")
-    filled("output", output)
+    if not output:
+        raise ConfigError("output='' is empty; it takes a value")
     head, sign, tail = output.partition("${")
     if not sign:
         return [f"hydra.sweep.dir='{output}'"]

@@ -82,7 +82,7 @@ def _check(config: HierarchyTrainConfig, folder: Path) -> None:
     for name in config.meta_controller.options:
         stages_of(option_config(config, name, folder, "ik"))
         if config.hierarchy.refinement:
-            stages_of(refined_config(config, name, folder, "ik", folder, None))
+            stages_of(refined_config(config, name, folder, "ik", folder, None), "hierarchy.refinement")
     compose("train_meta_controller", config.hierarchy.controller)
 
 

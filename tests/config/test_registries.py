@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.config import DISTURBANCES, FIGURES, ConfigError, comfort, meta_controller, task
+from hrl_comfort.config import DISTURBANCES, FIGURES, ConfigError, comfort, hierarchy, task
 from hrl_comfort.hierarchy.meta_controllers import make_choice
 from hrl_comfort.plots import figure
 from hrl_comfort.sim.disturbance import Disturbance
@@ -29,7 +29,7 @@ def test_the_configuration_allows_the_registered_names(allowed: tuple[str, ...],
 
 
 def test_every_controller_of_the_configuration_exists() -> None:
-    for name in meta_controller.CONTROLLERS:
+    for name in hierarchy.CONTROLLERS:
         if name in ("none", "learned"):
             with pytest.raises(ConfigError, match=f"meta_controller={name} "):
                 make_choice(name, 0)

@@ -126,8 +126,13 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     [
         (["task=place"], "task.name=place: train hierarchy sets it"),
         (["hierarchy.shares.pick=0"], r"hierarchy\.shares\.pick=0\.0 is outside"),
-        (["hierarchy.refinement=[{name:a,policy_steps:9,set:{reward.pik:1}}]"], r"stages\.0 \(a\): reward\.pik"),
+        (
+            ["hierarchy.refinement=[{name:a,policy_steps:9,set:{reward.pik:1}}]"],
+            r"^hierarchy\.refinement\.0\.set: reward\.pik",
+        ),
         (["hierarchy.controller=['human=nobody']"], "human=nobody is not a choice"),
+        (["hierarchy.controller=[human=arc]"], r"put human=arc in inner quotes, as in \"hierarchy\.controller=\['"),
+        (["agent.demonstrator=expert", "agent.demonstrator_envs=16"], r"envs=16 must be below engine\.num_envs=16"),
         (["hierarchy.controller=['human=patrol']", "division=two"], "choose division=three"),
         (["initial_policy=runs/pick"], "initial_policy=runs/pick: train hierarchy sets it"),
     ],
