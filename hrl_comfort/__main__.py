@@ -7,19 +7,11 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from hrl_comfort.config import (
-    ConfigError,
-    EvaluateConfig,
-    FigureConfig,
-    HierarchyTrainConfig,
-    MetaControllerTrainConfig,
-    ReportConfig,
-    StudioConfig,
-    TrainConfig,
-)
+from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 
@@ -33,159 +25,71 @@ VERBS = {
 }
 
 
-def train(overrides: list[str]) -> None:
-    """Run `hrl-comfort train`."""
+COMMANDS = {
+    "train": ("train", "hrl_comfort.training.trainer:train"),
+    "train hierarchy": ("train_hierarchy", "hrl_comfort.training.hierarchy_trainer:train_hierarchy"),
+    "train meta_controller": ("train_meta_controller", "hrl_comfort.training.controller_trainer:train_meta_controller"),
+    "evaluate": ("evaluate", "hrl_comfort.evaluation.evaluate:evaluate"),
+    "evaluate handover": ("evaluate", "hrl_comfort.evaluation.handover:handover"),
+    "report": ("report", "hrl_comfort.report.report:report"),
+    "figure": ("figure", "hrl_comfort.plots.figure:figure"),
+    "studio": ("studio", "hrl_comfort.studio.server:studio"),
+    "bench env": ("train", "hrl_comfort.benchmarks.env:bench_env"),
+    "bench update": ("train", "hrl_comfort.benchmarks.update:bench_update"),
+    "bench train": ("train", "hrl_comfort.benchmarks.train:bench_train"),
+}
+"""Configuration of each command, and its function, imported once the configuration has been checked."""
+
+
+def run(command: str, overrides: list[str]) -> None:
+    """Run a command with overrides; of a hierarchy, write the report once and show its table."""
     from hrl_comfort.config.compose import compose
+    from hrl_comfort.config.overrides import override
 
-    config = compose("train", overrides)
-    assert isinstance(config, TrainConfig)
-    _check_resumed_alone(config, overrides)
-    from hrl_comfort.training.trainer import train as run
-
-    run(config)
-
-
-def train_meta_controller(overrides: list[str]) -> None:
-    """Run `hrl-comfort train meta_controller`."""
-    from hrl_comfort.config.compose import compose
-
-    config = compose("train_meta_controller", overrides)
-    assert isinstance(config, MetaControllerTrainConfig)
-    _check_resumed_alone(config, overrides)
-    from hrl_comfort.training.controller_trainer import train_meta_controller as run
-
-    run(config)
+    if command == "report":  # a folder alone is its run
+        overrides = [override("run", each) if Path(each).is_dir() else each for each in overrides]
+    elif command == "studio":
+        overrides = studio_overrides(overrides)
+    root, place = COMMANDS[command]
+    config = compose(root, overrides)
+    others = [line for line in overrides if not line.startswith("resume=")]
+    if others and getattr(config, "resume", None) is not None:
+        raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+    module, name = place.split(":")
+    result = getattr(import_module(module), name)(config)
+    if command == "train hierarchy":
+        show_hierarchy(result)
 
 
-def train_hierarchy(overrides: list[str]) -> None:
-    """Run `hrl-comfort train hierarchy`; write its report once."""
-    from hrl_comfort.config.compose import compose
+def show_hierarchy(folder: Path) -> None:
+    """Print the table of a hierarchy and where its report is; write that once."""
+    from hrl_comfort.report.report import report
+    from hrl_comfort.training.hierarchy_trainer import print_table
 
-    config = compose("train_hierarchy", overrides)
-    assert isinstance(config, HierarchyTrainConfig)
-    _check_resumed_alone(config, overrides)
-    from hrl_comfort.training.hierarchy_trainer import is_finished, print_table
-    from hrl_comfort.training.hierarchy_trainer import train_hierarchy as run
-
-    folder = Path(config.resume or config.output)
-    if is_finished(folder):
-        print(f"{folder} is finished")
-    run(config)
     page = folder / "report.html"
     if not page.is_file():
-        from hrl_comfort.report.report import report as write
-
-        write(ReportConfig(run=str(folder), output=None, video=True))
+        report(ReportConfig(run=str(folder), output=None, video=True))
     print_table(folder)
     print(f"report: {page}")
     print(f"watch it: hrl-comfort studio policy={folder}")
 
 
-def _check_resumed_alone(config: TrainConfig | MetaControllerTrainConfig, overrides: list[str]) -> None:
-    """Raise ConfigError where a training is to go on, and otherwise than it began."""
-    others = [line for line in overrides if not line.startswith("resume=")]
-    if config.resume is not None and others:
-        raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+def studio_overrides(overrides: list[str]) -> list[str]:
+    """Return `overrides` with the policies that the studio plays if none is named.
 
-
-def evaluate(overrides: list[str]) -> None:
-    """Run `hrl-comfort evaluate`."""
-    from hrl_comfort.config.compose import compose
-
-    config = compose("evaluate", overrides)
-    assert isinstance(config, EvaluateConfig)
-    if config.terminal_states is not None:
-        from hrl_comfort.evaluation.terminal_states import record_terminal_states as run
-    else:
-        from hrl_comfort.evaluation.evaluate import evaluate as run
-
-    run(config)
-
-
-def handover(overrides: list[str]) -> None:
-    """Run `hrl-comfort evaluate handover`."""
-    from hrl_comfort.config.compose import compose
-
-    config = compose("evaluate", overrides)
-    assert isinstance(config, EvaluateConfig)
-    from hrl_comfort.evaluation.handover import handover as run
-
-    run(config)
-
-
-def report(overrides: list[str]) -> None:
-    """Run `hrl-comfort report`; a folder alone is its run."""
-    from hrl_comfort.config.compose import compose
-    from hrl_comfort.config.overrides import override
-
-    config = compose("report", [override("run", each) if Path(each).is_dir() else each for each in overrides])
-    assert isinstance(config, ReportConfig)
-    from hrl_comfort.report.report import report as run
-
-    run(config)
-
-
-def figure(overrides: list[str]) -> None:
-    """Run `hrl-comfort figure`."""
-    from hrl_comfort.config.compose import compose
-
-    config = compose("figure", overrides)
-    assert isinstance(config, FigureConfig)
-    from hrl_comfort.plots.figure import figure as run
-
-    run(config)
-
-
-def studio(overrides: list[str]) -> None:
-    """Run `hrl-comfort studio`."""
-    from hrl_comfort.config.compose import compose
-
+    Raises:
+      ConfigError: viser is not installed.
+    """
     try:
-        from hrl_comfort.studio.server import studio as run
+        from hrl_comfort.studio.policies import with_defaults
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("viser", "trimesh", "websockets"):
             raise
         raise ConfigError(f"studio needs viser: pip install 'hrl-comfort[studio]' ({error})") from error
-    from hrl_comfort.studio.policies import with_defaults
-
-    config = compose("studio", with_defaults(overrides))
-    assert isinstance(config, StudioConfig)
-    run(config)
+    return with_defaults(overrides)
 
 
-BENCHMARKS = {
-    "env": "hrl_comfort.benchmarks.env:bench_env",
-    "update": "hrl_comfort.benchmarks.update:bench_update",
-    "train": "hrl_comfort.benchmarks.train:bench_train",
-}
-"""Imported when asked for; they need the simulator, and some of them peers."""
-
-
-def bench(words: list[str]) -> None:
-    """Run one of the benchmarks."""
-    if not words or words[0] not in BENCHMARKS:
-        what = words[0] if words else "(nothing)"
-        raise ConfigError(f"bench {what} is not known; choose one of {', '.join(BENCHMARKS)}")
-    from hrl_comfort.config.compose import compose
-
-    config = compose("train", words[1:])
-    assert isinstance(config, TrainConfig)
-    module, name = BENCHMARKS[words[0]].split(":")
-    getattr(import_module(module), name)(config)
-
-
-RUN: dict[str, Callable[[list[str]], None]] = {
-    "train": train,
-    "train hierarchy": train_hierarchy,
-    "train meta_controller": train_meta_controller,
-    "evaluate": evaluate,
-    "evaluate handover": handover,
-    "report": report,
-    "figure": figure,
-    "studio": studio,
-    "bench": bench,
-}
-"""Function of each verb, alone or with the word after it."""
+RUN: dict[str, Callable[[list[str]], None]] = {command: partial(run, command) for command in COMMANDS}
 SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
 
@@ -241,6 +145,10 @@ def main(words: list[str] | None = None) -> int:
         overrides = [word for word in rest if word not in ("-m", "--multirun")]
         if overrides and f"{verb} {overrides[0]}" in RUN:
             verb, overrides = f"{verb} {overrides[0]}", overrides[1:]
+        if verb not in RUN:
+            what = overrides[0] if overrides else "(nothing)"
+            known = [command.split()[1] for command in RUN if command.startswith(f"{verb} ")]
+            raise ConfigError(f"{verb} {what} is not known; choose one of {', '.join(known)}")
         sweep(verb, overrides) if swept else RUN[verb](overrides)
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)

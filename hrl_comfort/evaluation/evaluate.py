@@ -16,17 +16,20 @@ from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout
+from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.policies.load import Source
 
 
 def evaluate(config: EvaluateConfig) -> Path:
-    """Evaluate a policy or chain; return the folder that holds episodes.csv and summary.json.
+    """Evaluate a policy or chain; return the folder that holds episodes.csv and summary.json, or the terminal states.
 
     Raises:
       ConfigError: no such policy, or one of another subtask.
     """
     torch.set_num_threads(1)
+    if config.terminal_states is not None:
+        return record_terminal_states(config)
     for name in config.group_by:
         if name not in COLUMNS:
             raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")

@@ -43,11 +43,7 @@ def damaged(path: Path, reason: object) -> ConfigError:
 
 
 def read_json(path: Path, kind: type[T]) -> T:
-    """Return the content of a JSON file.
-
-    Raises:
-      ConfigError: the file does not exist, or is not of this kind.
-    """
+    """Return the content of a JSON file; raise ConfigError if the file does not exist, or is not of this kind."""
     try:
         return TypeAdapter(kind).validate_json(path.read_bytes())
     except FileNotFoundError:

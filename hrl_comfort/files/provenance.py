@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
+from hrl_comfort.config import TrainingConfig
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import read_json
 
@@ -35,12 +36,19 @@ def read_provenance(folder: Path) -> Provenance:
     return read_json(folder / "provenance.json", Provenance)
 
 
-def write_provenance(folder: Path, seeds: dict[str, int], **progress: Any) -> None:
-    """Write versions, commit, seeds, machine and `progress` (finished, policy_steps, wall_seconds, …)."""
+def is_finished(folder: Path) -> bool:
+    """Return whether the training in `folder` is complete; raise ConfigError where its provenance is damaged."""
+    return (folder / "provenance.json").is_file() and read_provenance(folder).finished
+
+
+def write_provenance(folder: Path, config: TrainingConfig, finished: bool, seconds: float, **progress: Any) -> None:
+    """Write versions, commit, seeds, machine and progress (policy_steps, updates, …) of a training."""
     machine = {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()}
     content = {
+        "finished": finished,
         **progress,
-        "seeds": seeds,
+        "wall_seconds": round(seconds, 1),
+        "seeds": {"train_seed": config.train_seed, "episode_seed": config.episode_seed},
         "commit": _commit(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in PACKAGES},

@@ -90,11 +90,7 @@ def _minutes(folder: Path, provenance: Provenance | None) -> float | None:
 
 
 def find_runs(folder: Path) -> list[Run]:
-    """Return the run that `folder` is, or the runs in it.
-
-    Raises:
-      ConfigError: there is none.
-    """
+    """Return the run that `folder` is, or the runs in it; raise ConfigError if there is none."""
 
     def is_run(path: Path) -> bool:
         return any((path / mark).is_file() for mark in MARKS)

@@ -19,7 +19,7 @@ from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import damaged, read_json
 
 FILE = "job.json"
-State = Literal["running", "done", "stopped", "failed"]
+JobState = Literal["running", "done", "stopped", "failed"]
 """A job that was killed stays `running`: it could not record its end."""
 
 
@@ -30,7 +30,7 @@ class Job:
     verb: str
     overrides: tuple[str, ...]
     """Without `output` and Hydra's own: `task=pick`, `train_seed=0`."""
-    state: State
+    state: JobState
     why: str = ""
     """The reason why it failed or stopped, in one line."""
     command: str = ""

@@ -154,6 +154,25 @@ def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]
     write_text(path, text.getvalue())
 
 
+class GrowingTable:
+    """A CSV that a training extends row by row."""
+
+    def __init__(self, path: Path, header: Sequence[str]) -> None:
+        self._path, self._header = path, header
+
+    def begin(self, rows: int) -> None:
+        """Cut the file back to its first `rows` rows; raise ConfigError if it holds fewer."""
+        lines = self._path.read_text().splitlines(keepends=True)[1 : rows + 1] if rows else []
+        if len(lines) < rows:
+            raise damaged(self._path, f"it holds {len(lines)} rows; its checkpoint was written after {rows}")
+        write_text(self._path, "".join([",".join(self._header) + "\n", *lines]))
+
+    def append(self, cells: Iterable[Any]) -> None:
+        """Write a row; None becomes an empty cell."""
+        with self._path.open("a", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerow(cells)
+
+
 def records_of(rows: Iterable[Mapping[str, Any]], name: str) -> DataFrame:
     """Return rows of cells as the table called `name`."""
     return conform(DataFrame(list(rows)), name, name)

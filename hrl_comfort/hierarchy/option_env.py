@@ -19,7 +19,6 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import IdleOption, Option
-from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -48,7 +47,6 @@ class OptionEnv(EnvBase):
         rows: int,
         seed: int,
         gamma: float,
-        evaluation: EvaluationSet | None = None,
         observe: StateFunction | None = None,
         disturbance: str = "none",
     ) -> None:
@@ -57,7 +55,7 @@ class OptionEnv(EnvBase):
         `observe` is the meta-controller's observation, the task's own by default.
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, seed, evaluation, disturbance=disturbance)
+        self.engine = Engine(config, rows, seed, disturbance=disturbance)
         self.executor = OptionExecutor(make_options(self.engine), time_limit, self.engine.episodes)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe

@@ -11,19 +11,25 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.analysis.learning_curve import curve_of, training_end
-from hrl_comfort.config import EvaluateConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
+from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
-from hrl_comfort.sweeps.job_status import Left, OtherRunError, left
+from hrl_comfort.hierarchy.q_learning import choice_file
+from hrl_comfort.policies.actor import policy_file
 from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.resume import HIERARCHY, Left, left
 
-Run = Callable[[list[str]], None]
+Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
 LOCAL_LAUNCHERS = ("basic", "joblib")
 """Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
+
+
+class OtherRunError(ConfigError):
+    """The folder of a job holds a run of another sweep."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,7 @@ class JobResult:
         return self.score
 
 
-def job(verb: str, run: Run, command: str, _: object) -> JobResult:
+def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     """Run the unfinished part of a job; return its outcome, failures included."""
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
@@ -57,8 +63,8 @@ def job(verb: str, run: Run, command: str, _: object) -> JobResult:
         end_with_parent()  # an orphaned worker would wait for jobs
     try:
         config = compose(root_of(verb), words)
-        assert isinstance(config, TrainConfig | MetaControllerTrainConfig | EvaluateConfig)
-        rest = left(config)
+        assert isinstance(config, TrainingConfig | EvaluateConfig)
+        rest = rest_of(config)
         record.write(folder)
         if rest is not Left.NOTHING:
             arguments = [override("resume", folder)] if rest is Left.REST else words
@@ -76,6 +82,37 @@ def job(verb: str, run: Run, command: str, _: object) -> JobResult:
         if not isinstance(error, OtherRunError):  # the record in the folder is that of the other run
             replace(record, state="failed", why=why).write(folder)
         return JobResult("failed", str(folder), why)
+
+
+def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
+    """Return the work left in the job that `config` describes, by the content of its output folder.
+
+    An evaluation is finished while its summary is newer than every policy of it.
+
+    Raises:
+      OtherRunError: the folder holds another training.
+      ConfigError: it is damaged.
+    """
+    folder = Path(config.output)
+    file = folder / (HIERARCHY if isinstance(config, HierarchyTrainConfig) else "config.yaml")
+    if not file.is_file():
+        return Left.ALL
+    there = load_config(file)
+    same = isinstance(there, type(config)) and replace(there, output=config.output) == config
+    if isinstance(config, EvaluateConfig):
+        return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
+    if not same:
+        raise OtherRunError(f"output={folder} holds another run; choose another, or delete it")
+    return left(folder)
+
+
+def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
+    if not summary.is_file():
+        return False
+    named = {"policy": config.policy, **config.policies}
+    paths = {name: Path(path) for name, path in named.items() if path is not None and Path(path).exists()}
+    files = [choice_file(path) if name == "meta_controller" else policy_file(path) for name, path in paths.items()]
+    return all(file.stat().st_mtime <= summary.stat().st_mtime for file in files)
 
 
 def _score(folder: Path) -> float:

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
 from hrl_comfort.files.sweep_record import find_jobs, planned
-from hrl_comfort.sweeps.job import Run, job
+from hrl_comfort.sweeps.job import Command, job
 from hrl_comfort.sweeps.subprocesses import ERRORS
 
 EXTRAS = {
@@ -30,7 +30,7 @@ EXTRAS = {
 """Extra and module of each launcher and sweeper that needs one."""
 
 
-def multirun(verb: str, run: Run, checked: list[str], outputs: list[str]) -> None:
+def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) -> None:
     """Run `verb` once for every combination of the swept overrides and print how each job ended.
 
     `checked` are overrides from `check_overrides`, `outputs` the values of `output=`.

@@ -7,23 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torchrl
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import MetaControllerTrainConfig
 from hrl_comfort.config.compose import environment, save_config
-from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.provenance import write_provenance
+from hrl_comfort.files.tables import GrowingTable
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.sort import sorting_options
-from hrl_comfort.training.logger import claim
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 from hrl_comfort.training.progress import training_line
-from hrl_comfort.training.resume import go_on, stopped_config
+from hrl_comfort.training.resume import train_in_folder
 
 METRICS = "meta_controller_metrics.csv"
 COLUMNS = ("options", "updates", "episodes", "success", "placed", "return", "steps", "exploration", "loss")
@@ -39,16 +37,7 @@ def train_meta_controller(config: MetaControllerTrainConfig) -> Path:
       ConfigError: a choice is not allowed, a policy is missing, or the folder is taken.
       Preempted: SIGTERM came; a checkpoint has been written.
     """
-    torch.set_num_threads(1)
-    torchrl.logger.setLevel("WARNING")
-    folder = Path(config.resume or config.output)
-    resumes = config.resume is not None
-    with claim(folder, resume=resumes):
-        training = ControllerTraining(stopped_config(folder, MetaControllerTrainConfig) if resumes else config, folder)
-        if resumes:
-            go_on(training, folder)
-        training.run()
-    return folder
+    return train_in_folder(config, ControllerTraining)
 
 
 class ControllerTraining:
@@ -57,8 +46,8 @@ class ControllerTraining:
     _PLAIN = ("options", "updates", "due", "seconds", "losses", "_rows", "_logged")
     """State that is numbers, texts or lists of them."""
 
-    def __init__(self, config: MetaControllerTrainConfig, folder: Path) -> None:
-        self.config, self.folder = config, folder
+    def __init__(self, config: MetaControllerTrainConfig, folder: Path, resumes: bool) -> None:
+        self.config, self.folder, self._resumes = config, folder, resumes
         env_config, levels = environment(config), config.comfort.levels
         self.env = OptionEnv(
             env_config,
@@ -84,22 +73,18 @@ class ControllerTraining:
         self.returns = torch.zeros(config.engine.num_envs, dtype=torch.float64)
         self.now: TensorDictBase = self.env.reset()
         """Observations and masks of the next choice."""
-        self._rows: list[str] = []
-        """Lines of meta_controller_metrics.csv."""
+        self._table = GrowingTable(folder / METRICS, COLUMNS)
+        self._rows = 0
         self._logged = 0
-        self._resumed = False
 
     def run(self) -> None:
-        """Train to the end, or go on to it.
-
-        Raises:
-          Preempted: SIGTERM came; a checkpoint has been written.
-        """
+        """Train to the end, or go on to it; at SIGTERM write a checkpoint and raise Preempted."""
         agent, precision_m = self.config.meta_controller_agent, self.config.task.precision.grasp_tolerance_m
         checkpoints, began = self.folder / "checkpoints", time.monotonic() - self.seconds
-        if not self._resumed:
+        if not self._resumes:
             save_config(self.config, self.folder / "config.yaml")
             self._provenance(finished=False)
+        self._table.begin(self._rows)
         with training_line("meta_controller", agent.options, self.options) as show, asked_to_stop() as stop:
             while self.options < agent.options:
                 if stop():
@@ -120,14 +105,8 @@ class ControllerTraining:
         checkpoint.drop_resumable(checkpoints)
 
     def _provenance(self, finished: bool) -> None:
-        write_provenance(
-            self.folder,
-            {"train_seed": self.config.train_seed, "episode_seed": self.config.episode_seed},
-            finished=finished,
-            options=self.options,
-            updates=self.updates,
-            wall_seconds=round(self.seconds, 1),
-        )
+        progress = {"options": self.options, "updates": self.updates}
+        write_provenance(self.folder, self.config, finished, self.seconds, **progress)
 
     @property
     def exploration(self) -> float:
@@ -165,11 +144,10 @@ class ControllerTraining:
 
     def _write_row(self) -> None:
         count = len(self.finished)
-        means = [sum(e[k] for e in self.finished) / count if count else "" for k in range(4)]
-        loss = sum(self.losses) / len(self.losses) if self.losses else ""
-        cells = [self.options, self.updates, count, *means, self.exploration, loss]
-        self._rows.append(",".join(map(str, cells)))
-        write_text(self.folder / METRICS, "\n".join([",".join(COLUMNS), *self._rows, ""]))
+        means = [sum(e[k] for e in self.finished) / count if count else None for k in range(4)]
+        loss = sum(self.losses) / len(self.losses) if self.losses else None
+        self._table.append([self.options, self.updates, count, *means, self.exploration, loss])
+        self._rows += 1
         self.finished, self.losses, self._logged = [], [], self.options
 
     def state_dict(self) -> dict[str, Any]:
@@ -192,7 +170,6 @@ class ControllerTraining:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self.learner.load_state_dict(state["learner"])  # last, for it holds torch's random state
-        self._resumed = True
 
     def _save(self) -> None:
         names = [option.name for option in self.env.executor.options]

@@ -11,7 +11,7 @@ from hrl_comfort.config.stages import stages_of
 
 
 @dataclass(frozen=True)
-class Stage:
+class TrainingStage:
     """One stage of a training."""
 
     setting: StageConfig
@@ -24,13 +24,13 @@ class Stage:
     """At which the replay buffer was last empty."""
 
 
-def stage_list(config: TrainConfig) -> list[Stage]:
+def stage_list(config: TrainConfig) -> list[TrainingStage]:
     """Return the stages of a training in order."""
-    stages: list[Stage] = []
+    stages: list[TrainingStage] = []
     begin = replay_begin = 0
     for setting, changed in stages_of(config):
         replay_begin = begin if setting.replay == "clear" else replay_begin
-        stages.append(Stage(setting, changed, begin, begin + setting.policy_steps, replay_begin))
+        stages.append(TrainingStage(setting, changed, begin, begin + setting.policy_steps, replay_begin))
         begin = stages[-1].end
     return stages
 

@@ -20,14 +20,12 @@ from hrl_comfort.config.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
-from hrl_comfort.files.provenance import read_provenance, write_provenance
+from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
-from hrl_comfort.training.logger import claim
 from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.resume import HIERARCHY, Left, claim, left
 from hrl_comfort.training.trainer import train
 
-CONFIG = "hierarchy.yaml"
-"""Configuration of the hierarchy, in its folder."""
 EPISODE_LENGTH = {"cycle": 3}
 """`task.max_episode_steps` of an option, as a multiple of the hierarchy's; 1 where it is not named."""
 
@@ -42,10 +40,11 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
     folder = Path(config.resume or config.output)
     config = _config_in(folder, config)
     if is_finished(folder):
+        print(f"{folder} is finished")
         return folder
     _check(config, folder)
-    with claim(folder, resume=(folder / CONFIG).is_file()):
-        save_config(config, folder / CONFIG)
+    with claim(folder, resume=(folder / HIERARCHY).is_file()):
+        save_config(config, folder / HIERARCHY)
         begin = time.monotonic()
         try:
             policies = train_options(config, folder)
@@ -54,23 +53,17 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
         except Preempted as stopped:
             raise Preempted(f"stopped by SIGTERM; go on with train hierarchy resume={folder}") from stopped
         evaluate_all(config, folder, policies)
-        seeds = {"train_seed": config.train_seed, "episode_seed": config.episode_seed}
-        write_provenance(folder, seeds, finished=True, wall_seconds=round(time.monotonic() - begin, 1))
+        write_provenance(folder, config, finished=True, seconds=time.monotonic() - begin)
     return folder
-
-
-def is_finished(folder: Path) -> bool:
-    """Return whether a hierarchy, or a run, is there and complete."""
-    return (folder / "provenance.json").is_file() and read_provenance(folder).finished
 
 
 def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfig:
     """Return the configuration in force in `folder`: the one there, or `asked`."""
-    if not (folder / CONFIG).is_file():
+    if not (folder / HIERARCHY).is_file():
         if asked.resume is not None:
-            raise ConfigError(f"resume={folder} is not the folder of a hierarchy: it has no {CONFIG}")
+            raise ConfigError(f"resume={folder} is not the folder of a hierarchy: it has no {HIERARCHY}")
         return asked
-    there = load_config(folder / CONFIG)
+    there = load_config(folder / HIERARCHY)
     assert isinstance(there, HierarchyTrainConfig)
     if asked.resume is None and replace(there, output=asked.output) != asked:
         raise ConfigError(f"output={folder} already holds another hierarchy; choose another, or say resume={folder}")
@@ -127,14 +120,9 @@ def refined_config(
 
 def _train(config: TrainConfig) -> None:
     """Train in the folder that `config` names, unless that is done; go on where it was stopped."""
-    folder = Path(config.output)
-    if is_finished(folder):
-        return
-    train(replace(config, resume=str(folder)) if _is_resumable(folder) else config)
-
-
-def _is_resumable(folder: Path) -> bool:
-    return any((folder / "checkpoints" / name).exists() for name in ("latest.pt", "previous.pt"))
+    rest = left(Path(config.output))
+    if rest is not Left.NOTHING:
+        train(replace(config, resume=config.output) if rest is Left.REST else config)
 
 
 def terminal_states_of(folder: Path, episodes: int) -> str:
@@ -153,13 +141,14 @@ def terminal_states_of(folder: Path, episodes: int) -> str:
 def train_controller(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> Path:
     """Train a meta-controller of `sort` above the options; return its folder."""
     output = folder / "controller"
-    if is_finished(output):
+    rest = left(output)
+    if rest is Left.NOTHING:
         return output
     seeds = [f"train_seed={config.train_seed}", f"episode_seed={config.episode_seed}"]
     words = [*config.hierarchy.controller, *_policies(policies), *seeds, override("output", output)]
     own = compose("train_meta_controller", words)
     assert isinstance(own, MetaControllerTrainConfig)
-    return train_meta_controller(replace(own, resume=str(output)) if _is_resumable(output) else own)
+    return train_meta_controller(replace(own, resume=str(output)) if rest is Left.REST else own)
 
 
 def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> None:

@@ -1,60 +1,17 @@
-"""Files of a training: the lock on its folder, and the rows of metrics.csv."""
+"""Rows of metrics.csv, timing.csv and TensorBoard."""
 
 from __future__ import annotations
 
-import csv
-import fcntl
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import TERMS
-from hrl_comfort.config import ConfigError
-from hrl_comfort.files.atomic import write_text
-from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.tables import GrowingTable
 
 OUTCOMES = ("success", "return", "steps", "human_collision", "other_collision")
 TIMING = ("policy_steps", "seconds", "policy_steps_per_s", "updates_per_s")
-
-
-@contextmanager
-def claim(folder: Path, resume: bool) -> Iterator[None]:
-    """Hold `folder` for one training, as long as the context lasts (the process's end frees it too).
-
-    Raises:
-        ConfigError: another process trains in it, or it holds a run and `resume` is false. A training that
-            ended before its first checkpoint has left nothing to resume, and its folder is free.
-    """
-    if resume and not folder.is_dir():
-        raise ConfigError(f"resume={folder} is not a run folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        if not resume and _begun(folder):
-            if (folder / "meta_controller.pt").exists() and not checkpoint.resumable(folder / "checkpoints"):
-                raise ConfigError(f"output={folder} already holds a controller; choose another")
-            raise ConfigError(f"output={folder} already holds a run; choose another, or say resume={folder}")
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _begun(folder: Path) -> bool:
-    """Return whether a run is there that is finished, or can be resumed."""
-    if checkpoint.resumable(folder / "checkpoints"):
-        return True
-    if (folder / "provenance.json").exists():
-        return read_provenance(folder).finished
-    return any((folder / name).exists() for name in ("policy.pt", "meta_controller.pt"))
 
 
 class MetricsLog:
@@ -67,16 +24,16 @@ class MetricsLog:
         self._folder = folder
         self._outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
         self.columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *self._outcomes, *TERMS)
+        self._metrics = GrowingTable(folder / "metrics.csv", self.columns)
+        self._timing = GrowingTable(folder / "timing.csv", TIMING)
         self._sums: dict[str, float] = {}
         self._finished = self._updates = self._episodes = self._rows = 0
         self._board: SummaryWriter | None = None
 
     def start(self, policy_steps: int) -> None:
         """Cut the files back to the rows that this log knows of, and open TensorBoard at `policy_steps`."""
-        for name, columns in (("metrics.csv", self.columns), ("timing.csv", TIMING)):
-            path = self._folder / name
-            lines = path.read_text().splitlines(keepends=True)[1 : self._rows + 1] if self._rows else []
-            write_text(path, "".join([",".join(columns) + "\n", *lines]))
+        self._metrics.begin(self._rows)
+        self._timing.begin(self._rows)
         self._board = SummaryWriter(str(self._folder), purge_step=policy_steps)
 
     def episode(self, outcome: dict[str, float]) -> None:
@@ -107,8 +64,8 @@ class MetricsLog:
         for names, count in ((self._outcomes, self._finished), (TERMS, self._updates)):
             if count:
                 row |= {name: self._sums[name] / count for name in names}
-        self._append("metrics.csv", [stage if name == "stage" else row.get(name) for name in self.columns])
-        self._append("timing.csv", [policy_steps, *timing])
+        self._metrics.append([stage if name == "stage" else _shown(row.get(name)) for name in self.columns])
+        self._timing.append([policy_steps, *map(_shown, timing)])
         assert self._board is not None
         for name, value in row.items():
             if name != "policy_steps":
@@ -117,11 +74,6 @@ class MetricsLog:
         self._sums.clear()
         self._finished = self._updates = 0
         self._rows += 1
-
-    def _append(self, name: str, values: list[float | str | None]) -> None:
-        cells = ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in values]
-        with (self._folder / name).open("a", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerow(cells)
 
     def close(self) -> None:
         """Close TensorBoard's file."""
@@ -143,3 +95,7 @@ class MetricsLog:
         self._rows, self._episodes = state["rows"], state["episodes"]
         self._finished, self._updates = state["finished"], state["updates"]
         self._sums = dict(state["sums"])
+
+
+def _shown(value: float | None) -> float | str | None:
+    return f"{value:.6g}" if isinstance(value, float) else value

@@ -1,21 +1,42 @@
-"""Resuming a training: its own configuration and its newest good checkpoint."""
+"""Training in a run folder: from the beginning, or on from its newest good checkpoint."""
 
 from __future__ import annotations
 
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from hrl_comfort.agents import checkpoint
-from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.compose import load_config
-from hrl_comfort.files.provenance import read_provenance
+import torch
+import torchrl
 
-C = TypeVar("C", TrainConfig, MetaControllerTrainConfig)
-WHAT = {TrainConfig: "a subtask", MetaControllerTrainConfig: "a controller"}
-VERB = {TrainConfig: "train", MetaControllerTrainConfig: "train meta_controller"}
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
+from hrl_comfort.config.compose import load_config
+from hrl_comfort.files.provenance import is_finished
+
+C = TypeVar("C", bound=TrainingConfig)
+HIERARCHY = "hierarchy.yaml"
+"""Configuration of a hierarchy, in its folder."""
+WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
+    TrainConfig: ("a subtask", "train"),
+    MetaControllerTrainConfig: ("a controller", "train meta_controller"),
+}
+"""What a configuration trains, and by which command."""
 MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError)
 """Errors of torch, TorchRL and this program when a state does not fit."""
+
+
+class Left(Enum):
+    """The work left in a folder; values are the outcomes that a sweep reports."""
+
+    ALL = "done"
+    REST = "resumed"
+    NOTHING = "skipped, finished"
 
 
 class Resumable(Protocol):
@@ -23,6 +44,69 @@ class Resumable(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
+
+    def run(self) -> None:
+        """Train to the end."""
+
+
+def left(folder: Path) -> Left:
+    """Return the work left in the folder of a training or a hierarchy; raise ConfigError if it is damaged."""
+    if is_finished(folder):
+        return Left.NOTHING
+    begun = (folder / HIERARCHY).is_file() or checkpoint.resumable(folder / "checkpoints")
+    return Left.REST if begun else Left.ALL
+
+
+def train_in_folder(config: C, begin: Callable[[C, Path, bool], Resumable]) -> Path:
+    """Train in the folder that `config` names, or go on there; `begin` takes folder and whether it resumes.
+
+    Raises:
+        ConfigError: the folder is taken, or there is nothing to resume.
+    """
+    torch.set_num_threads(1)
+    torchrl.logger.setLevel("WARNING")  # it logs every buffer that it allocates
+    folder, resumes = Path(config.resume or config.output), config.resume is not None
+    with claim(folder, resumes):
+        training = begin(stopped_config(folder, type(config)) if resumes else config, folder, resumes)
+        if resumes:
+            go_on(training, folder)
+        training.run()
+    return folder
+
+
+@contextmanager
+def claim(folder: Path, resume: bool) -> Iterator[None]:
+    """Hold `folder` for one training, as long as the context lasts (the process's end frees it too).
+
+    Raises:
+        ConfigError: another process trains in it, or it holds a run and `resume` is false. A training that
+            ended before its first checkpoint has left nothing to resume, and its folder is free.
+    """
+    if resume and not folder.is_dir():
+        raise ConfigError(f"resume={folder} is not a run folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{folder} is in use by another training; choose another output") from None
+        if not resume and _holds_run(folder):
+            stopped = checkpoint.resumable(folder / "checkpoints")
+            what = "a controller" if (folder / "meta_controller.pt").exists() and not stopped else "a run"
+            remedy = f", or say resume={folder}" if stopped else ""
+            raise ConfigError(f"output={folder} already holds {what}; choose another{remedy}")
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _holds_run(folder: Path) -> bool:
+    """Return whether a run is there that is finished, or can be resumed."""
+    if left(folder) is not Left.ALL:
+        return True
+    policies = any((folder / name).exists() for name in ("policy.pt", "meta_controller.pt"))
+    return policies and not (folder / "provenance.json").exists()
 
 
 def stopped_config(folder: Path, kind: type[C]) -> C:
@@ -32,12 +116,12 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
         ConfigError: the folder has no such training, or it is finished.
     """
     config = load_config(folder)
-    if not isinstance(config, TrainConfig | MetaControllerTrainConfig):
+    if not isinstance(config, TrainingConfig):
         raise ConfigError(f"resume={folder} is not the folder of a training")
     if not isinstance(config, kind):
-        other = type(config)
-        raise ConfigError(f"resume={folder} trains {WHAT[other]}; say {VERB[other]} resume={folder}")
-    if (folder / "provenance.json").exists() and read_provenance(folder).finished:
+        what, command = WHAT[type(config)]
+        raise ConfigError(f"resume={folder} trains {what}; say {command} resume={folder}")
+    if is_finished(folder):
         on = f"; train on from it with initial_policy={folder}" if kind is TrainConfig else ""
         raise ConfigError(f"resume={folder} is finished{on}")
     return replace(config, output=str(folder), resume=None)
@@ -55,11 +139,8 @@ def go_on(training: Resumable, folder: Path) -> None:
     except ConfigError:  # says it all
         raise
     except MISFITS as error:
-        first = _first(error)
+        first: BaseException = error
+        while first.__cause__ is not None:
+            first = first.__cause__
         what = [*str(first).strip().splitlines(), type(first).__name__][0]
         raise ConfigError(f"resume={folder}: its checkpoint does not fit its config.yaml: {what}") from error
-
-
-def _first(error: BaseException) -> BaseException:
-    """Return the first error in a chain of causes."""
-    return error if error.__cause__ is None else _first(error.__cause__)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torchrl
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
@@ -19,10 +18,10 @@ from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.training.collector import Collector, Transition, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list
-from hrl_comfort.training.logger import MetricsLog, claim
+from hrl_comfort.training.logger import OUTCOMES, MetricsLog
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 from hrl_comfort.training.progress import training_line
-from hrl_comfort.training.resume import go_on, stopped_config
+from hrl_comfort.training.resume import train_in_folder
 
 FEWEST_EPISODES = 20
 """Episodes between two checkpoints below which neither can be called the best."""
@@ -42,16 +41,7 @@ def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
         Preempted: SIGTERM came; a checkpoint has been written.
         TrainingDiverged: a loss or a parameter is not finite any more.
     """
-    torch.set_num_threads(1)
-    torchrl.logger.setLevel("WARNING")  # it logs every buffer that it allocates
-    folder = Path(config.resume or config.output)
-    resumes = config.resume is not None
-    with claim(folder, resume=resumes):
-        training = Training(stopped_config(folder, TrainConfig) if resumes else config, make, folder, resumes)
-        if resumes:
-            go_on(training, folder)
-        training.run()
-    return folder
+    return train_in_folder(config, lambda own, folder, resumes: Training(own, make, folder, resumes))
 
 
 class Training:
@@ -90,11 +80,7 @@ class Training:
         self.recent.clear()
 
     def run(self) -> None:
-        """Train to the end, or go on to it.
-
-        Raises:
-            Preempted: SIGTERM came; a checkpoint has been written.
-        """
+        """Train to the end, or go on to it; at SIGTERM write a checkpoint and raise Preempted."""
         agent = self.config.agent
         if not self._resumes:
             save_config(self.config, self.folder / "config.yaml")
@@ -181,15 +167,9 @@ class Training:
         rows = transition.done.nonzero()[:, 0]
         finished = []
         for row in rows[~self.demonstrated[rows]].tolist():
-            outcome = {
-                "success": float(transition.success[row]),
-                "return": float(self.returns[row]),
-                "steps": float(transition.steps[row]),
-                "human_collision": float(transition.human_collision[row]),
-                "other_collision": float(transition.other_collision[row]),
-            }
-            terms = self.terms[row].tolist()
-            outcome |= {f"reward/{name}": value for name, value in zip(self.collector.reward_names, terms, strict=True)}
+            outcome = {name: float(getattr(transition, name)[row]) for name in OUTCOMES if name != "return"}
+            terms = zip(self.collector.reward_names, self.terms[row].tolist(), strict=True)
+            outcome |= {"return": float(self.returns[row]), **{f"reward/{name}": value for name, value in terms}}
             self.log.episode(outcome)
             finished.append((float(self.precision[row]), bool(transition.success[row])))
         self.returns[rows] = 0.0
@@ -292,13 +272,5 @@ class Training:
         self.recent = [(precision_m, success) for precision_m, success in state["recent"]]
 
     def _write_provenance(self, finished: bool) -> None:
-        seeds = {"train_seed": self.config.train_seed, "episode_seed": self.config.episode_seed}
-        write_provenance(
-            self.folder,
-            seeds,
-            finished=finished,
-            policy_steps=self.policy_steps,
-            updates=self.learner.updates,
-            wall_seconds=round(self.seconds, 1),
-            best=self.best,
-        )
+        progress = {"policy_steps": self.policy_steps, "updates": self.learner.updates, "best": self.best}
+        write_provenance(self.folder, self.config, finished, self.seconds, **progress)

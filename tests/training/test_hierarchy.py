@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +14,11 @@ from hrl_comfort.__main__ import main
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.sweeps.job import OtherRunError, rest_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
+from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.resume import Left
 from hrl_comfort.training.trainer import Training
 from tests.stopping import stopping
 
@@ -68,12 +73,17 @@ def test_every_option_is_a_run_that_begins_where_the_one_before_it_ends(whole):
         assert (whole / part / "eval" / "summary.json").is_file()
 
 
-def test_a_hierarchy_killed_several_times_goes_on_bit_for_bit(whole, tmp_path):
+def test_a_hierarchy_killed_several_times_and_told_to_stop_goes_on_bit_for_bit(whole, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     for name, at in (("pick_place", 20), ("pick_place", 100), ("return", 80), ("return", 20)):
         with stopping(
             Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.policy_steps >= t
         ):
+            train_hierarchy(small(folder))
+    with monkeypatch.context() as patch:
+        step = Training.step
+        patch.setattr(Training, "step", lambda self: (os.kill(os.getpid(), signal.SIGTERM), step(self))[1])
+        with pytest.raises(Preempted, match=f"go on with train hierarchy resume={folder}"):
             train_hierarchy(small(folder))
     config = compose("train_hierarchy", [f"resume='{folder}'"])
     assert isinstance(config, HierarchyTrainConfig)
@@ -99,8 +109,19 @@ def test_a_finished_hierarchy_says_so_and_shows_its_table_and_report(whole, caps
     out = capsys.readouterr().out
     assert out.count("is finished") == 2 and "report.html" in out and "cycle" in out
     assert (whole / "report.html").is_file()
-    with pytest.raises(ConfigError, match="already holds another hierarchy"):
-        train_hierarchy(small(whole, "train_seed=1"))
+    assert main([*words, "train_seed=1"]) == 1
+    out, error = capsys.readouterr()
+    assert "already holds another hierarchy" in error and "is finished" not in out
+
+
+def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole, tmp_path):
+    assert rest_of(small(whole)) is Left.NOTHING
+    with pytest.raises(OtherRunError, match="holds another run"):
+        rest_of(small(whole, "train_seed=1"))
+    assert rest_of(small(tmp_path / "run")) is Left.ALL
+    with stopping(Training, "step", lambda _: True):
+        train_hierarchy(small(tmp_path / "run"))
+    assert rest_of(small(tmp_path / "run")) is Left.REST
 
 
 def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_path, capsys):

@@ -25,7 +25,7 @@ from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.collector import Collector, Demonstrator, make_demonstrator, make_next_skill_value
-from hrl_comfort.training.logger import claim
+from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import LIMIT, PointEnv, Stopped, make_points, small_config
 
