@@ -163,11 +163,13 @@ def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str,
         chain = ["task=cycle", "meta_controller=scripted", *division, *_policies(options)]
         _evaluate([*chain, *common, *levels], folder / "cycle" / "eval")
     if "meta_controller" in policies:
-        people = [line for line in config.hierarchy.controller if line.split("=")[0].split(".")[0] == "human"]
-        sort = ["task=sort", "comfort=sort", "reward=sort", *people, *_policies(options), *common]
+        own = {line: line.split("=")[0] for line in config.hierarchy.controller}
+        world = [line for line, key in own.items() if key.split(".")[0] in ("human", "task", "comfort")]
+        told = [line for line, key in own.items() if key == "meta_controller.level_override"]
+        sort = ["task=sort", "comfort=sort", "reward=sort", *world, *_policies(options), *common]
         _evaluate([*sort, "meta_controller=scripted"], folder / "sort_scripted" / "eval")
         learned = override("policies.meta_controller", policies["meta_controller"])
-        _evaluate([*sort, "meta_controller=learned", learned], folder / "sort_learned" / "eval")
+        _evaluate([*sort, "meta_controller=learned", *told, learned], folder / "sort_learned" / "eval")
 
 
 def _policies(policies: dict[str, Path]) -> list[str]:

@@ -13,9 +13,11 @@ import pytest
 from hrl_comfort.__main__ import main
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.sweeps.job import OtherRunError, rest_of
 from hrl_comfort.training import hierarchy_trainer as module
+from hrl_comfort.training.controller_trainer import ControllerTraining
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import Left
@@ -122,6 +124,25 @@ def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole
     with stopping(Training, "step", lambda _: True):
         train_hierarchy(small(tmp_path / "run"))
     assert rest_of(small(tmp_path / "run")) is Left.REST
+
+
+def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsys):
+    folder, agent = tmp_path / "run", "meta_controller_agent"
+    controller = [
+        "human=patrol", "task.balls=2", "task.max_episode_steps=60", "engine.num_envs=2", f"{agent}.options=16",
+        f"{agent}.warmup_options=4", f"{agent}.batch_size=4", f"{agent}.log_every=6",
+    ]  # fmt: skip
+    overrides = ("division=three", "hierarchy.refinement=[]", "agent.policy_steps=40", "agent.learning_starts=20",
+                 *(f"hierarchy.shares.{name}=1" for name in ("pick", "place")), "task.max_episode_steps=20",
+                 override("hierarchy.controller", controller))  # fmt: skip
+    with stopping(ControllerTraining, "step", lambda training: training.options >= 8):
+        train_hierarchy(small(folder, *overrides))
+    for _ in range(2):
+        train_hierarchy(small(folder, *overrides))
+    assert f"{folder} is finished" in capsys.readouterr().out
+    assert load_config(folder / "controller").task.balls == 2
+    for name in ("pick", "place", "return", "cycle", "sort_scripted", "sort_learned"):
+        assert (folder / name / "eval" / "summary.json").is_file()
 
 
 def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_path, capsys):
