@@ -81,11 +81,13 @@ def studio_overrides(overrides: list[str]) -> list[str]:
       ConfigError: viser is not installed.
     """
     try:
-        from hrl_comfort.studio.policies import with_defaults
+        import_module("hrl_comfort.studio.server")
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("viser", "trimesh", "websockets"):
             raise
         raise ConfigError(f"studio needs viser: pip install 'hrl-comfort[studio]' ({error})") from error
+    from hrl_comfort.studio.policies import with_defaults
+
     return with_defaults(overrides)
 
 

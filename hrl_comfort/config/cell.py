@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import Joints, Point, choice, within
+from hrl_comfort.config.checks import XYZ, JointAngles, choice, within
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class RobotConfig:
 
     name: str
     """A key of `scene.robots.ROBOTS`, checked there."""
-    home_deg: Joints
+    home_deg: JointAngles
     """Joint angles of the home pose, degrees."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
@@ -24,11 +24,11 @@ class RobotConfig:
 class CellConfig:
     """Layout of the cell: metres, cell frame (robot base at the origin, z up)."""
 
-    ball_m: Point
+    ball_m: XYZ
     """Centre of the ball on the pick table, m."""
-    orange_drop_m: Point
+    orange_drop_m: XYZ
     """Drop point of orange balls, m."""
-    pink_drop_m: Point
+    pink_drop_m: XYZ
     """Drop point of pink balls, m."""
     ball_radius_m: Annotated[float, within(0.005, 0.2)]
     """Radius of a ball, m."""

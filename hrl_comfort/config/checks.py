@@ -82,9 +82,9 @@ def choice(*names: str) -> AfterValidator:
 unique = AfterValidator(_unique)
 """Check of a list that no entry is in it twice."""
 Coordinate = Annotated[float, within(-FARTHEST, FARTHEST)]
-Pair = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
-Point = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
-Joints = Annotated[list[Coordinate], Field(min_length=6, max_length=6)]
+XY = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+XYZ = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+JointAngles = Annotated[list[Coordinate], Field(min_length=6, max_length=6)]
 Widths = Annotated[list[Annotated[int, within(1, 8192)]], Field(min_length=1)]
 """Widths of hidden layers."""
 

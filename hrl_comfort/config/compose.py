@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -16,9 +15,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError, EnvConfig, HierarchyTrainConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
-from hrl_comfort.config.stages import stages_of, with_budget
+from hrl_comfort.config.stages import flat, stages_of, with_budget
 from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
 
@@ -68,13 +67,6 @@ def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Confi
     asked = config.agent.policy_steps
     if not any(line.startswith("agent.policy_steps=") for line in overrides):
         return dataclasses.replace(config, agent=dataclasses.replace(config.agent, policy_steps=total))
-    if isinstance(config, HierarchyTrainConfig):
-        again = [
-            dataclasses.replace(each, policy_steps=max(1, round(asked / total * each.policy_steps)))
-            for each in config.hierarchy.refinement
-        ]
-        hierarchy = dataclasses.replace(config.hierarchy, refinement=again)
-        config = dataclasses.replace(config, hierarchy=hierarchy)
     return with_budget(config, asked)
 
 
@@ -133,18 +125,10 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
         if section in parsed:
             files = (config_dir() / section).glob("[!_]*.yaml")
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
-        for key, value in _leaves(section, dataclasses.asdict(getattr(run, section))):
+        for key, value in flat({section: dataclasses.asdict(getattr(run, section))}):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))
     return trained
-
-
-def _leaves(key: str, tree: dict[str, Any]) -> Iterator[tuple[str, object]]:
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(f"{key}.{name}", value)
-        else:
-            yield f"{key}.{name}", value
 
 
 def run_folder(policy: str) -> Path | None:

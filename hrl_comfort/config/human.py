@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import ConfigError, Pair, between, choice, within
+from hrl_comfort.config.checks import XY, ConfigError, between, choice, within
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class HumanConfig:
 
     motion: str
     """A key of `humans.MOTIONS`, an entry point or `package.module:name`, checked there."""
-    spawns_m: Annotated[list[Pair], Field(min_length=1)]
+    spawns_m: Annotated[list[XY], Field(min_length=1)]
     """Spawn points (x, y), m; those within `keep_out_m` of a goal are moved out. By default those of the authors'
     scene, where points 3 and 10 are the same."""
     held_out: list[int]
@@ -25,7 +25,7 @@ class HumanConfig:
     """Training spawns: a point that is not held out, a random position around the robot, or either at 50 %."""
     spawn_jitter_m: Annotated[float, within(0.0, 0.5)]
     """`spawn=points`: radius of the disc around the point in which the spawn is uniform, m."""
-    spawn_radius_m: Pair
+    spawn_radius_m: XY
     """`spawn=anywhere`: smallest and largest distance from the robot's base, m."""
     spawn_margin_m: Annotated[float, within(0.0, 0.5)]
     """Smallest distance of training spawns from held-out points, m."""
@@ -52,7 +52,7 @@ class HumanConfig:
     """Observation of the nearest spawn point instead of the human: never, always, or if nearer to the robot."""
     masked: bool
     """Hide the human from the policy, which then observes one far away."""
-    stations_m: list[Pair]
+    stations_m: list[XY]
     """Stations (x, y), m: `work` uses the one nearest to the spawn, `patrol` all."""
     stay_s: Annotated[float, within(0.1, 3600.0)]
     """`patrol`: mean time at a station, s."""

@@ -82,16 +82,14 @@ def flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any
 
 
 def with_budget(config: T, policy_steps: int) -> T:
-    """Return `config` with another budget, which its stages share as before."""
+    """Return `config` with another budget, which its stages share as before; a hierarchy's refinement grows with it."""
+    node = OmegaConf.create(dataclasses.asdict(config))
     steps = [stage.policy_steps for stage in config.curriculum.stages]
-    ends = [round(policy_steps * sum(steps[: i + 1]) / sum(steps)) for i in range(len(steps))]
-    stages = [
-        dataclasses.replace(stage, policy_steps=end - begin)
-        for stage, begin, end in zip(config.curriculum.stages, [0, *ends], ends, strict=False)
-    ]
-    changed = dataclasses.replace(
-        config,
-        curriculum=dataclasses.replace(config.curriculum, stages=stages),
-        agent=dataclasses.replace(config.agent, policy_steps=policy_steps),
-    )
-    return freeze(type(config), OmegaConf.create(dataclasses.asdict(changed)))
+    begin = 0
+    for index, stage in enumerate(node.curriculum.stages):
+        end = round(policy_steps * sum(steps[: index + 1]) / sum(steps))
+        stage.policy_steps, begin = end - begin, end
+    for stage in node.hierarchy.refinement if steps and "hierarchy" in node else ():
+        stage.policy_steps = max(1, round(policy_steps / sum(steps) * stage.policy_steps))
+    node.agent.policy_steps = policy_steps
+    return freeze(type(config), node)

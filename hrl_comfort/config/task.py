@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, Pair, Point, choice, within
+from hrl_comfort.config.checks import XY, XYZ, ConfigError, choice, within
 
 COLOURS = ("orange", "pink")
 """By number in `State.colour`."""
@@ -34,7 +34,7 @@ class TaskConfig:
     """Colour of the balls."""
     balls: int
     """Number of balls on the pick table; above 1 for `sort` only."""
-    ball_slots_m: list[Pair]
+    ball_slots_m: list[XY]
     """Possible positions (x, y) of balls relative to `cell.ball_m`, m; each ball has a slot of its own."""
     ball_jitter_m: Annotated[float, within(0.0, 0.1)]
     """Largest offset of a ball from its slot along x and along y, m."""
@@ -57,9 +57,9 @@ class TaskConfig:
     """Layout of the observation, as of `tasks.observations`."""
     point: Annotated[str, choice("fixed", "random")]
     """`reach`: the goal is `point_m`, or random in each episode."""
-    point_m: Point
+    point_m: XYZ
     """`reach`, `point_to_point`: the fixed point, m."""
-    second_point_m: Point
+    second_point_m: XYZ
     """`point_to_point`: fixed second point, m."""
     start: str
     """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
