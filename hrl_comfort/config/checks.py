@@ -13,7 +13,6 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Field, ValidationError
 
-
 T = TypeVar("T")
 MAX_LINE = 1000
 """Longest message in characters, without the ellipsis."""
