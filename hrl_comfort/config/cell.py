@@ -42,7 +42,7 @@ class CellConfig:
 class EngineConfig:
     """The batched simulation."""
 
-    num_envs: Annotated[int, within(1, 65536)]
+    num_envs: Annotated[int, within(1, MAX_ENVS)]
     """Number of cells."""
     threads: Annotated[int, within(1, 256)]
     """Threads of the simulation."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 CONTROL_STEP_S = 0.02
 """Length of a control step, s; joints move by at most 2 degrees in it, as in the paper."""
+MAX_ENVS = 65536
+"""Largest number of cells of a batch."""
 FAR_AWAY_M = 50.0
 """x coordinate of everything that is not in the cell, m."""
 

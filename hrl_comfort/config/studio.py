@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import ConfigError, check_fields, within
+from hrl_comfort.config.checks import ConfigError, within
 from hrl_comfort.config.commands import EvaluateConfig
 
 
@@ -28,7 +28,6 @@ class StudioConfig(EvaluateConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields("", self)
         for key, value, default in (
             ("checkpoints", self.checkpoints, "none"),
             ("levels", list(self.levels), []),

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.comfort.terms import present
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.config.checks import one_of
+from hrl_comfort.config.checks import between, one_of
+from hrl_comfort.config.constants import MAX_ENVS
 from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed, replayed, whole
 from hrl_comfort.sim.engine import Engine
@@ -34,7 +35,9 @@ class Cells:
         """
         if render_mode is not None:
             one_of("render_mode", render_mode, RENDER_MODES)
-        engine = replace(config.engine, num_envs=whole("num_envs", num_envs))
+        count = whole("num_envs", num_envs)
+        between("num_envs", count, 1, MAX_ENVS)
+        engine = replace(config.engine, num_envs=count)
         self.config, self.render_mode = replace(config, engine=engine), render_mode
         self.seeded = False
         """Whether a seed has been given or drawn."""
