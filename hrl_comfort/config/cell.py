@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hrl_comfort.config.checks import XYZ, JointAngles, choice, within
+from hrl_comfort.config.constants import MAX_ENVS
 
 
 @dataclass(frozen=True)
