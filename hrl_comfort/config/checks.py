@@ -157,4 +157,6 @@ def first_error(error: ValidationError) -> str:
         return f"{key} must be set"
     if first["type"] == "string_too_short":
         return f"{key}='' is empty; it takes a value"
+    if first["type"] == "too_short":
+        return f"{key}={first['input']!r:.200} must name at least {first['ctx']['min_length']}"
     return f"{key}={first['input']!r:.200}: {first['msg']}" if key else first["msg"]

@@ -224,7 +224,7 @@ def test_a_jump_at_another_time_or_the_other_way_round_is_refused(tmp_path):
         ("levels", ["evaluations=[EMPTY]"], "holds no episodes.csv"),
         ("levels", ["evaluations=[PLAIN]"], "comfort_level=''"),
         ("levels", ["evaluations=[ONE,ONE]"], "twice"),
-        ("levels", ["evaluations=[]"], "must name at least one"),
+        ("levels", ["evaluations=[]"], "must name at least 1"),
         ("levels", ["over=some"], "over='some' is not allowed; choose one of pairs, all"),
         ("plane", ["labels=[a,b]"], "must be as many as evaluations"),
         ("paths", ["levels=[3]"], "no episode at level 3"),
