@@ -11,51 +11,40 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+from hrl_comfort import __version__
+from hrl_comfort.cli import help as help_texts
+from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
+from hrl_comfort.cli.completion import complete
 from hrl_comfort.config import ConfigError, ReportConfig
+from hrl_comfort.config.compose import compose, yaml_of
+from hrl_comfort.config.overrides import Config, check_overrides, override, root_of
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 
-VERBS = {
-    "train": "train a policy, a cycle's policies (train hierarchy), or a controller above them (train meta_controller)",
-    "evaluate": "measure a policy or a chain (meta_controller=scripted), or how policies hand over (evaluate handover)",
-    "report": "write one HTML file about a run, the runs in a folder, or a sweep (run=DIR)",
-    "figure": "draw what levels or controllers change (kind=levels evaluations=[DIR,...] output=FILE.png)",
-    "studio": "watch a policy in the browser, walk into its cell, replay an evaluation (replay=DIR)",
-    "bench": "measure the environment (env), updates (update), learning (train)",
-}
+FLAGS = ("-h", "--help", "--version", "--dry-run", "-m", "--multirun")
 
 
-COMMANDS = {
-    "train": ("train", "hrl_comfort.training.trainer:train"),
-    "train hierarchy": ("train_hierarchy", "hrl_comfort.training.hierarchy_trainer:train_hierarchy"),
-    "train meta_controller": ("train_meta_controller", "hrl_comfort.training.controller_trainer:train_meta_controller"),
-    "evaluate": ("evaluate", "hrl_comfort.evaluation.evaluate:evaluate"),
-    "evaluate handover": ("evaluate", "hrl_comfort.evaluation.handover:handover"),
-    "report": ("report", "hrl_comfort.report.report:report"),
-    "figure": ("figure", "hrl_comfort.plots.figure:figure"),
-    "studio": ("studio", "hrl_comfort.studio.server:studio"),
-    "bench env": ("train", "hrl_comfort.benchmarks.env:bench_env"),
-    "bench update": ("train", "hrl_comfort.benchmarks.update:bench_update"),
-    "bench train": ("train", "hrl_comfort.benchmarks.train:bench_train"),
-}
-"""Configuration of each command, and its function, imported once the configuration has been checked."""
+def configuration(command: str, overrides: list[str]) -> Config:
+    """Return the configuration of a command.
 
-
-def run(command: str, overrides: list[str]) -> None:
-    """Run a command with overrides; of a hierarchy, write the report once and show its table."""
-    from hrl_comfort.config.compose import compose
-    from hrl_comfort.config.overrides import override
-
+    Raises:
+      ConfigError: a choice is not allowed.
+    """
     if command == "report":  # a folder alone is its run
         overrides = [override("run", each) if Path(each).is_dir() else each for each in overrides]
     elif command == "studio":
         overrides = studio_overrides(overrides)
-    root, place = COMMANDS[command]
-    config = compose(root, overrides)
+    config = compose(COMMANDS[command].root, overrides)
     others = [line for line in overrides if not line.startswith("resume=")]
     if others and getattr(config, "resume", None) is not None:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
-    module, name = place.split(":")
+    return config
+
+
+def run(command: str, overrides: list[str]) -> None:
+    """Run a command with overrides; of a hierarchy, write the report once and show its table."""
+    config = configuration(command, overrides)
+    module, name = COMMANDS[command].place.split(":")
     result = getattr(import_module(module), name)(config)
     if command == "train hierarchy":
         show_hierarchy(result)
@@ -95,63 +84,65 @@ RUN: dict[str, Callable[[list[str]], None]] = {command: partial(run, command) fo
 SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
 
-def sweep(verb: str, overrides: list[str]) -> None:
-    """Run `verb` once for every combination of the swept overrides.
+def sweep(command: str, overrides: list[str]) -> None:
+    """Run a command once for every combination of the swept overrides.
 
     What runs the jobs takes seconds to import: it is imported once every choice has been checked.
     """
-    if verb not in SWEPT:
-        raise ConfigError(f"{verb} cannot be swept; -m goes with {', '.join(SWEPT)}")
+    if command not in SWEPT:
+        raise ConfigError(f"{command} cannot be swept; -m goes with {', '.join(SWEPT)}")
     if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
-    from hrl_comfort.config.overrides import check_overrides, root_of
-
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = [line for line in overrides if not line.startswith("output=")]
-    checked = check_overrides(root_of(verb), rest, sweep=True)
+    checked = check_overrides(root_of(command), rest, sweep=True)
     from hrl_comfort.sweeps.launcher import multirun
 
-    multirun(verb, RUN[verb], checked, outputs)
+    multirun(command, RUN[command], checked, outputs)
 
 
-def help_text() -> str:
-    """Return the verbs and, by group, what can be chosen."""
-    package = Path(__file__).resolve().parent
-    conf = package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
-    lines = ["usage: hrl-comfort VERB [key=value ...] [-m]", "", "verbs"]
-    lines += [f"  {verb:<10} {what}" for verb, what in VERBS.items()]
-    lines += ["", "groups (group=choice)"]
-    for group in sorted(p for p in conf.iterdir() if p.is_dir()):
-        names = sorted(p.stem for p in group.glob("*.yaml") if p.stem[0] != "_")
-        lines.append(f"  {group.name:<10} {', '.join(names)}")
-    lines += [
-        "",
-        f"Every value in {conf} can be set: agent.policy_steps=50000, task.precision.grasp_tolerance_m=0.2.",
-        "-m runs every combination: hrl-comfort train -m task=pick,place train_seed=0,1",
-        "output=DIR says where a command writes.",
-    ]
-    return "\n".join(lines)
+def command_of(words: list[str]) -> tuple[str, list[str]]:
+    """Return the command that `words` begin with, and the other words.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    verb, *rest = words
+    if verb not in VERBS:
+        raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
+    if rest and f"{verb} {rest[0]}" in RUN:
+        return f"{verb} {rest[0]}", rest[1:]
+    if verb not in RUN:
+        what = rest[0] if rest else "(nothing)"
+        raise ConfigError(f"{verb} {what} is not known; choose one of {', '.join(parts_of(verb))}")
+    return verb, rest
+
+
+def execute(words: list[str]) -> None:
+    """Do what the command line asks for."""
+    flags, rest = set(words) & set(FLAGS), [word for word in words if word not in FLAGS]
+    asked, swept = bool(flags & {"-h", "--help"}), bool(flags & {"-m", "--multirun"})
+    if "--version" in flags:
+        print(f"hrl-comfort {__version__}")
+    elif not rest or rest == ["help"] or (asked and rest[0] in VERBS and rest[0] not in RUN and len(rest) == 1):
+        print(help_texts.overview())
+    elif asked:
+        print(help_texts.about(command_of(rest)[0]))
+    elif swept and "--dry-run" in flags:
+        raise ConfigError("--dry-run does not go with -m: give one run at a time")
+    elif swept:
+        sweep(*command_of(rest))
+    elif "--dry-run" in flags:
+        print(yaml_of(configuration(*command_of(rest))), end="")
+    else:
+        command, overrides = command_of(rest)
+        RUN[command](overrides)
 
 
 def main(words: list[str] | None = None) -> int:
     """Run the command line `words` (default: the process's); return the exit code."""
-    words = list(sys.argv[1:] if words is None else words)
-    if not words or {"-h", "--help", "help"} & set(words):
-        print(help_text())
-        return 0
-    verb, *rest = words
     try:
-        if verb not in VERBS:
-            raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
-        swept = {"-m", "--multirun"} & set(rest)
-        overrides = [word for word in rest if word not in ("-m", "--multirun")]
-        if overrides and f"{verb} {overrides[0]}" in RUN:
-            verb, overrides = f"{verb} {overrides[0]}", overrides[1:]
-        if verb not in RUN:
-            what = overrides[0] if overrides else "(nothing)"
-            known = [command.split()[1] for command in RUN if command.startswith(f"{verb} ")]
-            raise ConfigError(f"{verb} {what} is not known; choose one of {', '.join(known)}")
-        sweep(verb, overrides) if swept else RUN[verb](overrides)
+        execute(list(sys.argv[1:] if words is None else words))
     except ERRORS as error:
         print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
@@ -166,6 +157,7 @@ def main(words: list[str] | None = None) -> int:
 
 def console() -> None:
     """Run as the installed command."""
+    complete()
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reports on every buffer that it allocates
     warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
     try:

@@ -42,14 +42,19 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
     try:
         if root in AS_TRAINED:
             known = [*_as_trained(known, AS_TRAINED[root]), *known]
-        with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
-            return _settled(ROOTS[root], hydra_compose(root, known), known)
+        return _settled(ROOTS[root], composed(root, known), known)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     except RecursionError:
         raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
     except OverflowError as error:
         raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+
+
+def composed(root: str, known: list[str]) -> DictConfig:
+    """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`."""
+    with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
+        return hydra_compose(root, known)
 
 
 def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
@@ -77,7 +82,12 @@ def environment(config: EnvConfig) -> EnvConfig:
 
 def save_config(config: Config, path: str | Path) -> None:
     """Write `config` as YAML; `load_config` reads an equal one."""
-    write_text(Path(path), OmegaConf.to_yaml(OmegaConf.create(dataclasses.asdict(config))))
+    write_text(Path(path), yaml_of(config))
+
+
+def yaml_of(config: Config) -> str:
+    """Return `config` as YAML."""
+    return OmegaConf.to_yaml(OmegaConf.create(dataclasses.asdict(config)))
 
 
 def load_config(path: str | Path) -> Config:

@@ -1,0 +1,1 @@
+"""The command line around the commands: their table, help and completion."""

@@ -1,0 +1,86 @@
+"""The table of commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its configuration, its function and its help."""
+
+    root: str
+    """Key of `config.overrides.ROOTS`."""
+    place: str
+    """`module:function`, imported once the configuration has been checked."""
+    about: str
+    example: str
+    """Overrides."""
+
+
+COMMANDS = {
+    "train": Command(
+        "train",
+        "hrl_comfort.training.trainer:train",
+        "train a policy for a subtask",
+        "task=reach human=arc agent=quick output=runs/reach",
+    ),
+    "train hierarchy": Command(
+        "train_hierarchy",
+        "hrl_comfort.training.hierarchy_trainer:train_hierarchy",
+        "train the policies of a cycle, evaluate them and their chain, write the report",
+        "division=three agent=quick output=runs/cycle",
+    ),
+    "train meta_controller": Command(
+        "train_meta_controller",
+        "hrl_comfort.training.controller_trainer:train_meta_controller",
+        "train a controller above frozen policies",
+        "policies.pick=expert policies.place=expert policies.return=expert output=runs/controller",
+    ),
+    "evaluate": Command(
+        "evaluate",
+        "hrl_comfort.evaluation.evaluate:evaluate",
+        "measure a policy, or a chain of policies (meta_controller=scripted)",
+        "policy=runs/pick episodes=100 record=true",
+    ),
+    "evaluate handover": Command(
+        "evaluate",
+        "hrl_comfort.evaluation.handover:handover",
+        "measure a subtask from the terminal states of the one before it",
+        "task=cycle meta_controller=scripted policies.pick=runs/cycle/pick policies.place=runs/cycle/place "
+        "policies.return=runs/cycle/return output=runs/handover",
+    ),
+    "report": Command(
+        "report",
+        "hrl_comfort.report.report:report",
+        "write one HTML page about a run, the runs in a folder, or a sweep",
+        "run=runs/pick",
+    ),
+    "figure": Command(
+        "figure",
+        "hrl_comfort.plots.figure:figure",
+        "draw what comfort levels or controllers change",
+        "kind=levels evaluations=[runs/comfort/eval] output=runs/levels.png",
+    ),
+    "studio": Command(
+        "studio",
+        "hrl_comfort.studio.server:studio",
+        "watch a policy in the browser, walk into its cell, replay an evaluation",
+        "policy=runs/cycle",
+    ),
+    "bench env": Command(
+        "train", "hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"
+    ),
+    "bench update": Command(
+        "train", "hrl_comfort.benchmarks.update:bench_update", "measure the speed of updates", "agent=sac"
+    ),
+    "bench train": Command(
+        "train", "hrl_comfort.benchmarks.train:bench_train", "compare training with Stable-Baselines3", "task=pick"
+    ),
+}
+VERBS = tuple(dict.fromkeys(command.split()[0] for command in COMMANDS))
+
+
+def parts_of(verb: str) -> tuple[str, ...]:
+    """Return the second words of the commands of `verb`: `hierarchy` and `meta_controller` of `train`."""
+    return tuple(command.split()[1] for command in COMMANDS if command.startswith(f"{verb} "))
