@@ -18,10 +18,11 @@ from hrl_comfort.cli.completion import complete
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.compose import compose, yaml_of
 from hrl_comfort.config.overrides import Config, check_overrides, override, root_of
+from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 
-FLAGS = ("-h", "--help", "--version", "--dry-run", "-m", "--multirun")
+FLAGS = ("-h", "--help", "--version", "--dry-run", "-m", "--multirun", "--overwrite")
 
 
 def configuration(command: str, overrides: list[str]) -> Config:
@@ -121,6 +122,8 @@ def command_of(words: list[str]) -> tuple[str, list[str]]:
 def execute(words: list[str]) -> None:
     """Do what the command line asks for."""
     flags, rest = set(words) & set(FLAGS), [word for word in words if word not in FLAGS]
+    if "--overwrite" in flags:
+        os.environ[OVERWRITE] = "1"
     asked, swept = bool(flags & {"-h", "--help"}), bool(flags & {"-m", "--multirun"})
     if "--version" in flags:
         print(f"hrl-comfort {__version__}")
@@ -152,6 +155,8 @@ def main(words: list[str] | None = None) -> int:
     except Preempted as stopped:
         print(f"hrl-comfort: {stopped}", file=sys.stderr)
         return 128 + signal.SIGTERM
+    finally:
+        os.environ.pop(OVERWRITE, None)
     return 0
 
 

@@ -11,6 +11,7 @@ from pandas import DataFrame, Series
 
 from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.output import output_file
 from hrl_comfort.files.tables import write_table
 
 Rate = Callable[[], float]
@@ -44,10 +45,11 @@ def interleaved(
     `columns` name the size, the contestant, the round and the rate.
     """
     rows = []
-    for size in sizes:
-        contestants = make(size)
-        rows += [(size, name, turn, measured()) for turn in range(ROUNDS) for name, measured in contestants.items()]
-    write_table(path, columns, rows)
+    with output_file(path):
+        for size in sizes:
+            contestants = make(size)
+            rows += [(size, name, turn, measured()) for turn in range(ROUNDS) for name, measured in contestants.items()]
+        write_table(path, columns, rows)
     return DataFrame(rows, columns=list(columns))
 
 

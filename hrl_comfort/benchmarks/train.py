@@ -20,9 +20,10 @@ from hrl_comfort.agents.sac import matmul_precision
 from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.benchmarks.measure import need_peers, spread
 from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
-from hrl_comfort.config import EnvConfig, TrainConfig
+from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files.output import held_folder
 from hrl_comfort.files.tables import Floats, read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine
@@ -85,8 +86,18 @@ def bench_train(config: TrainConfig) -> Path:
     agent = replace(config.agent, demonstrator=None, demonstrator_envs=0, next_skill=None, learning_rate_end=None)
     config = replace(config, agent=agent, curriculum=replace(config.curriculum, kind="off"))
     env, path = environment(config), Path(config.output) / "train.csv"
-    done = read_table(path)
-    rows: list[list[object]] = [] if done is None else done[list(COLUMNS)].to_numpy(object).tolist()
+    with held_folder(path.parent):
+        rows = _races(config, env, path)
+    print(table(DataFrame(rows, columns=list(COLUMNS)).infer_objects()), end="")
+    return path
+
+
+def _races(config: TrainConfig, env: EnvConfig, path: Path) -> list[list[object]]:
+    """Run the races that are not in `path` yet; return the rows of all."""
+    done, agent = read_table(path), config.agent
+    if done is not None and tuple(done) != COLUMNS:
+        raise ConfigError(f"output={str(path)!r} is there already, and not of this command; choose another output")
+    rows: list[list[object]] = [] if done is None else done.to_numpy(object).tolist()
     run = {(task, learner, seed) for task, learner, seed, *_ in rows}
     for seed in SEEDS:
         for name, race in RACES.items():
@@ -97,8 +108,7 @@ def bench_train(config: TrainConfig) -> Path:
                 policy_steps = race(replace(config, train_seed=seed, episode_seed=seed), clock)
             rows.append([config.task.name, name, seed, clock.reached, policy_steps, round(clock.seconds, 2)])
             write_table(path, COLUMNS, rows)
-    print(table(DataFrame(rows, columns=list(COLUMNS)).infer_objects()), end="")
-    return path
+    return rows
 
 
 def table(frame: DataFrame) -> str:

@@ -18,7 +18,7 @@ def complete() -> None:
     import argcomplete
 
     parser = argparse.ArgumentParser(prog="hrl-comfort", add_help=False)
-    for option in ("--help", "--version", "--dry-run", "--multirun"):
+    for option in ("--help", "--version", "--dry-run", "--multirun", "--overwrite"):
         parser.add_argument(option, action="store_true")
     words: Any = parser.add_argument("words", nargs="*")
     words.completer = lambda prefix, parsed_args, **_: candidates(parsed_args.words or [], prefix)

@@ -17,6 +17,7 @@ OPTIONS = {
     "--version": "the version",
     "--dry-run": "print the resolved configuration, do nothing else",
     "-m, --multirun": "run every combination: train -m task=pick,place train_seed=0,1",
+    "--overwrite": "replace files in output= that this command did not write",
 }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import torch
 from pandas import DataFrame
@@ -15,8 +14,10 @@ from hrl_comfort.analysis.episodes import success
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
-from hrl_comfort.evaluation.rollout import COLUMNS, Result, rollout
+from hrl_comfort.evaluation.rollout import COLUMNS, MARKS, Result, rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.atomic import all_or_none
+from hrl_comfort.files.output import output_file, output_folder
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.policies.load import Source
 
@@ -29,16 +30,17 @@ def evaluate(config: EvaluateConfig) -> Path:
     """
     torch.set_num_threads(1)
     if config.terminal_states is not None:
-        return record_terminal_states(config)
+        with output_file(Path(config.terminal_states)):
+            return record_terminal_states(config)
     for name in config.group_by:
         if name not in COLUMNS:
             raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
-    if config.checkpoints == "all":
-        return evaluate_checkpoints(config)
     output = Path(config.output)
-    check_folder(output)
-    result = rollout(config)
-    result.write(output, config)
+    with output_folder(output, EvaluateConfig, *MARKS):
+        if config.checkpoints == "all":
+            return evaluate_checkpoints(config)
+        result = rollout(config)
+        result.write(output, config)
     what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
     Console().print(f"{output}: {what}", soft_wrap=True)
     return output
@@ -56,16 +58,6 @@ def evaluate_policy(policy: Source, choices: Mapping[str, object]) -> DataFrame:
     return rollout(config, policy).table
 
 
-def check_folder(output: Path) -> None:
-    """Raise ConfigError unless a folder can be written to or made; it is made when something is written."""
-    there = next(path for path in (output, *output.parents) if path.exists())
-    try:
-        TemporaryDirectory(dir=there).cleanup()
-    except OSError as error:
-        what = f"{there}: {error.strerror}"
-        raise ConfigError(f"output={str(output)!r} cannot be written: {what}") from error
-
-
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     """Evaluate every light checkpoint of the run `policy`; write checkpoints.csv and their episodes."""
     folder = Path(config.policy or "")
@@ -73,7 +65,6 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     if not found:
         raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
     output = Path(config.output) / "checkpoints"
-    check_folder(output)
     every, curve = Result([], [], []), []
     for path in found:
         result = rollout(config, str(path))
@@ -83,6 +74,7 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         interval = share["ci95"] or (None, None)
         curve.append([policy_steps, share["mean"], *interval, config.task.precision.grasp_tolerance_m])
     header = ["policy_steps", "success", "success_low", "success_high", "precision_m"]
-    write_table(output.parent / "checkpoints.csv", header, curve)
-    every.write(output, config)
+    with all_or_none():
+        write_table(output.parent / "checkpoints.csv", header, curve)
+        every.write(output, config)
     return output

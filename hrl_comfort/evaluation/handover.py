@@ -20,9 +20,11 @@ from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
-from hrl_comfort.config.compose import environment, load_config, run_folder
-from hrl_comfort.evaluation.rollout import rollout, split
+from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.evaluation.rollout import MARKS, rollout, split
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.atomic import all_or_none
+from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy
@@ -58,6 +60,13 @@ def handover(config: EvaluateConfig) -> Path:
     if config.disturbance != "none":
         raise ConfigError(f"disturbance={config.disturbance} does not go with handover")
     output = Path(config.output)
+    with output_folder(output, EvaluateConfig, *MARKS):
+        _write_tables(config, output)
+    return output
+
+
+def _write_tables(config: EvaluateConfig, output: Path) -> None:
+    names = list(config.meta_controller.options)
     matrix: list[list[Any]] = []
     single: list[list[Any]] = []
     far_rows: list[list[Any]] = []
@@ -75,14 +84,15 @@ def handover(config: EvaluateConfig) -> Path:
             told = f"{after} from {kind} starts: {cell(share, 100)} % of {len(ran.episodes)}"
             Console().print(told, soft_wrap=True)
             far_rows += [[after, kind, *row] for row in far_observations(part)]
-    write_table(output / "handover.csv", HANDOVER, matrix)
-    write_table(output / "handover_episodes.csv", SINGLE, single)
-    write_table(output / "seams.csv", FAR_OBSERVATIONS, far_rows)
     whole = rollout(config)
     far = chain_lengths(whole.table, records_of(whole.options, "options"), len(names))
     chain = ([at["options"], at["success"], *(at["ci95"] or (None, None))] for at in far)
-    write_table(output / "chain.csv", CHAIN, chain)
-    return output
+    with all_or_none():
+        save_config(config, output / "handover.yaml")
+        write_table(output / "handover.csv", HANDOVER, matrix)
+        write_table(output / "handover_episodes.csv", SINGLE, single)
+        write_table(output / "seams.csv", FAR_OBSERVATIONS, far_rows)
+        write_table(output / "chain.csv", CHAIN, chain)
 
 
 HANDOVER = ["subtask", "start", "episodes", "success", "success_low", "success_high"]

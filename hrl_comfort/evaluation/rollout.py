@@ -18,7 +18,7 @@ from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
 from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionRun, execute
@@ -30,6 +30,10 @@ from hrl_comfort.tasks import State
 
 BATCH = 250
 """Episodes simulated side by side."""
+STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4")
+"""Files of an earlier evaluation, deleted when a new one is written."""
+MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
+"""Configurations by which the folder of an evaluation is known."""
 
 
 @dataclass(frozen=True)
@@ -96,16 +100,15 @@ class Result:
 
     def write(self, output: Path, config: EvaluateConfig) -> None:
         """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
-        for stale in ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4"):
-            (output / stale).unlink(missing_ok=True)
-        write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
-        if self.options:
-            write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
-        if self.paths:
-            write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
-        save_config(config, output / "config.yaml")
-        limits = [episode.max_episode_steps for episode in self.episodes]
-        write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
+        with all_or_none(*(output / name for name in STALE)):
+            save_config(config, output / "config.yaml")
+            write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
+            if self.options:
+                write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
+            if self.paths:
+                write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+            limits = [episode.max_episode_steps for episode in self.episodes]
+            write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:

@@ -17,7 +17,8 @@ from hrl_comfort.analysis import handover as handovers
 from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS, common, of_spawns, paired, summarise
 from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.files.atomic import write_json
+from hrl_comfort.files.atomic import all_or_none, write_json
+from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Run, read_run
 from hrl_comfort.plots import hierarchy, levels, paths
 from hrl_comfort.plots.style import save_png
@@ -34,6 +35,14 @@ def figure(config: FigureConfig) -> Path:
     Raises:
       ConfigError: an evaluation is not there, is damaged, or lacks what the figure needs.
     """
+    output = Path(config.output)
+    with output_file(output, output.with_suffix(".json")), all_or_none():
+        _draw(config, output)
+    Console(stderr=True).print(f"{output}", soft_wrap=True)
+    return output
+
+
+def _draw(config: FigureConfig, output: Path) -> None:
     folders = folders_of(config)
     if config.kind == "handover":  # made from other tables than episodes.csv
         numbers = {label: handovers.summarise(each) for label, each in folders.items()}
@@ -43,12 +52,9 @@ def figure(config: FigureConfig) -> Path:
         picture, numbers = KINDS[config.kind](config, groups)
     if config.kind in TABLES:
         print(TABLES[config.kind](numbers), end="")
-    output = Path(config.output)
     save_png(picture, output)
     if numbers:
         write_json(output.with_suffix(".json"), numbers)
-    Console(stderr=True).print(f"{output}", soft_wrap=True)
-    return output
 
 
 def folders_of(config: FigureConfig) -> dict[str, list[Path]]:

@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from pandas import Series
 
 from hrl_comfort.files.atomic import write_atomically
+from hrl_comfort.files.output import SIGNATURE
 from hrl_comfort.files.tables import Floats
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -68,7 +69,8 @@ def styled() -> Any:
 def save_png(figure: Figure, file: Path) -> None:
     """Write a figure as PNG in one step."""
     with styled():
-        write_atomically(file, lambda out: figure.savefig(out, format="png", dpi=DPI, bbox_inches="tight"))
+        look: dict[str, Any] = {"dpi": DPI, "bbox_inches": "tight", "metadata": {"Software": SIGNATURE.decode()}}
+        write_atomically(file, lambda out: figure.savefig(out, format="png", **look))
 
 
 def data_uri(figure: Figure) -> str:

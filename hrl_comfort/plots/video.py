@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from pandas import DataFrame, Series
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
+from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
@@ -104,13 +106,13 @@ def write_video(file: Path, pictures: Iterator[NDArray[np.uint8]]) -> Path:
     """Write pictures to an mp4 that browsers play, FRAMES_PER_S a second, and return its path."""
     import imageio.v2 as imageio
 
-    file.parent.mkdir(parents=True, exist_ok=True)
-    first = next(pictures)  # before the file is opened: no empty video where drawing fails
-    writer: Any = imageio.get_writer(
-        file, fps=FRAMES_PER_S, codec="libx264", quality=5, macro_block_size=2, ffmpeg_log_level="error"
-    )
-    with writer:
-        writer.append_data(first)
-        for picture in pictures:
-            writer.append_data(picture)
+    with TemporaryDirectory() as folder:
+        drawn = Path(folder) / "video.mp4"
+        writer: Any = imageio.get_writer(
+            drawn, fps=FRAMES_PER_S, codec="libx264", quality=5, macro_block_size=2, ffmpeg_log_level="error"
+        )
+        with writer:
+            for picture in pictures:
+                writer.append_data(picture)
+        write_atomically(file, lambda out: out.write(drawn.read_bytes()))
     return file

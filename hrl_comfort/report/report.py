@@ -20,6 +20,7 @@ from hrl_comfort.analysis.summary import KEYS
 from hrl_comfort.analysis.tables import Quantity, cell, cells
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
 from hrl_comfort.plots import hierarchy, training
 from hrl_comfort.plots.paths import overview
@@ -171,7 +172,13 @@ def report(config: ReportConfig) -> Path:
     if folder.is_dir() and sweep_report(folder, output):
         return output
     runs = find_runs(folder)
-    video, about_video = _video(runs, config.video)
+    with output_file(output):
+        _write_page(runs, folder.resolve().name, output, config.video)
+    return output
+
+
+def _write_page(runs: list[Run], title: str, output: Path, draw: bool) -> None:
+    video, about_video = _video(runs, draw)
     tables = [
         run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
     ]
@@ -180,7 +187,7 @@ def report(config: ReportConfig) -> Path:
     failed = episodes[episodes["ended"] != "success"].reindex(columns=FAILURE)
     page = render(
         "report.html.j2",
-        title=folder.resolve().name,
+        title=title,
         runs=runs,
         headline=headline(runs),
         curves=_curves(runs),
@@ -195,4 +202,3 @@ def report(config: ReportConfig) -> Path:
         about_video=about_video,
     )
     write_text(output, page)
-    return output

@@ -14,10 +14,13 @@ import jinja2
 from hrl_comfort.analysis.sweeps import Sweep, as_csv, not_finished, read_sweep, table
 from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.atomic import all_or_none, write_text
+from hrl_comfort.files.output import output_file
 from hrl_comfort.plots.style import data_uri, save_png
 from hrl_comfort.plots.sweeps import LOOKS, learning
 
+BESIDE = (".csv", ".md", ".png")
+"""Suffixes of the files beside the page."""
 HEADS = ["folder", "overrides", "state", "why"]
 
 
@@ -43,8 +46,14 @@ def sweep_report(folder: Path, output: Path) -> bool:
     sweep = read_sweep(folder)
     if not sweep.rows:
         return False
-    if output.suffix in (".csv", ".md", ".png"):
+    if output.suffix in BESIDE:
         raise ConfigError(f"output={str(output)!r} is the page; its {output.suffix} file is written beside it")
+    with output_file(output, *map(output.with_suffix, BESIDE)), all_or_none():
+        _write(sweep, folder, output)
+    return True
+
+
+def _write(sweep: Sweep, folder: Path, output: Path) -> None:
     figure = learning(sweep)
     write_text(output.with_suffix(".csv"), as_csv(sweep))
     write_text(output.with_suffix(".md"), _markdown(sweep))
@@ -67,7 +76,6 @@ def sweep_report(folder: Path, output: Path) -> bool:
         left_out=max(0, len(sweep.rows) - len(LOOKS)),
     )
     write_text(output, page)
-    return True
 
 
 def _markdown(sweep: Sweep) -> str:

@@ -13,6 +13,8 @@ import viser
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.evaluation.rollout import PATH_COLUMNS, EpisodeRecorder, Result, rounded
+from hrl_comfort.files.atomic import all_or_none
+from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.hierarchy.executor import ExecutedStep
 from hrl_comfort.humans import validation_set
@@ -80,17 +82,18 @@ class Recorder:
         """Write the folder, the episode under way as one that was cut short; return it.
 
         Raises:
-          ConfigError: no decision was recorded.
+          ConfigError: no decision was recorded, or the folder is taken by now.
         """
         if self._recorder is not None and self._levels:
             self._recorder.add(ExecutedStep(void(self._last), ~ROW, ROW, []))
             self._finish()
         if not self.episodes:
             raise ConfigError("nothing was recorded: let it run for a decision before you stop")
-        self._result.write(self.folder, self._session.config)
-        for episode in {row[0] for row in self._result.paths}:
-            rows = [row for row in self._result.paths if row[0] == episode]
-            write_table(self.folder / f"human_{episode}.csv", HEADER, motion(rows))
+        with output_folder(self.folder, type(None)), all_or_none():
+            self._result.write(self.folder, self._session.config)
+            for episode in {row[0] for row in self._result.paths}:
+                rows = [row for row in self._result.paths if row[0] == episode]
+                write_table(self.folder / f"human_{episode}.csv", HEADER, motion(rows))
         return self.folder
 
     def draw(self) -> Path:

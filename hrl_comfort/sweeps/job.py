@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -14,6 +15,9 @@ from hrl_comfort.analysis.learning_curve import curve_of, training_end
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override, root_of
+from hrl_comfort.evaluation.rollout import MARKS
+from hrl_comfort.files.atomic import overwrites
+from hrl_comfort.files.output import INSIST, is_own
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.hierarchy.q_learning import choice_file
@@ -93,7 +97,10 @@ def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
       OtherRunError: the folder holds another training.
       ConfigError: it is damaged.
     """
-    folder = Path(config.output)
+    folder, evaluates = Path(config.output), isinstance(config, EvaluateConfig)
+    known: tuple[Any, ...] = (EvaluateConfig, *MARKS) if evaluates else (TrainingConfig, "config.yaml", HIERARCHY)
+    if not (overwrites() or is_own(folder, *known)):
+        raise OtherRunError(f"output={folder} holds other files than those of this command; {INSIST}")
     file = folder / (HIERARCHY if isinstance(config, HierarchyTrainConfig) else "config.yaml")
     if not file.is_file():
         return Left.ALL

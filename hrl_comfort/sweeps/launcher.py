@@ -17,6 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
+from hrl_comfort.files.atomic import overwrites, target_of
+from hrl_comfort.files.documents import read_yaml
+from hrl_comfort.files.output import INSIST
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import Command, job
 from hrl_comfort.sweeps.subprocesses import ERRORS
@@ -48,6 +51,9 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     try:
         asked = hydra_app.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
         folder = Path(asked.hydra.sweep.dir)
+        record = target_of(folder / "multirun.yaml")
+        if record.exists() and not overwrites() and "hydra" not in read_yaml(record)[1]:
+            raise ConfigError(f"{record} is not the record of a sweep; {INSIST}")
         rest.append(override("hydra.sweep.dir", folder))  # its default holds the time, which must not change
         batches = hydra_app.multirun(root, task, rest, with_log_configuration=False)
     except (HydraException, OmegaConfBaseException) as error:

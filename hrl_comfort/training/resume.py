@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +15,7 @@ import torchrl
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
 from hrl_comfort.config.compose import load_config
+from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
 
 C = TypeVar("C", bound=TrainingConfig)
@@ -79,26 +78,22 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
     """Hold `folder` for one training, as long as the context lasts (the process's end frees it too).
 
     Raises:
-        ConfigError: another process trains in it, or it holds a run and `resume` is false. A training that
-            ended before its first checkpoint has left nothing to resume, and its folder is free.
+        ConfigError: another process writes in it, or it holds a run, or what is no training, and `resume` is
+            false. A training that ended before its first checkpoint has left nothing to resume: its folder is free.
     """
-    if resume and not folder.is_dir():
-        raise ConfigError(f"resume={folder} is not a run folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{folder} is in use by another training; choose another output") from None
-        if not resume and _holds_run(folder):
-            stopped = checkpoint.resumable(folder / "checkpoints")
-            what = "a controller" if (folder / "meta_controller.pt").exists() and not stopped else "a run"
-            remedy = f", or say resume={folder}" if stopped else ""
-            raise ConfigError(f"output={folder} already holds {what}; choose another{remedy}")
+    if resume:
+        if not folder.is_dir():
+            raise ConfigError(f"resume={folder} is not a run folder")
+        with held_folder(folder):
+            yield
+        return
+    if _holds_run(folder):
+        stopped = checkpoint.resumable(folder / "checkpoints")
+        what = "a controller" if (folder / "meta_controller.pt").exists() and not stopped else "a run"
+        remedy = f", or say resume={folder}" if stopped else ""
+        raise ConfigError(f"output={folder} already holds {what}; choose another{remedy}")
+    with output_folder(folder, TrainingConfig, "config.yaml", HIERARCHY):
         yield
-    finally:
-        os.close(descriptor)
 
 
 def _holds_run(folder: Path) -> bool:
