@@ -52,7 +52,7 @@ def make_vec_env(
 class CellVecEnv(VecEnv):
     """N cells as a `VecEnv`; a row that ends restarts within the same step.
 
-    Action (N, 6) in [-1, 1], observation (N, D) float32. The info of a row holds the values of `step_columns` and
+    Action (N, A) in [-1, 1], observation (N, D) float32. The info of a row holds the values of `step_columns` and
     `is_success`; at the end of its episode also `terminal_observation` and `TimeLimit.truncated`.
     """
 
@@ -78,7 +78,7 @@ class CellVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions (N, 6) for `step_wait`."""
+        """Keep the actions (N, A) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -86,9 +86,9 @@ class CellVecEnv(VecEnv):
 
         Raises:
           RuntimeError: there is no episode yet.
-          ValueError: the actions are not (N, 6) finite numbers.
+          ValueError: the actions are not (N, A) finite numbers.
         """
-        result, observation, values = self.cells.step(self._actions, (self.num_envs, 6))
+        result, observation, values = self.cells.step(self._actions, (self.num_envs, self.cells.action_dim))
         columns = {**values, "is_success": values["success"]}
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         infos: list[dict[str, Any]] = [dict(zip(columns, row, strict=True)) for row in rows]

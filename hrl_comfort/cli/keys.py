@@ -87,7 +87,7 @@ def allowed(hint: Any) -> str:
         elif "names" in keywords:
             names = (*keywords["names"], *(["package.module:name"] if "key" in keywords else []))
             said.append(", ".join(f"`{name}`" for name in names))
-        elif hint in (checks.XY, checks.XYZ, checks.JointAngles):
+        elif hint in (checks.XY, checks.XYZ):
             said.append(f"{check.metadata[0].min_length} numbers")
     return "; ".join(said)
 

@@ -47,7 +47,7 @@ class Trajectory:
     human: Floats
     """(T + 1, 2) m, axis of the human."""
     joint_target: Floats
-    """(T + 1, 6) rad."""
+    """(T + 1, J) rad."""
     arm_distance: Floats
     """(T + 1,) m, smallest distance between any link and any body part."""
     human_here: bool

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import XYZ, JointAngles, choice, within
+from hrl_comfort.config.checks import XYZ, Coordinate, choice, within
 from hrl_comfort.config.constants import MAX_ENVS
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """The arm; its kinematics and masses are constants of `scene.robots`."""
+    """The arm; its kinematics and masses are those of `scene.robots`."""
 
     name: str
-    """A key of `scene.robots.ROBOTS`, checked there."""
-    home_deg: JointAngles
-    """Joint angles of the home pose, degrees."""
+    """A key of `scene.robots.ROBOTS`, an entry point or `package.module:name`, checked there."""
+    home_deg: list[Coordinate] | None
+    """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
 

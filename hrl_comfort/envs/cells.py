@@ -45,6 +45,7 @@ class Cells:
         """Whether `reset` has been called."""
         self._build()
         self.width = self._observe().shape[1]
+        self.action_dim = self.engine.episodes.action_dim
         self.engine.episodes.rewind()
 
     def _build(self) -> None:
@@ -79,7 +80,7 @@ class Cells:
     def step(self, action: object, shape: tuple[int, ...]) -> tuple[StepResult, Array, dict[str, NDArray[Any]]]:
         """Run a decision; return its result, the observations (N, D) and its values by name, (N,) each.
 
-        `action` is (N, 6), or what `shape` says. The values are those of `step_columns`, the distance NaN without a
+        `action` is (N, A), or what `shape` says. The values are those of `step_columns`, the distance NaN without a
         human.
 
         Raises:

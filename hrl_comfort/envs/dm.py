@@ -65,10 +65,10 @@ class CellPhysics(Physics):
         return super().contexts
 
     def sense(self, joints: Array, control: Array) -> Array:
-        """Return sensordata (nsensor,) at joints (12,), rad and rad/s, under control (ncontrol,)."""
+        """Return sensordata (nsensor,) at joints (2 J,), rad and rad/s, under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = joints[:6], joints[6:]
+        data.qpos[:], data.qvel[:] = np.split(joints, 2)
         mujoco.mj_setState(model, data, control, CONTROL_SPEC)
         mujoco.mj_forward(model, data)
         return np.array(data.sensordata)
@@ -99,8 +99,8 @@ class CellTask(control.Task):
         self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
-        """Queue the controls of the decision; raise ValueError unless `action` is (6,) finite numbers."""
-        physics.queue(self.episodes.apply_action(checked_action(action, (6,))[None])[0])
+        """Queue the controls of the decision; raise ValueError unless `action` is (A,) finite numbers."""
+        physics.queue(self.episodes.apply_action(checked_action(action, (self.episodes.action_dim,))[None])[0])
 
     def after_step(self, physics: CellPhysics) -> None:
         """Compute the result of the decision."""
@@ -109,8 +109,9 @@ class CellTask(control.Task):
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
-        """Return the action spec: (6,) in [-1, 1]."""
-        return specs.BoundedArray((6,), np.float64, np.full(6, -1.0), np.full(6, 1.0), name="action")
+        """Return the action spec: (A,) in [-1, 1]."""
+        largest = np.ones(self.episodes.action_dim)
+        return specs.BoundedArray(largest.shape, np.float64, -largest, largest, name="action")
 
     def get_observation(self, physics: CellPhysics) -> OrderedDict[str, Array]:
         """Return the named observation terms, unbatched."""

@@ -22,7 +22,7 @@ Picture = NDArray[np.uint8]
 class CellGym(gymnasium.Env[Array, Array]):
     """One cell; a step is a decision.
 
-    Action (6,) in [-1, 1], observation (D,) float32. `info` holds the values of `step_columns`; `human_distance`
+    Action (A,) in [-1, 1], observation (D,) float32. `info` holds the values of `step_columns`; `human_distance`
     is NaN without a human. `reset(seed=s)` starts the episodes of `hrl_comfort.load(task, seed=s)`; a reset without
     a seed starts the next one. `reset(options={"episode": 3, "split": "validation"})` replays an episode of an
     evaluation split.
@@ -46,11 +46,11 @@ class CellGym(gymnasium.Env[Array, Array]):
         """Run one decision.
 
         Raises:
-          ValueError: `action` is not (6,) finite numbers.
+          ValueError: `action` is not (A,) finite numbers.
           ResetNeeded: there is no episode yet.
         """
         _check_reset(self._cells)
-        result, observation, values = self._cells.step(action, (6,))
+        result, observation, values = self._cells.step(action, (self._cells.action_dim,))
         info = {name: column[0].item() for name, column in values.items()}
         ended = bool(result.terminated[0]), bool(result.truncated[0])
         return observation[0], float(result.reward[0]), *ended, info
@@ -73,7 +73,7 @@ class CellGym(gymnasium.Env[Array, Array]):
 class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     """N cells stepped together; a row that ends restarts within the same step.
 
-    Action (N, 6) in [-1, 1], observation (N, D) float32; `info` as of `CellGym`, (N,) each. If a row ends, `info`
+    Action (N, A) in [-1, 1], observation (N, D) float32; `info` as of `CellGym`, (N,) each. If a row ends, `info`
     also holds `final_obs` (N,) of (D,) or None and `final_info`, masked by `_final_obs` and `_final_info` (N,) bool.
     """
 
@@ -117,11 +117,11 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         """Run one decision in every row.
 
         Raises:
-          ValueError: `actions` are not (N, 6) finite numbers.
+          ValueError: `actions` are not (N, A) finite numbers.
           ResetNeeded: there is no episode yet.
         """
         _check_reset(self._cells)
-        result, observation, values = self._cells.step(actions, (self.num_envs, 6))
+        result, observation, values = self._cells.step(actions, (self.num_envs, self._cells.action_dim))
         info: Info = dict(values)
         done = result.done.numpy()
         if done.any():
@@ -148,8 +148,8 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
 
 
 def spaces(cells: Cells) -> tuple[Box[Any], Box[Any]]:
-    """Return the spaces of an observation (D,) and of an action (6,) of one cell."""
-    return Box(-np.inf, np.inf, (cells.width,), np.float32), Box(-1.0, 1.0, (6,), np.float32)
+    """Return the spaces of an observation (D,) and of an action (A,) of one cell."""
+    return Box(-np.inf, np.inf, (cells.width,), np.float32), Box(-1.0, 1.0, (cells.action_dim,), np.float32)
 
 
 def _check_reset(cells: Cells) -> None:

@@ -24,7 +24,7 @@ _FLAGS = ("success", "human_collision", "other_collision", "terminated", "trunca
 class CellEnv(EnvBase):
     """N cells as one TorchRL environment of batch size (N,); a step is a decision.
 
-    Action (N, 6) in [-1, 1], observation (N, D) float32. A step also returns the values of `step_columns`,
+    Action (N, A) in [-1, 1], observation (N, D) float32. A step also returns the values of `step_columns`,
     (N, 1) each, and `reward_terms` (N, T).
     """
 
@@ -52,7 +52,7 @@ class CellEnv(EnvBase):
             reward_terms=Unbounded(shape=(*n, len(self.reward_names)), dtype=torch.float32),
             shape=n,
         )
-        self.action_spec = Bounded(-1.0, 1.0, shape=(*n, 6), dtype=torch.float32)
+        self.action_spec = Bounded(-1.0, 1.0, shape=(*n, self.engine.episodes.action_dim), dtype=torch.float32)
         self.reward_spec = Unbounded(shape=(*n, 1), dtype=torch.float32)
         self.full_done_spec = Composite({name: flag.clone() for name in _FLAGS[3:]}, shape=n)
         self.engine.episodes.rewind()
@@ -76,7 +76,7 @@ class CellEnv(EnvBase):
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        outcome = self.engine.step(checked_action(tensordict["action"], (self.rows, 6)))
+        outcome = self.engine.step(checked_action(tensordict["action"], (self.rows, self.engine.episodes.action_dim)))
         self.last = outcome
         columns = step_columns(outcome)
         columns |= {"steps": columns["steps"].clone(), "human_distance": columns["human_distance"].float()}

@@ -106,7 +106,7 @@ class Result:
             if self.options:
                 write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
             if self.paths:
-                write_table(output / "paths.csv", PATH_COLUMNS, self.paths)
+                write_table(output / "paths.csv", path_columns(len(self.paths[0])), self.paths)
             limits = [episode.max_episode_steps for episode in self.episodes]
             write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
 
@@ -311,10 +311,14 @@ class EpisodeRecorder:
         return {"episode": int(self.entries.episode[row]), "comfort_level": level, **line}
 
 
-PATH_COLUMNS = [
-    "episode", "step", "stage", "level", "q0", "q1", "q2", "q3", "q4", "q5", "tcp_x", "tcp_y", "tcp_z",
-    "human_x", "human_y", "human_yaw", "human_distance_m",
-]  # fmt: skip
+PATH_INSTANT = ("episode", "step", "stage", "level")
+PATH_PLACES = ("tcp_x", "tcp_y", "tcp_z", "human_x", "human_y", "human_yaw", "human_distance_m")
+
+
+def path_columns(cells: int) -> list[str]:
+    """Return the columns of paths.csv for rows of `cells` cells, between PATH_INSTANT and PATH_PLACES a joint each."""
+    joints = cells - len(PATH_INSTANT) - len(PATH_PLACES)
+    return [*PATH_INSTANT, *(f"q{joint}" for joint in range(joints)), *PATH_PLACES]
 
 
 def rounded(value: float) -> float:

@@ -111,7 +111,7 @@ def chain(skills: Sequence[tuple[Subtask, Act]]) -> list[Option]:
 
 
 def act(options: Sequence[Option | IdleOption], option: Tensor, state: State, acting: Tensor) -> Tensor:
-    """Return the actions (N, 6) of the options in force, `option` (N,) int64; rows not `acting` stand still.
+    """Return the actions (N, A) of the options in force, `option` (N,) int64; rows not `acting` stand still.
 
     Options that share a policy act in one batch.
     """
@@ -123,9 +123,12 @@ def act(options: Sequence[Option | IdleOption], option: Tensor, state: State, ac
         policy[rows] = policies.index(each.policy)
         if each.level is not None:
             level[rows] = each.level
-    seen, action = state.with_(stage=stage, level=level), torch.zeros_like(state.joint_pos)
+    seen, action = state.with_(stage=stage, level=level), state.joint_pos.new_zeros(0)
     for index, acts in enumerate(policies):
         rows = torch.nonzero(policy == index).squeeze(-1)
         if len(rows):
-            action[rows] = acts(seen.rows(rows)).to(action.dtype)
+            chosen = acts(seen.rows(rows)).to(action.dtype)
+            if not len(action):
+                action = chosen.new_zeros(len(option), chosen.shape[-1])
+            action[rows] = chosen
     return action

@@ -20,7 +20,6 @@ from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 from hrl_comfort.scene.camera import Camera
-from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.tasks import Ball, subtask
 
 FRAMES_PER_S = 25
@@ -88,11 +87,11 @@ def frames(
     x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
     limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
     goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
-    joints = [model.joint(f"robot/{name}").qposadr[0] for name in JOINTS]
+    joints = [model.joint(name).qposadr[0] for name in scene.joints]
     ball = scene.mocap.index(f"{colour}_ball")
     with closing(Camera(model, _azimuth_deg(path), ELEVATION_DEG, DISTANCE_M)) as camera:
         for i in range(len(shown["step"])):
-            data.qpos[joints] = [shown[f"q{j}"][i] for j in range(6)]
+            data.qpos[joints] = [shown[f"q{j}"][i] for j in range(len(joints))]
             data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
             tool = [shown[f"tcp_{axis}"][i] for axis in "xyz"]
             where = subtask(task).ball(int(shown["stage"][i]))

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene.human import LIMBS
-from hrl_comfort.scene.robots import LINKS, ROBOTS
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.arm_distance import link_frames
+from hrl_comfort.sim.kinematics import LinkFrames
 
 Array = NDArray[np.float64]
 
@@ -26,13 +25,13 @@ CLEARANCE_M = 0.01
 
 
 class ArmSpheres:
-    """The arm as spheres, by batched DH kinematics."""
+    """The arm as spheres, by batched kinematics."""
 
-    def __init__(self, scene: Scene, robot: str) -> None:
-        self._robot = ROBOTS[robot]
+    def __init__(self, scene: Scene) -> None:
+        self._frames = LinkFrames(scene)
         model, data = scene.model, mujoco.MjData(scene.model)
         mujoco.mj_kinematics(model, data)
-        links = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"robot/{link}") for link in LINKS]
+        links = self._frames.links
         places, radii, self._link = [], [], []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
@@ -52,7 +51,7 @@ class ArmSpheres:
 
     def spheres(self, joints: Array) -> Array:
         """Return the spheres' centres (..., P, 3) m."""
-        frames = link_frames(self._robot, joints)
+        frames = self._frames(joints)
         parts = []
         for link, places in zip(self._link, self._places, strict=True):
             turn, origin = frames[link]
@@ -61,7 +60,7 @@ class ArmSpheres:
 
     def tool(self, joints: Array) -> Array:
         """Return the tool centre point (..., 3) m."""
-        turn, origin = link_frames(self._robot, joints)[-1]
+        turn, origin = self._frames(joints)[-1]
         return origin + turn @ self._tcp
 
 
@@ -95,7 +94,7 @@ class CollisionChecker:
         return all(self._depth(start + share * (end - start)) >= least for share in shares)
 
     def raised(self, joints: Array) -> Array:
-        """Return postures (5, 6) near `joints` with the tool higher, and to one side in four of them."""
+        """Return postures (5, J) near `joints` with the tool higher, and to one side in four of them."""
         self._configuration.update(joints)
         tool = self._data.site("robot/tcp").xpos.copy()
         found = []

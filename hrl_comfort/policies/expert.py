@@ -69,7 +69,7 @@ class Expert:
         self._upright = np.tile(scene.home, (len(UPRIGHT_PANS_RAD), 1))
         self._upright[:, 0] = UPRIGHT_PANS_RAD
         self._cell = CollisionChecker(scene)
-        self._body = ArmSpheres(scene, config.robot.name)
+        self._body = ArmSpheres(scene)
         self._library = self._seeds()
         self._known: dict[tuple[tuple[float, ...], bool], Array] = {}
         self._passages: dict[Goal, NDArray[np.bool_]] = {}

@@ -17,6 +17,7 @@ from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_module, from_sb3
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
 
 Act = Callable[[State], Tensor]
@@ -36,7 +37,7 @@ def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, 
     if isinstance(source, str) and Path(source).exists():
         return trained(source, task, config)
     policy = from_function(name_of(source), source) if callable(source) else external(source)
-    return on_standard_observations(policy, task, config)
+    return on_standard_observations(policy, task, scene, config)
 
 
 def name_of(source: Source) -> str:
@@ -74,7 +75,7 @@ def observation_policy(source: str) -> ObservationPolicy:
     return ObservationPolicy(source, lambda each: actor(torch.from_numpy(each)).numpy(), *sizes)
 
 
-def on_standard_observations(policy: ObservationPolicy, task: Subtask, config: EnvConfig) -> Act:
+def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Scene, config: EnvConfig) -> Act:
     """Return the policy as a function of the state: it sees the observations of `config.task` and the level, if any.
 
     Raises:
@@ -83,6 +84,13 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, config: E
     seen = subtask(task.name, config.task.observation, config.task.balls)
     if config.comfort.source != "none":
         seen = with_level(seen, config.comfort.levels)
+    width = action_dim(scene, config.task)
+    if policy.action_dim not in (None, width):
+        raise ConfigError(
+            f"policy={policy.source!r} gives actions of {policy.action_dim} numbers; "
+            f"task.action={config.task.action} of robot.name={config.robot.name} takes {width}"
+        )
+    sized = replace(policy, action_dim=width)
 
     def act(state: State) -> Tensor:
         observation = seen.observe(state)
@@ -92,21 +100,15 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, config: E
                 f"policy={policy.source!r} takes observations of {policy.observation_dim} numbers; "
                 f"task.name={task.name} gives {observation.shape[-1]}: {parts}"
             )
-        width = 6 if config.task.action == "cartesian" else state.joint_pos.shape[-1]
-        if policy.action_dim not in (None, width):
-            raise ConfigError(
-                f"policy={policy.source!r} gives actions of {policy.action_dim} numbers; "
-                f"task.action={config.task.action} of robot.name={config.robot.name} takes {width}"
-            )
-        return torch.from_numpy(replace(policy, action_dim=width)(observation.numpy()))
+        return torch.from_numpy(sized(observation.numpy()))
 
     return act
 
 
-def random(seed: int) -> Act:
-    """Return a policy of uniform actions."""
+def random(size: int, seed: int) -> Act:
+    """Return a policy of uniform actions of `size` numbers."""
     generator = torch.Generator().manual_seed(seed)
-    return lambda state: torch.rand(state.joint_target.shape, generator=generator, dtype=torch.float64) * 2 - 1
+    return lambda state: torch.rand(len(state.steps), size, generator=generator, dtype=torch.float64) * 2 - 1
 
 
 def trained(source: str, task: Subtask, config: EnvConfig) -> Act:
@@ -152,7 +154,7 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
 SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "expert": lambda task, scene, config, seed: Expert(scene, config, task).act,
     "potential_field": lambda task, scene, config, seed: PotentialField(scene, config, task).act,
-    "random": lambda task, scene, config, seed: random(seed),
+    "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),
 }
 """Value of `policy=` -> function that makes the policy."""
 CHOICES = f"a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, {' or '.join(SCRIPTED)}"

@@ -23,7 +23,6 @@ from hrl_comfort.comfort.terms import SMALLEST_M, increment_threshold, threshold
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.scripted import StageGoals
 from hrl_comfort.scene.human import LIMBS, limb_poses
-from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.scene.workcell import OBSTACLES, Scene
 from hrl_comfort.tasks import State, Subtask
 
@@ -68,7 +67,7 @@ class PotentialField:
         model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
         self._configuration = mink.Configuration(model)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0)
-        self._posture = mink.PostureTask(model, cost=np.array([0.0, 1, 1, 1, 1, 1]) * 3e-3)
+        self._posture = mink.PostureTask(model, cost=np.append(0.0, np.ones(len(scene.joints) - 1)) * 3e-3)
         self._posture.set_target(scene.home)
         self._homing = mink.PostureTask(model, cost=1.0)
         speed = self._step / CONTROL_STEP_S
@@ -79,7 +78,7 @@ class PotentialField:
         cell = ["robot/base", *(name for name in names if owners[name] in OBSTACLES)]
         self._limits = [
             mink.ConfigurationLimit(model),
-            mink.VelocityLimit(model, {f"robot/{joint}": speed for joint in JOINTS}),
+            mink.VelocityLimit(model, dict.fromkeys(scene.joints, speed)),
             mink.CollisionAvoidanceLimit(model, [(arm, person)], APPROACH, PERSON_M, PERSON_SEEN_M),
             mink.CollisionAvoidanceLimit(model, [(arm, cell), (arm, arm)], APPROACH, CELL_M, CELL_SEEN_M),
         ]

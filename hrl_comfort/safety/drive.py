@@ -12,7 +12,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.shield import Shield
-from hrl_comfort.scene.ratings import RATINGS
+from hrl_comfort.scene.ratings import arm_rating
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -34,8 +34,7 @@ class Drive:
     """Set-points of N arms, one control step at a time."""
 
     def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
-        name, robot = config.robot.rating, config.robot.name
-        rated = RATINGS[robot][name]
+        rated = arm_rating(config.robot.name, config.robot.rating)
         self._rating = Rating(
             np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
         )
@@ -100,7 +99,7 @@ def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
     Raises:
-      ConfigError: a shield is asked for, but the paper's arm has no brake.
+      ConfigError: the arm has no such rating, or a shield is asked for of the paper's arm, which has no brake.
     """
     if config.robot.rating != "paper":
         return Drive(scene, config, rows)

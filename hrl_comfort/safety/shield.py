@@ -16,7 +16,7 @@ from torch import Tensor
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
 from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, gaps, norm
 from hrl_comfort.safety.rating import Rating
-from hrl_comfort.scene.robots import SERVO_LAG_S
+from hrl_comfort.scene.servos import SERVO_LAG_S
 
 Array = NDArray[np.float64]
 SHARES = np.linspace(0.0, 1.0, 9)

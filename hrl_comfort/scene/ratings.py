@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.scene.robots import ROBOTS
+from hrl_comfort.config import ConfigError
+from hrl_comfort.scene.ur import UR_ARMS
 
 STOPS_S = {"ur3e": (0.159, 0.154, 0.092), "ur5e": (0.244, 0.530, 0.164), "ur10e": (0.244, 0.530, 0.164)}
 STOP_SPEED_RAD_S = 3.19
@@ -29,10 +30,24 @@ class ArmRating:
 
 def _rated(robot: str, share: float, tool_speed_m_s: float) -> ArmRating:
     base, shoulder, elbow = (share * STOP_SPEED_RAD_S / time for time in STOPS_S[robot])
-    return ArmRating(ROBOTS[robot].speed_deg_s, (base, shoulder, elbow, base, base, base), tool_speed_m_s)
+    return ArmRating(UR_ARMS[robot].speed_deg_s, (base, shoulder, elbow, base, base, base), tool_speed_m_s)
 
 
 RATINGS: dict[str, dict[str, ArmRating]] = {
     robot: {"collaborative": _rated(robot, 0.5, 1.0), "full": _rated(robot, 1.0, 1.5)} for robot in STOPS_S
 }
 """Robot -> value of `robot.rating` -> limits."""
+
+
+def arm_rating(robot: str, name: str) -> ArmRating:
+    """Return the limits of `robot` under `robot.rating=name`.
+
+    Raises:
+      ConfigError: no rating of that arm is known.
+    """
+    if robot not in RATINGS:
+        raise ConfigError(
+            f"robot.rating={name} is not known of robot.name={robot}, but of {', '.join(RATINGS)}; "
+            "choose robot.rating=paper"
+        )
+    return RATINGS[robot][name]

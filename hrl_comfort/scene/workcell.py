@@ -10,17 +10,16 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
-from hrl_comfort.config.checks import one_of
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
-from hrl_comfort.scene.robots import JOINTS, ROBOTS, build_robot
+from hrl_comfort.scene.robots import robot_named
 
 PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
 """Visual mocap bodies after the limbs; unused ones stand at x = FAR_AWAY_M."""
 MOCAP = LIMBS + PROPS
 OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
-"""Layout of a control vector: ctrl (6), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
+"""Layout of a control vector: ctrl (J), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
 
 _ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1)
 
@@ -30,17 +29,19 @@ class Scene:
     """A compiled cell with the layout of its state, controls and sensors."""
 
     robot: str
-    """A key of `scene.robots.ROBOTS`."""
+    """Its name, as of `scene.robots.robot_named`."""
+    joints: tuple[str, ...]
+    """Names of its J joints in the model, base first."""
     xml: str
     assets: Mapping[str, bytes]
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
-    """Slices of sensordata: joint_pos (6) rad, joint_vel (6) rad/s, tcp_pos (3) m; numbers of contacts with
+    """Slices of sensordata: joint_pos (J) rad, joint_vel (J) rad/s, tcp_pos (3) m; numbers of contacts with
     the robot: human (5, by LIMBS), table (5, by OBSTACLES), self (1)."""
     home: NDArray[np.float64]
-    """(6,) rad."""
+    """(J,) rad."""
     joint_range: NDArray[np.float64]
-    """(6, 2) rad."""
+    """(J, 2) rad."""
     nstate: int
     """Length of mjSTATE_FULLPHYSICS."""
     ncontrol: int
@@ -60,30 +61,37 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     """Compile the cell with `substeps` physics steps a control step of 20 ms.
 
     Raises:
-      ConfigError: `robot.name` is not in ROBOTS.
+      ConfigError: there is no such robot, or `robot.home_deg` is not a number for each of its joints.
     """
-    one_of("robot.name", robot.name, tuple(ROBOTS))
+    arm = robot_named(robot.name)
+    home = arm.home_deg if robot.home_deg is None else robot.home_deg
+    if len(home) != len(arm.joints):
+        raise ConfigError(
+            f"robot.home_deg={list(home)} has {len(home)} angles; robot.name={robot.name} has {len(arm.joints)} joints"
+        )
     root = mjcf.RootElement(model="cell")
     _set_options(root, substeps)
     floor_z = -cell.base_height_m
     _add_surroundings(root.worldbody, cell, floor_z)
-    root.attach(build_robot(ROBOTS[robot.name]))
+    root.attach(arm.build())
     build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
     more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
     _add_props(root.worldbody, cell, PROPS + more)
-    sizes = _add_sensors(root)
+    names = tuple(f"robot/{name}" for name in arm.joints)
+    sizes = _add_sensors(root, names)
 
     xml, assets = root.to_xml_string(), root.get_assets()
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
-    joints = [model.joint(f"robot/{name}").id for name in JOINTS]
+    joints = [model.joint(name).id for name in names]
     return Scene(
         robot=robot.name,
+        joints=names,
         xml=xml,
         assets=assets,
         model=model,
         sensors={key: slice(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)},
-        home=np.radians(np.asarray(robot.home_deg, dtype=np.float64)),
+        home=np.radians(np.asarray(home, dtype=np.float64)),
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
@@ -145,17 +153,18 @@ def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) ->
         body.add("site", name=name, size=[size], rgba=looks.get(name.split("_")[0], (0.2, 0.4, 0.9, 0.4)))
 
 
-def _add_sensors(root: mjcf.RootElement) -> dict[str, int]:
+def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...]) -> dict[str, int]:
     """Add the sensors; return their sizes in order of sensordata."""
     add = root.sensor.add
-    for name in JOINTS:
-        add("jointpos", name=f"{name}_pos", joint=f"robot/{name}")
-    for name in JOINTS:
-        add("jointvel", name=f"{name}_vel", joint=f"robot/{name}")
+    for kind in ("pos", "vel"):
+        for index, joint in enumerate(joints):
+            add(f"joint{kind}", name=f"joint_{index}_{kind}", joint=joint)
     add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
     found = {"subtree1": "robot/", "data": "found", "num": 1}
     for name in (*LIMBS, *OBSTACLES[:-1]):
         add("contact", name=f"{name}_contact", body2=name, **found)
     add("contact", name="floor_contact", geom2="floor", **found)
     add("contact", name="self_contact", subtree2="robot/", **found)
-    return {"joint_pos": 6, "joint_vel": 6, "tcp_pos": 3, "human": len(LIMBS), "table": len(OBSTACLES), "self": 1}
+    count = len(joints)
+    contacts = {"human": len(LIMBS), "table": len(OBSTACLES), "self": 1}
+    return {"joint_pos": count, "joint_vel": count, "tcp_pos": 3, **contacts}

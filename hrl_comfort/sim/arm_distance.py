@@ -7,35 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.scene.human import LIMBS
-from hrl_comfort.scene.robots import LINKS, ROBOTS, UrModel
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.kinematics import LinkFrames
 
 Array = NDArray[np.float64]
-
-
-def link_frames(robot: UrModel, joints: Array) -> list[tuple[Array, Array]]:
-    """Return rotation (..., 3, 3) and origin (..., 3) m of each link's DH frame; joints (..., 6) rad."""
-    turn, origin = np.broadcast_to(np.eye(3), (*joints.shape[:-1], 3, 3)), np.zeros((*joints.shape[:-1], 3))
-    frames = []
-    for i in range(6):
-        cos, sin = np.cos(joints[..., i, None]), np.sin(joints[..., i, None])
-        ca, sa = np.cos(robot.alpha_rad[i]), np.sin(robot.alpha_rad[i])
-        x, y, z = turn[..., 0], turn[..., 1], turn[..., 2]
-        along, across = cos * x + sin * y, cos * y - sin * x
-        turn = np.stack([along, ca * across + sa * z, ca * z - sa * across], axis=-1)
-        origin = origin + robot.d_m[i] * z + robot.a_m[i] * along
-        frames.append((turn, origin))
-    return frames
 
 
 class ArmDistance:
     """Distance between the capsules of the compiled model; a sphere is a capsule of length 0."""
 
     def __init__(self, scene: Scene) -> None:
-        self._robot = ROBOTS[scene.robot]
+        self._frames = LinkFrames(scene)
         model, data = scene.model, mujoco.MjData(scene.model)
         mujoco.mj_kinematics(model, data)
-        links = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"robot/{link}") for link in LINKS]
+        links = self._frames.links
         limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in LIMBS]
         self._arm, self._person = [], []
         for geom in range(model.ngeom):
@@ -59,8 +44,8 @@ class ArmDistance:
         self._sum = np.add.outer(arm, person)
 
     def __call__(self, joints: Array, limbs: Array) -> Array:
-        """Return (...,) m, negative in overlap; joints (..., 6) rad, limbs (..., 5, 7) as `limb_poses`."""
-        frames = link_frames(self._robot, joints)
+        """Return (...,) m, negative in overlap; joints (..., J) rad, limbs (..., 5, 7) as `limb_poses`."""
+        frames = self._frames(joints)
         arm = [frames[link][1][..., None, :] + ends @ np.swapaxes(frames[link][0], -1, -2)
                for link, ends, _ in self._arm]  # fmt: skip
         turns = rotations(limbs[..., 3:])

@@ -12,6 +12,15 @@ from hrl_comfort.scene.workcell import Scene
 Array = NDArray[np.float64]
 
 
+TOOL_ACTION = 6
+"""Size of a task-space action."""
+
+
+def action_dim(scene: Scene, task: TaskConfig) -> int:
+    """Return the size A of an action: a number for each joint, or TOOL_ACTION."""
+    return TOOL_ACTION if task.action == "cartesian" else len(scene.joints)
+
+
 class CartesianHand:
     """Differential inverse kinematics of one arm, applied row by row."""
 
@@ -22,7 +31,7 @@ class CartesianHand:
         self._task = task
 
     def increments(self, joint_pos: Array, action: Array) -> Array:
-        """Return joint increments (N, 6) rad a control step, none above `max_step_deg`.
+        """Return joint increments (N, J) rad a control step, none above `max_step_deg`.
 
         action (N, 6) in [-1, 1]: tool translation and rotation, cell axes, in units of `max_step_m` and
         `max_step_rot_deg` a control step. An increment above the limit is scaled as a whole, so that the tool

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def physics_of(joints: Array) -> Array:
-    """Return the physics (r, nstate) at time 0 of joints (r, 12): angles rad, velocities rad/s."""
+    """Return the physics (r, nstate) at time 0 of joints (r, 2 J): angles rad, velocities rad/s."""
     return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)
 
 
@@ -59,7 +59,7 @@ class Engine:
         return self.episodes.state
 
     def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
-        """Run one decision, action (N, 6) in [-1, 1], and return its result.
+        """Run one decision, action (N, A) in [-1, 1], and return its result.
 
         If `rows` (r,) are given, only these are run; the others are void in the result and must be reset
         before they are stepped again.

@@ -12,7 +12,7 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.starts import ARM, start_states
+from hrl_comfort.sim.starts import PARTS, start_states
 from hrl_comfort.tasks import Subtask
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Draw:
     spawn: Array
     """(2,) m."""
     start: Array
-    """(18,) angles, velocities and servo targets of the joints (`sim.starts`)."""
+    """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
     points: Array
     """(2, 3) m, of `reach` and `point_to_point`."""
 
@@ -77,6 +77,7 @@ class EpisodeSampler:
                 f"comfort.levels={config.comfort.levels}; at most {LONGEST_STEPS} are allowed"
             )
         self.horizon = longest + config.task.action_repeat
+        self._arm = PARTS * len(scene.joints)
         self._starts = start_states(scene, config, task.start)
         self._solved = replace(config, task=replace(config.task, start="ik"))
         if self._drawn:
@@ -93,7 +94,7 @@ class EpisodeSampler:
             motion_id=np.zeros(rows, dtype=np.int64),
             spawn_id=np.zeros(rows, dtype=np.int64),
             spawn=np.zeros((rows, 2)),
-            start=np.zeros((rows, ARM)),
+            start=np.zeros((rows, self._arm)),
             points=np.zeros((rows, 2, 3)),
         )
 
@@ -125,23 +126,24 @@ class EpisodeSampler:
             start = bank[rng.integers(len(bank))]
             spawn_id, spawn, points = self._spawn_and_points(row, rng)
             told = level.copy()
-            if kept and len(start) > ARM and self._drawn:
-                spawn_id, spawn = -1, humans.outside(start[None, ARM : ARM + 2], self.keep_out(points[None]))[0]
+            if kept and len(start) > self._arm and self._drawn:
+                person = start[None, self._arm : self._arm + 2]
+                spawn_id, spawn = -1, humans.outside(person, self.keep_out(points[None]))[0]
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(balls, colours, noise, told, *ids, spawn, start[:ARM], points)
+            yield Draw(balls, colours, noise, told, *ids, spawn, start[: self._arm], points)
 
     def _unseen_left_out(self, bank: Array) -> Array:
-        """Return the starts (M, 18 or 21) whose human, if any, is clear of every held-out spawn point.
+        """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
 
         Raises:
           ConfigError: there is none.
         """
-        if bank.shape[1] == ARM:
+        if bank.shape[1] == self._arm:
             return bank
         human = self._config.human
-        apart = bank[:, None, ARM : ARM + 2] - self.spawns[list(human.held_out)]
+        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[list(human.held_out)]
         clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
         if not clear.any():
             raise ConfigError(

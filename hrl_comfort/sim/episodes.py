@@ -23,7 +23,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
-from hrl_comfort.sim.cartesian import CartesianHand
+from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
@@ -32,7 +32,7 @@ from hrl_comfort.tasks import State, Subtask, subtask
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
-"""(joints (r, 12): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
+"""(joints (r, 2 J): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
 
 class Episodes:
@@ -59,6 +59,8 @@ class Episodes:
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
         self.precision_m = config.task.precision.grasp_tolerance_m
+        self.action_dim = action_dim(scene, config.task)
+        """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
 
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
@@ -83,7 +85,7 @@ class Episodes:
         self._walks = self.walk
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
-        """Begin the next episode of `rows`; return their joints (r, 12): angles rad, velocities rad/s.
+        """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
 
         Draws are repeated until the cell begins free of contact and unsolved.
 
@@ -102,7 +104,7 @@ class Episodes:
         return self._begin(rows, {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}, probe)
 
     def _begin(self, rows: NDArray[np.int64], attempts: dict[int, Iterator[Draw]], probe: Probe) -> Array:
-        pending = rows
+        pending, moving = rows, 2 * len(self.scene.joints)
         for _ in range(ATTEMPTS):
             for row in pending:
                 for name, value in vars(next(attempts[row])).items():
@@ -112,14 +114,15 @@ class Episodes:
             self.source.begin(pending)
             fresh = humans.begin(self.config.human, self.draw.spawn[pending])
             self.walk = self.walk.put(pending, fresh)
-            targets = self.draw.start[pending, 12:]
-            limbs = limbs_of(self.scene, fresh)
-            still = np.zeros_like(targets) if self._drive is None else self._drive.rated(self.draw.start[pending, 6:12])
+            begun = self.draw.start[pending]
+            targets, limbs = begun[:, moving:], limbs_of(self.scene, fresh)
+            velocity = begun[:, moving // 2 : moving]
+            still = np.zeros_like(targets) if self._drive is None else self._drive.rated(velocity)
             steps = np.zeros(len(pending), dtype=np.int64)
             planned = self._plan(fresh, limbs, SetPoints(targets, still, np.ones(len(pending))), steps)
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
-            sensed = probe(self.draw.start[pending, :12], control)
+            sensed = probe(self.draw.start[pending, :moving], control)
             state = self._first_state(pending, self._sensors.read(sensed, planned))
             if self.state is not None:
                 self.state = self.state.put(torch.from_numpy(pending), state)
@@ -134,7 +137,7 @@ class Episodes:
             pending = pending[bad]
             if not len(pending):
                 self._ready[rows] = True
-                return self.draw.start[rows, :12]
+                return self.draw.start[rows, :moving]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def rewind(self) -> None:
@@ -152,7 +155,7 @@ class Episodes:
             self.draw.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
 
     def apply_action(self, action: Array) -> Array:
-        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, 6) in [-1, 1].
+        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, A) in [-1, 1].
 
         Joint targets are ramped at up to `max_step_deg` a control step, or as rating and shield pass it; the human
         walks on meanwhile.
@@ -170,29 +173,30 @@ class Episodes:
         else:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
+        joints = joint_target.shape[1]
         if self._drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
             lowest, highest = self.scene.joint_range.T
             targets = np.minimum(np.maximum(targets, lowest), highest)
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
-            ends = targets[:, substeps - 1 :: substeps].reshape(-1, 6)
+            ends = targets[:, substeps - 1 :: substeps].reshape(-1, joints)
             points = SetPoints(ends, velocity, np.ones(self.rows * steps))
             self._walks = humans.Walk.along(list(self._walking(times)))
             limbs = limbs_of(self.scene, self._walks)
         else:
             points, limbs = self._driven(increment / CONTROL_STEP_S, times)
-            ends = points.angles.reshape(self.rows, steps, 1, 6)
+            ends = points.angles.reshape(self.rows, steps, 1, joints)
             starts = np.concatenate([joint_target[:, None, None], ends[:, :-1]], axis=1)
             ramp = np.arange(1, substeps + 1)[:, None] / substeps
-            targets = (starts + ramp * (ends - starts)).reshape(self.rows, -1, 6)
+            targets = (starts + ramp * (ends - starts)).reshape(self.rows, -1, joints)
         self._planned = self._plan(self._walks, limbs, points, times.reshape(-1) + 1)
         return self._controls(targets, self._planned["limbs"], rendered_positions(self.state, self.subtask))
 
     def _driven(self, asked: Array, times: NDArray[np.int64]) -> tuple[SetPoints, Array]:
         """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
 
-        `asked` (N, 6) rad/s, `times` (N, K). People stop where they touch the arm.
+        `asked` (N, J) rad/s, `times` (N, K). People stop where they touch the arm.
         """
         assert self._drive is not None and self.state is not None
         points = [SetPoints(self.state.joint_target.numpy(), self.state.target_vel.numpy(), self.state.share.numpy())]

@@ -32,13 +32,14 @@ def pack_controls(
 ) -> Array:
     """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-    targets (n, K * s, 6) rad, s to a control step; limbs (n * K, 5, 7) stay put over a control step; balls
+    targets (n, K * s, J) rad, s to a control step; limbs (n * K, 5, 7) stay put over a control step; balls
     (n, B, 3) m, of colours (n, B), and points (n, P, 3) m over all of them. Balls are absent if there are points.
     """
-    n, steps, places = len(targets), len(limbs) // len(targets), 6 + 3 * len(scene.mocap)
+    n, steps, joints = len(targets), len(limbs) // len(targets), targets.shape[-1]
+    places = joints + 3 * len(scene.mocap)
     control = np.empty((n, steps, targets.shape[1] // steps, scene.ncontrol))
-    control[..., :6] = targets.reshape(*control.shape[:3], 6)
-    position = control[..., 6:places].reshape(*control.shape[:3], -1, 3)
+    control[..., :joints] = targets.reshape(*control.shape[:3], joints)
+    position = control[..., joints:places].reshape(*control.shape[:3], -1, 3)
     quaternion = control[..., places:].reshape(*control.shape[:3], -1, 4)
     limbs = limbs.reshape(n, steps, 1, len(LIMBS), 7)
     position[..., : len(LIMBS), :], quaternion[..., : len(LIMBS), :] = limbs[..., :3], limbs[..., 3:]

@@ -1,7 +1,7 @@
 """Starts of subtasks: at home, or with the tool at the ball or at a drop point.
 
-A start is 18 numbers: joint angles (6) rad, velocities (6) rad/s and servo targets (6) rad. Starts by inverse
-kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
+A start of an arm of J joints is 3 J numbers: joint angles, rad, velocities, rad/s, and servo targets, rad. Starts
+by inverse kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
 have three numbers more, on which the terminal states of a policy depend: the human's x, y (m) and the level,
 NaN without one.
 """
@@ -23,8 +23,8 @@ from hrl_comfort.tasks import Start
 
 Array = NDArray[np.float64]
 
-ARM, WHOLE = 18, 21
-"""Size of a start: of the arm alone, and with the human and the level."""
+PARTS, WITH_HUMAN = 3, 3
+"""Numbers of a start: for each joint, and for the human and the level."""
 MOST = 100.0
 """Largest angle, rad, velocity, rad/s, and coordinate, m, of a valid start."""
 COUNT = 96
@@ -33,11 +33,12 @@ ITERATIONS, STEP_S = 40, 0.1
 CLEARANCE_M = 0.02
 """Smallest distance between arm and tables in an inverse-kinematics start."""
 SPREAD_RAD = np.radians([15.0, 25.0, 30.0, 35.0, 30.0, 40.0])
-"""Standard deviation of the initial posture of inverse kinematics; policies leave the wrist at any angle."""
+"""Standard deviation of the initial posture of inverse kinematics, further joints as the last; policies leave the
+wrist at any angle."""
 
 
 def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
-    """Return the starts (M, 18 or 21) of a subtask: one array, or one for each colour.
+    """Return the starts (M, 3 J or 3 J + 3) of a subtask: one array, or one for each colour.
 
     With `task.start=ik` they come from inverse kinematics; otherwise `task.start` is an .npz with arrays
     `orange` and `pink`, as `evaluate terminal_states=` records them.
@@ -48,7 +49,7 @@ def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
     if start == Start.HOME:
         return [at_rest(scene.home[None])]
     if config.task.start != "ik":
-        return recorded(config.task.start, config.comfort.levels)
+        return recorded(config.task.start, config.comfort.levels, len(scene.joints))
     precision, cell = config.task.precision, config.cell
     if start == Start.AT_BALL:
         goals = [(cell.ball_m, precision.grasp_tolerance_m)]
@@ -59,12 +60,14 @@ def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
 
 
 def at_rest(joint_pos: Array) -> Array:
-    """Return the starts (M, 18) of joint angles (M, 6) at rest, the servo targets at the joint angles."""
+    """Return the starts (M, 3 J) of joint angles (M, J) at rest, the servo targets at the joint angles."""
     return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
 
 
-def recorded(path: str, levels: int) -> list[Array]:
-    """Return the recorded starts (M, 18 or 21) of each colour, orange first; their levels are 1 to `levels`."""
+def recorded(path: str, levels: int, joints: int) -> list[Array]:
+    """Return the recorded starts (M, 3 J or 3 J + 3) of each colour, orange first; their levels are 1 to `levels`."""
+    arm = PARTS * joints
+    whole = arm + WITH_HUMAN
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
@@ -72,16 +75,16 @@ def recorded(path: str, levels: int) -> list[Array]:
         banks = [np.asarray(file[colour], dtype=np.float64) for colour in COLOURS]
     except (LookupError, ValueError, OSError, EOFError, BadZipFile) as error:
         raise ConfigError(
-            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {ARM}) or (M, {WHOLE})"
+            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {arm}) or (M, {whole})"
         ) from error
     for colour, bank in zip(COLOURS, banks, strict=True):
-        shaped = bank.ndim == 2 and bank.shape[1] in (ARM, WHOLE) and len(bank)
-        if not shaped or not (np.abs(bank[:, : WHOLE - 1]) < MOST).all():
+        shaped = bank.ndim == 2 and bank.shape[1] in (arm, whole) and len(bank)
+        if not shaped or not (np.abs(bank[:, : whole - 1]) < MOST).all():
             raise ConfigError(
                 f"task.start={path!r}: {colour!r} has shape {bank.shape}; "
-                f"it must be (M, {ARM}) or (M, {WHOLE}), finite, every value within ±{MOST:g}"
+                f"it must be (M, {arm}) or (M, {whole}), finite, every value within ±{MOST:g}"
             )
-        level = bank[:, WHOLE - 1 :]
+        level = bank[:, whole - 1 :]
         if not (np.isnan(level) | ((level >= 1) & (level <= levels))).all():
             raise ConfigError(f"task.start={path!r}: {colour!r} has levels that are not in 1 to {levels}")
     return banks
@@ -89,7 +92,7 @@ def recorded(path: str, levels: int) -> list[Array]:
 
 @lru_cache(maxsize=32)
 def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
-    """Return (COUNT, 6) rad: postures free of contact with the tool within `precision_m` of `goal`.
+    """Return (COUNT, J) rad: postures free of contact with the tool within `precision_m` of `goal`.
 
     Each is solved from home, turned towards the goal, plus Gaussian noise, for a point near the surface of the
     sphere round the goal, where a policy stops.
@@ -101,9 +104,12 @@ def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, ho
     tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-3)
     limits = [mink.ConfigurationLimit(model)]
     found: list[Array] = []
-    towards = np.arctan2(goal[1], goal[0])
+    spread = np.resize(SPREAD_RAD, len(home))
+    spread[len(SPREAD_RAD) :] = SPREAD_RAD[-1]
+    mujoco.mj_kinematics(model, configuration.data)
+    towards = np.arctan2(goal[1], goal[0]) * (-1.0 if configuration.data.xaxis[0, 2] < 0 else 1.0)
     for _ in range(50 * COUNT):
-        posture = np.array(home) + rng.normal(size=6) * SPREAD_RAD
+        posture = np.array(home) + rng.normal(size=len(home)) * spread
         # The arm may reach over the shoulder, as at home, or turned by half a circle.
         posture[0] += towards + rng.choice([-np.pi, 0.0, np.pi])
         posture[0] = (posture[0] + np.pi) % (2 * np.pi) - np.pi

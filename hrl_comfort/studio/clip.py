@@ -23,7 +23,7 @@ class Frame:
     """One picture of a cell; metres and radians, cell frame."""
 
     joints: Array
-    """(6,)"""
+    """(J,)"""
     limbs: Array
     """(5, 7), as `scene.human.limb_poses`."""
     props: Array
@@ -37,7 +37,7 @@ class Clip:
     time: Array
     """(T,) s, rising, from 0."""
     joints: Array
-    """(T, 6) rad."""
+    """(T, J) rad."""
     person: Array
     """(T, 5) x, y (m), yaw (unwrapped), phase and swing of the gait (rad)."""
     props: Array

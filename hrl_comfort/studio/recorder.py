@@ -12,7 +12,7 @@ import torch
 import viser
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
-from hrl_comfort.evaluation.rollout import PATH_COLUMNS, EpisodeRecorder, Result, rounded
+from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns, rounded
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import read_table, write_table
@@ -132,8 +132,9 @@ def void(step: Step) -> StepResult:
 
 def motion(rows: list[list[object]]) -> list[list[object]]:
     """Return the lines (t, x, y, yaw) of a motion file from rows of paths.csv."""
-    at = [PATH_COLUMNS.index(name) for name in ("human_x", "human_y", "human_yaw")]
-    step = PATH_COLUMNS.index("step")
+    columns = path_columns(len(rows[0]))
+    at = [columns.index(name) for name in ("human_x", "human_y", "human_yaw")]
+    step = columns.index("step")
     return [[rounded(float(str(row[step])) * CONTROL_STEP_S), *(row[index] for index in at)] for row in rows]
 
 

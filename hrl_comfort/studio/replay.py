@@ -21,9 +21,7 @@ from hrl_comfort.studio.clip import Array, Clip
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera
 from hrl_comfort.studio.view import CellView
-from hrl_comfort.tasks import SUBTASKS, Ball
-
-JOINTS = tuple(f"q{joint}" for joint in range(6))
+from hrl_comfort.tasks import Ball, subtask
 
 
 @dataclass(frozen=True)
@@ -117,12 +115,12 @@ def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour
         goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
         tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
         for row, stage in enumerate(column(path, "stage")):
-            where = SUBTASKS[task].ball(0 if math.isnan(stage) else int(stage))
+            where = subtask(task).ball(0 if math.isnan(stage) else int(stage))
             if where != Ball.NOWHERE:
                 props[row, index] = goals.get(where, tool[row])
     return Clip(
         time=(steps - steps[0]) * CONTROL_STEP_S,
-        joints=np.column_stack([column(path, name) for name in JOINTS]),
+        joints=np.column_stack([column(path, f"q{joint}") for joint in range(len(scene.joints))]),
         person=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)]),
         props=props,
         floor_z=scene.floor_z,

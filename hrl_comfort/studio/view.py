@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene.human import LIMBS
-from hrl_comfort.scene.robots import JOINTS
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.studio.clip import Frame
 
@@ -83,7 +82,7 @@ class CellView:
     ) -> None:
         self._server, self._model, self._data = server, scene.model, mujoco.MjData(scene.model)
         self.offset_m = offset_m
-        self._qpos = [scene.model.joint(f"robot/{joint}").qposadr[0] for joint in JOINTS]
+        self._qpos = [scene.model.joint(joint).qposadr[0] for joint in scene.joints]
         self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
         self._frames: dict[int, viser.FrameHandle] = {}
         self.person: list[viser.MeshHandle] = []

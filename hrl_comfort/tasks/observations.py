@@ -21,17 +21,17 @@ SERVO_SPEED = math.radians(100.0)
 
 
 def joint_angles(state: State) -> Tensor:
-    """Return (N, 12): sine and cosine of the joints."""
+    """Return (N, 2 J): sine and cosine of the joints."""
     return torch.cat([state.joint_pos.sin(), state.joint_pos.cos()], dim=-1)
 
 
 def joint_error(state: State) -> Tensor:
-    """Return (N, 6): joint angles from home, unwrapped, in units of pi: a full turn is not home."""
+    """Return (N, J): joint angles from home, unwrapped, in units of pi: a full turn is not home."""
     return (state.joint_pos - state.joint_home) / math.pi
 
 
 def joint_velocity(state: State) -> Tensor:
-    """Return (N, 6): joint velocity over the servo's speed."""
+    """Return (N, J): joint velocity over the servo's speed."""
     return state.joint_vel / SERVO_SPEED
 
 

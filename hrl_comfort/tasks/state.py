@@ -17,13 +17,13 @@ class State:
     """
 
     joint_pos: Tensor
-    """(N, 6) rad."""
+    """(N, J) rad."""
     joint_vel: Tensor
-    """(N, 6) rad/s."""
+    """(N, J) rad/s."""
     joint_target: Tensor
-    """(N, 6) rad, targets of the position servos."""
+    """(N, J) rad, targets of the position servos."""
     target_vel: Tensor
-    """(N, 6) rad/s, velocity of the targets."""
+    """(N, J) rad/s, velocity of the targets."""
     share: Tensor
     """(N,) in [0, 1], part of the speed asked for that rating and shield passed in the last control step."""
     tcp_pos: Tensor
@@ -31,7 +31,7 @@ class State:
     tcp_home: Tensor
     """(N, 3) m, tool centre point with every joint at home."""
     joint_home: Tensor
-    """(N, 6) rad."""
+    """(N, J) rad."""
     human_pos: Tensor
     """(N, 2) m, the human's vertical axis. Without a human: far away (`config.FAR_AWAY_M`)."""
     human_yaw: Tensor

@@ -12,7 +12,7 @@ import pytest
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
-from hrl_comfort.evaluation.rollout import PATH_COLUMNS
+from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
 
 
@@ -92,7 +92,7 @@ def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> No
 def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
     folder = run(tmp_path, "record=true", "task.max_episode_steps=23")
     rows, episodes = table(folder / "paths.csv"), table(folder / "episodes.csv")
-    assert list(rows[0]) == PATH_COLUMNS
+    assert list(rows[0]) == path_columns(17)
     for episode in episodes:
         steps = sorted(int(row["step"]) for row in rows if row["episode"] == episode["episode"])
         assert steps == list(range(int(episode["steps"]) + 1))

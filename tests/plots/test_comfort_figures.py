@@ -9,7 +9,7 @@ import pytest
 from hrl_comfort import __main__ as commands
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose
-from hrl_comfort.evaluation.rollout import PATH_COLUMNS
+from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.plots.figure import figure
 
 CONFIG = """\
@@ -88,7 +88,7 @@ def evaluation(
         writer.writerows(rows)
     if record:
         with (folder / "paths.csv").open("w", newline="") as out:
-            csv.writer(out).writerows([PATH_COLUMNS, *paths])
+            csv.writer(out).writerows([path_columns(17), *paths])
     return folder
 
 

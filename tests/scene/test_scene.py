@@ -16,7 +16,6 @@ from hrl_comfort.scene import (
     LIMBS,
     MOCAP,
     OBSTACLES,
-    ROBOTS,
     TOOL_LENGTH_M,
     Scene,
     build_scene,
@@ -24,7 +23,7 @@ from hrl_comfort.scene import (
     limb_poses,
 )
 from hrl_comfort.scene.human import ARM_LENGTH_M, ARM_RADIUS_M, HIP_M, LEG_RADIUS_M, SHOULDER_M
-from hrl_comfort.scene.robots import GRIPPER_MASS_KG, JOINTS, LINKS
+from hrl_comfort.scene.ur import GRIPPER_MASS_KG, JOINTS, LINKS, UR_ARMS
 
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287],
@@ -34,12 +33,12 @@ CELL = CellConfig(
     table_half_width_m=0.08,
     base_height_m=0.75,
 )
-every_robot = pytest.mark.parametrize("name", sorted(ROBOTS))
+every_robot = pytest.mark.parametrize("name", sorted(UR_ARMS))
 
 
 @cache
 def scene(name: str = "ur3e", substeps: int = 2) -> Scene:
-    return build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0], rating="paper"), CELL, substeps)
+    return build_scene(RobotConfig(name=name, home_deg=None, rating="paper"), CELL, substeps)
 
 
 def data_at(cell: Scene, joint_pos: np.ndarray, human: np.ndarray | None = None) -> mujoco.MjData:
@@ -65,7 +64,7 @@ def standing(cell: Scene, x: float, y: float, yaw: float = 0.0) -> np.ndarray:
 def test_forward_kinematics_agrees_with_an_independent_solver(name: str) -> None:
     joint_pos = np.random.default_rng(0).uniform(-2 * np.pi, 2 * np.pi, (1000, 6))
     expected = np.stack([getattr(ur_analytic_ik, name).forward_kinematics(*q) for q in joint_pos])
-    np.testing.assert_allclose(forward_kinematics(ROBOTS[name], joint_pos), expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(forward_kinematics(UR_ARMS[name], joint_pos), expected, rtol=0, atol=1e-6)
 
 
 @every_robot
@@ -79,21 +78,21 @@ def test_compiled_flange_and_tool_are_where_the_dh_table_puts_them(name: str) ->
         mujoco.mj_kinematics(cell.model, data)
         flange[i, :3, :3] = data.site("robot/flange").xmat.reshape(3, 3)
         flange[i, :3, 3], tcp[i] = data.site("robot/flange").xpos, data.site("robot/tcp").xpos
-    expected = forward_kinematics(ROBOTS[name], joint_pos)
+    expected = forward_kinematics(UR_ARMS[name], joint_pos)
     np.testing.assert_allclose(flange, expected, rtol=0, atol=1e-6)
     np.testing.assert_allclose(tcp, expected[:, :3, 3] + TOOL_LENGTH_M * expected[:, :3, 2], rtol=0, atol=1e-6)
 
 
 def test_forward_kinematics_keeps_batch_shapes() -> None:
     joint_pos = np.random.default_rng(2).uniform(-3, 3, (4, 5, 6))
-    batch = forward_kinematics(ROBOTS["ur3e"], joint_pos)
+    batch = forward_kinematics(UR_ARMS["ur3e"], joint_pos)
     assert batch.shape == (4, 5, 4, 4)
-    np.testing.assert_array_equal(batch[2, 3], forward_kinematics(ROBOTS["ur3e"], joint_pos[2, 3]))
+    np.testing.assert_array_equal(batch[2, 3], forward_kinematics(UR_ARMS["ur3e"], joint_pos[2, 3]))
 
 
 @every_robot
 def test_compiled_limits_and_masses_are_the_sourced_constants(name: str) -> None:
-    cell, source = scene(name), ROBOTS[name]
+    cell, source = scene(name), UR_ARMS[name]
     model = cell.model
     bodies = [model.body(f"robot/{link}") for link in LINKS]
     np.testing.assert_allclose([b.mass[0] for b in bodies], source.mass_kg)
@@ -112,7 +111,7 @@ def test_compiled_limits_and_masses_are_the_sourced_constants(name: str) -> None
 
 
 def test_ur3e_constants_are_the_published_ones() -> None:
-    source = ROBOTS["ur3e"]
+    source = UR_ARMS["ur3e"]
     assert sum(source.mass_kg) == pytest.approx(8.7985)
     assert source.a_m == (0, -0.24355, -0.2132, 0, 0, 0)
     assert source.d_m == (0.15185, 0, 0, 0.13105, 0.08535, 0.0921)
@@ -121,8 +120,8 @@ def test_ur3e_constants_are_the_published_ones() -> None:
 
 
 def test_unknown_robot_is_refused_with_the_list_of_known_ones() -> None:
-    stranger = RobotConfig(name="ur7", home_deg=[0, -90, 0, 0, 90, 0], rating="paper")
-    with pytest.raises(ConfigError, match=r"robot\.name='ur7'.*ur3e, ur5e, ur10e"):
+    stranger = RobotConfig(name="ur7", home_deg=None, rating="paper")
+    with pytest.raises(ConfigError, match=r"robot\.name='ur7'.*ur3e, ur5e, ur10e, jaco, franka"):
         build_scene(stranger, CELL, 2)
 
 
@@ -237,7 +236,7 @@ def test_tables_hold_the_ball_at_the_goals() -> None:
 
 
 def test_robot_may_stand_on_the_floor() -> None:
-    robot = RobotConfig(name="ur3e", home_deg=[0, -90, 0, 0, 90, 0], rating="paper")
+    robot = RobotConfig(name="ur3e", home_deg=None, rating="paper")
     cell = build_scene(robot, replace(CELL, base_height_m=0.0), 2)
     assert cell.floor_z == 0.0
     assert data_at(cell, cell.home).ncon == 0
@@ -281,7 +280,7 @@ def test_standing_human_faces_its_yaw_with_the_left_arm_to_the_left() -> None:
 
 @pytest.mark.parametrize(("name", "overshoot_deg"), [("ur3e", 2.5), ("ur5e", 4.0), ("ur10e", 5.0)])
 def test_servos_follow_a_full_speed_ramp_closely_and_settle(name: str, overshoot_deg: float) -> None:
-    cell = build_scene(RobotConfig(name=name, home_deg=[0, -90, 0, 0, 90, 0], rating="paper"), CELL, 2)
+    cell = build_scene(RobotConfig(name=name, home_deg=None, rating="paper"), CELL, 2)
     cell.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # some ramps cross a table
     start = np.radians([0, -45, 60, 0, 90, 0])
     for direction in [*np.eye(6), np.array([1, -1, 1, -1, 1, -1])]:

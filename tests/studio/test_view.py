@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.config.compose import compose
-from hrl_comfort.scene.robots import LINKS
+from hrl_comfort.scene.ur import LINKS
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.studio.view import body_meshes, shape_mesh
 
