@@ -12,7 +12,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.shield import Shield
-from hrl_comfort.scene.ratings import arm_rating
+from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Drive:
     """Set-points of N arms, one control step at a time."""
 
     def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
-        rated = arm_rating(config.robot.name, config.robot.rating)
+        rated = RATINGS[config.robot.name][config.robot.rating]
         self._rating = Rating(
             np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
         )
@@ -99,13 +99,20 @@ def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
     Raises:
-      ConfigError: the arm has no such rating, or a shield is asked for of the paper's arm, which has no brake.
+      ConfigError: a rating or a shield is asked for of an arm without a known rating, or a shield of the paper's
+        arm, which has no brake.
     """
-    if config.robot.rating != "paper":
-        return Drive(scene, config, rows)
-    if config.safety.kind != "none":
+    robot, kind = config.robot, config.safety.kind
+    if robot.name not in RATINGS and (robot.rating, kind) != ("paper", "none"):
         raise ConfigError(
-            f"safety.kind={config.safety.kind} needs an arm that brakes within its rating; "
+            f"robot.name={robot.name} has no rating: robot.rating={robot.rating} safety.kind={kind} are for "
+            f"{', '.join(RATINGS)}; choose robot.rating=paper safety.kind=none"
+        )
+    if robot.rating != "paper":
+        return Drive(scene, config, rows)
+    if kind != "none":
+        raise ConfigError(
+            f"safety.kind={kind} needs an arm that brakes within its rating; "
             "choose robot.rating=collaborative or full instead of paper"
         )
     return None

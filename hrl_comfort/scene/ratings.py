@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hrl_comfort.config import ConfigError
 from hrl_comfort.scene.ur import UR_ARMS
 
 STOPS_S = {"ur3e": (0.159, 0.154, 0.092), "ur5e": (0.244, 0.530, 0.164), "ur10e": (0.244, 0.530, 0.164)}
@@ -37,17 +36,3 @@ RATINGS: dict[str, dict[str, ArmRating]] = {
     robot: {"collaborative": _rated(robot, 0.5, 1.0), "full": _rated(robot, 1.0, 1.5)} for robot in STOPS_S
 }
 """Robot -> value of `robot.rating` -> limits."""
-
-
-def arm_rating(robot: str, name: str) -> ArmRating:
-    """Return the limits of `robot` under `robot.rating=name`.
-
-    Raises:
-      ConfigError: no rating of that arm is known.
-    """
-    if robot not in RATINGS:
-        raise ConfigError(
-            f"robot.rating={name} is not known of robot.name={robot}, but of {', '.join(RATINGS)}; "
-            "choose robot.rating=paper"
-        )
-    return RATINGS[robot][name]

@@ -43,3 +43,11 @@ def test_a_shield_needs_a_brake() -> None:
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
     with pytest.raises(ConfigError, match=r"safety.kind=ssm needs an arm that brakes .* robot.rating=collaborative"):
         make_drive(scene, config, 1)
+
+
+@pytest.mark.parametrize("asked", ["robot.rating=full", "safety=ssm"])
+def test_an_arm_without_a_known_rating_is_refused(asked: str) -> None:
+    config = compose("train", ["robot=jaco", asked])
+    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    with pytest.raises(ConfigError, match=r"robot.name=jaco has no rating: .* are for ur3e, ur5e, ur10e; choose"):
+        make_drive(scene, config, 1)
