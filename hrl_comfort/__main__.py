@@ -15,9 +15,10 @@ from hrl_comfort import __version__
 from hrl_comfort.cli import help as help_texts
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.cli.completion import complete
+from hrl_comfort.cli.first_checks import check, completed
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.compose import compose, yaml_of
-from hrl_comfort.config.overrides import Config, check_overrides, override, root_of
+from hrl_comfort.config.overrides import Config, check_overrides, root_of
 from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
@@ -31,14 +32,12 @@ def configuration(command: str, overrides: list[str]) -> Config:
     Raises:
       ConfigError: a choice is not allowed.
     """
-    if command == "report":  # a folder alone is its run
-        overrides = [override("run", each) if Path(each).is_dir() else each for each in overrides]
-    elif command == "studio":
-        overrides = studio_overrides(overrides)
+    given, overrides = overrides, completed(command, overrides)
     config = compose(COMMANDS[command].root, overrides)
-    others = [line for line in overrides if not line.startswith("resume=")]
+    others = [line for line in given if not line.startswith("resume=")]
     if others and getattr(config, "resume", None) is not None:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
+    check(config)
     return config
 
 
@@ -64,23 +63,6 @@ def show_hierarchy(folder: Path) -> None:
     print(f"watch it: hrl-comfort studio policy={folder}")
 
 
-def studio_overrides(overrides: list[str]) -> list[str]:
-    """Return `overrides` with the policies that the studio plays if none is named.
-
-    Raises:
-      ConfigError: viser is not installed.
-    """
-    try:
-        import_module("hrl_comfort.studio.server")
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in ("viser", "trimesh", "websockets"):
-            raise
-        raise ConfigError(f"studio needs viser: pip install 'hrl-comfort[studio]' ({error})") from error
-    from hrl_comfort.studio.policies import with_defaults
-
-    return with_defaults(overrides)
-
-
 RUN: dict[str, Callable[[list[str]], None]] = {command: partial(run, command) for command in COMMANDS}
 SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
@@ -95,7 +77,7 @@ def sweep(command: str, overrides: list[str]) -> None:
     if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
-    rest = [line for line in overrides if not line.startswith("output=")]
+    rest = completed(command, [line for line in overrides if not line.startswith("output=")])
     checked = check_overrides(root_of(command), rest, sweep=True)
     from hrl_comfort.sweeps.launcher import multirun
 

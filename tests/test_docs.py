@@ -11,7 +11,7 @@ import pytest
 
 from hrl_comfort.comfort import sources, terms
 from hrl_comfort.config.overrides import check_overrides
-from hrl_comfort.evaluation.rollout import COLUMNS
+from hrl_comfort.evaluation.episode import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

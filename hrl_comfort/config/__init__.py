@@ -27,6 +27,8 @@ from hrl_comfort.config.constants import (
     EVALUATION_EPISODES,
     FAR_AWAY_M,
     FIRST_SEED,
+    POLICIES,
+    SCRIPTED_POLICIES,
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
@@ -39,10 +41,9 @@ from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, Task
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError",
-    "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig", "HierarchyConfig",
-    "HierarchyTrainConfig", "HumanConfig",
-    "MetaControllerAgentConfig", "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig",
-    "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig",
-    "TrainConfig", "TrainingConfig",
+    "POLICIES", "SCRIPTED_POLICIES", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig",
+    "ComfortConfig", "ConfigError", "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig",
+    "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
+    "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig",
+    "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

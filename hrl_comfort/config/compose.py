@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable
+from operator import attrgetter
 from pathlib import Path
 
 from hydra import compose as hydra_compose
@@ -16,7 +17,18 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
-from hrl_comfort.config.overrides import ROOTS, TOO_DEEP, Config, check_overrides, config_dir, one_line, override
+from hrl_comfort.config.checks import part_name
+from hrl_comfort.config.overrides import (
+    NAMES,
+    ROOTS,
+    TOO_DEEP,
+    Config,
+    check_overrides,
+    choices,
+    config_dir,
+    one_line,
+    override,
+)
 from hrl_comfort.config.stages import flat, stages_of, with_budget
 from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
@@ -63,6 +75,9 @@ def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Confi
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
     """
     config = freeze(cls, node)
+    if isinstance(config, EnvConfig):
+        for group, section in NAMES.items():
+            part_name(section, str(attrgetter(section)(config)), choices(group))
     if not isinstance(config, TrainConfig):
         return config
     stages_of(config)

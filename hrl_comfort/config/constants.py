@@ -6,6 +6,12 @@ CONTROL_STEP_S = 0.02
 """Length of a control step, s; joints move by at most 2 degrees in it, as in the paper."""
 MAX_ENVS = 65536
 """Largest number of cells of a batch."""
+SCRIPTED_POLICIES = ("expert", "potential_field", "random")
+"""Policies that no training made, by the name that `policy=` takes."""
+POLICIES = (
+    f"a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, {' or '.join(SCRIPTED_POLICIES)}"
+)
+"""What `policy=` takes."""
 FAR_AWAY_M = 50.0
 """x coordinate of everything that is not in the cell, m."""
 

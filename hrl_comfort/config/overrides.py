@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
@@ -167,13 +167,27 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         if name not in fields:
             inside = ".".join(parts[:depth]) or root.replace("_", " ")
             names = sorted({*fields, *(allowed if depth == 0 else ())})
-            line = f"{key} is not a key{_near(name, names)}; {inside} has {', '.join(names) or 'none'}"
+            near = _meant(root, name) or _near(name, names)
+            line = f"{key} is not a key{near}; {inside} has {', '.join(names) or 'none'}"
             raise UnknownKeyError(line, key)
         kind = fields[name]
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
     in_list = any(part.isdigit() for part in parts)  # an entry may leave out keys that have a default
     return f"++{line}" if in_list and line[0] != "+" else line
+
+
+def _meant(root: str, word: str) -> str:
+    """Return a hint at the key that ends with `word`: `train_seed` for `seed`, `agent.gamma` for `gamma`."""
+    found = [key for key in _keys(ROOTS[root], "") if re.search(rf"[._]{re.escape(word)}$", key)]
+    return f", did you mean {min(found, key=lambda key: key.count('.'))}?" if found else ""
+
+
+def _keys(kind: Any, before: str) -> Iterator[str]:
+    for name, hint in get_type_hints(kind).items():
+        yield f"{before}{name}"
+        if is_dataclass(hint):
+            yield from _keys(hint, f"{before}{name}.")
 
 
 def _near(word: str, words: Iterable[str]) -> str:

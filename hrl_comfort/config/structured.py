@@ -13,6 +13,8 @@ from hrl_comfort.config.checks import ConfigError, first_error
 
 T = TypeVar("T")
 adapter = cache(TypeAdapter)
+EXACT = 2.0**53
+"""Below it a float holds every whole number."""
 
 
 def freeze(cls: type[T], node: Any) -> T:
@@ -21,9 +23,21 @@ def freeze(cls: type[T], node: Any) -> T:
     if missing:
         raise ConfigError(f"{missing[0]} must be set")
     # As JSON, for pydantic's strict mode takes a dict for a dataclass only from there.
-    text = json.dumps(OmegaConf.to_container(node, resolve=True), default=repr)
+    text = json.dumps(_whole(OmegaConf.to_container(node, resolve=True)), default=repr)
     try:
         frozen: T = adapter(cls).validate_json(text, strict=True)  # type: ignore[arg-type]
     except ValidationError as error:
         raise ConfigError(first_error(error)) from None
     return frozen
+
+
+def _whole(value: Any) -> Any:
+    """Return `value` with whole numbers as integers: 1e4 is one, and a float's field takes integers too."""
+    match value:
+        case dict():
+            return {key: _whole(each) for key, each in value.items()}
+        case list():
+            return [_whole(each) for each in value]
+        case float() if value.is_integer() and abs(value) < EXACT:
+            return int(value)
+    return value

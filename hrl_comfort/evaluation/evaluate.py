@@ -14,7 +14,8 @@ from hrl_comfort.analysis.episodes import success
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
-from hrl_comfort.evaluation.rollout import COLUMNS, MARKS, Result, rollout
+from hrl_comfort.evaluation.episode import COLUMNS
+from hrl_comfort.evaluation.rollout import MARKS, Result, rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_file, output_folder

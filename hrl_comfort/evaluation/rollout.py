@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.comfort.trajectory import MEASURES, Trajectory, metrics
+from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -34,50 +35,6 @@ STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.
 """Files of an earlier evaluation, deleted when a new one is written."""
 MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
 """Configurations by which the folder of an evaluation is known."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One row of episodes.csv (docs/metrics.md); None is written as an empty cell."""
-
-    task: str
-    policy: str
-    train_seed: int | None
-    split: str
-    episode_seed: int
-    episode: int
-    colour: str
-    spawn_id: int | None
-    motion_id: int
-    seen: bool | None
-    comfort_level: int | None
-    human: str
-    precision_m: float
-    success: bool
-    steps: int
-    policy_steps: int
-    # `return` is a Python keyword; the column is named without the underscore.
-    return_: float
-    human_collision: bool
-    robot_moving_at_collision: bool | None
-    other_collision: str
-    truncated: bool
-    balls_placed: int
-    comfort_level_mean: float | None
-    measures: dict[str, float | None]
-    """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
-    max_episode_steps: int
-    """Time limit, control steps, that was in force when the episode ended; not a column."""
-
-    def row(self) -> dict[str, Any]:
-        """Return the cells by column."""
-        return {**{name.rstrip("_"): getattr(self, name) for name in OWN}, **self.measures}
-
-
-OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "max_episode_steps"))
-"""Fields of an Episode that are a column each."""
-COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
-"""Of episodes.csv."""
 
 
 @dataclass

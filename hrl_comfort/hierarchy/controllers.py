@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import POLICIES, ConfigError, EvaluateConfig
 from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
 from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
 from hrl_comfort.hierarchy.options import Option, chain
 from hrl_comfort.hierarchy.q_learning import load_choice
 from hrl_comfort.hierarchy.sort import sorting_options
-from hrl_comfort.policies.load import CHOICES, Source, make_policy
+from hrl_comfort.policies.load import Source, make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import Subtask, subtask
 
@@ -26,7 +26,7 @@ def make_executor(
     if meta_controller.name == "none":
         source = config.policy if policy is None else policy
         if source is None:
-            raise ConfigError(f"policy=null: give {CHOICES}")
+            raise ConfigError(f"policy=null: give {POLICIES}")
         alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed))
         return OptionExecutor([alone], config.task.max_episode_steps, episodes, retries=0), in_order
     limit = meta_controller.time_limit_steps

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import POLICIES, ConfigError, EnvConfig
 from hrl_comfort.config.checks import is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
@@ -57,7 +57,7 @@ def external(source: str) -> ObservationPolicy:
         return from_sb3(source)
     if is_object(source):
         return from_module(source)
-    raise ConfigError(f"policy={source!r} is not there; give {CHOICES}")
+    raise ConfigError(f"policy={source!r} is not there; give {POLICIES}")
 
 
 def observation_policy(source: str) -> ObservationPolicy:
@@ -157,5 +157,3 @@ SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),
 }
 """Value of `policy=` -> function that makes the policy."""
-CHOICES = f"a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, {' or '.join(SCRIPTED)}"
-"""What `policy=` takes."""

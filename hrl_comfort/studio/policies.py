@@ -12,6 +12,8 @@ from hrl_comfort.config.overrides import override
 
 DEMO = Path("runs/demo")
 """Run of `make demo`."""
+CHAIN = {"meta_controller": "scripted", "task": "cycle"}
+"""Overrides of a chain, unless others are given."""
 CYCLE = ("pick", "place", "return")
 
 
@@ -29,25 +31,33 @@ def options_in(folder: Path) -> tuple[str, ...]:
 def with_defaults(overrides: Sequence[str]) -> list[str]:
     """Return the overrides of `hrl-comfort studio` with those that it adds.
 
-    Without a policy it plays the demo's chain where there is one, else the expert. A folder of a whole chain as
-    `policy=` is played as that chain, and `policies.*` are played by the scripted controller.
+    Without a policy it plays the demo's chain where there is one, else the expert. `policies.*` are played by the
+    scripted controller.
     """
-    keys = {line.lstrip("+").split("=")[0]: line.partition("=")[2] for line in overrides}
+    keys = _values(overrides)
     chained = any(key == "policies" or key.startswith("policies.") for key in keys)
-    if "policy" not in keys and not chained and "replay" not in keys:
-        source = str(DEMO) if options_in(DEMO) else "expert"
-        overrides, keys = [*overrides, f"policy={source}"], {**keys, "policy": source}
+    if chained:
+        overrides = [*overrides, *(f"{key}={value}" for key, value in CHAIN.items() if key not in keys)]
+    elif "policy" not in keys and "replay" not in keys:
+        overrides = [*overrides, f"policy={DEMO if options_in(DEMO) else 'expert'}"]
+    return as_chain(overrides)
+
+
+def as_chain(overrides: Sequence[str]) -> list[str]:
+    """Return `overrides` with the folder of a whole chain as `policy=` in place of the chain's overrides."""
+    keys = _values(overrides)
     if options := options_in(Path(keys.get("policy", ""))) if keys.get("policy") else ():
         overrides = [line for line in overrides if not line.startswith("policy=")]
         overrides += [override(f"policies.{name}", str(Path(keys["policy"]) / name)) for name in options]
         if "meta_controller.options" not in keys and "division" not in keys:
             overrides.append(override("meta_controller.options", list(options)))
-        chained = True
-    if chained and "meta_controller" not in keys:
-        overrides = [*overrides, "meta_controller=scripted"]
-    if chained and "task" not in keys:
-        overrides = [*overrides, "task=cycle"]
+        overrides += [f"{key}={value}" for key, value in CHAIN.items() if key not in keys]
     return list(overrides)
+
+
+def _values(overrides: Sequence[str]) -> dict[str, str]:
+    """Return the value of each override, as written, by key."""
+    return {line.lstrip("+").split("=")[0]: line.partition("=")[2].strip("'\"") for line in overrides}
 
 
 def with_policy(config: StudioConfig, source: str) -> StudioConfig:

@@ -14,7 +14,7 @@ from hrl_comfort.cli.commands import COMMANDS, VERBS
 from hrl_comfort.cli.completion import candidates
 from hrl_comfort.cli.help import WIDTH
 from hrl_comfort.cli.keys import keys_of
-from hrl_comfort.config.compose import load_config
+from hrl_comfort.config.compose import compose, load_config
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -25,7 +25,7 @@ def test_the_help_of_a_command_lists_its_keys_and_an_example_that_composes(comma
         assert f"  {key.name}" in out and key.meaning
     assert f"  hrl-comfort {command} {COMMANDS[command].example[:20]}" in out
     assert max(map(len, out.splitlines())) <= WIDTH
-    configuration(command, COMMANDS[command].example.split())
+    compose(COMMANDS[command].root, COMMANDS[command].example.split())
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"], ["bench", "--help"]])

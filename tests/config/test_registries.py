@@ -5,9 +5,13 @@ from __future__ import annotations
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.config import DISTURBANCES, FIGURES, ConfigError, comfort, hierarchy, task
+from hrl_comfort.config import DISTURBANCES, FIGURES, SCRIPTED_POLICIES, ConfigError, comfort, hierarchy, task
+from hrl_comfort.config.overrides import choices
 from hrl_comfort.hierarchy.meta_controllers import make_choice
+from hrl_comfort.humans import MOTIONS
 from hrl_comfort.plots import figure
+from hrl_comfort.policies.load import SCRIPTED
+from hrl_comfort.scene.robots import ROBOTS
 from hrl_comfort.sim.disturbance import Disturbance
 from hrl_comfort.tasks import SUBTASKS
 from hrl_comfort.tasks.observations import LAYOUTS
@@ -20,6 +24,7 @@ from hrl_comfort.tasks.observations import LAYOUTS
         (comfort.FORMS, terms.FORMS),
         (comfort.THRESHOLDS, terms.THRESHOLDS),
         (comfort.SPEED_FORMS, terms.SPEED_FORMS),
+        (SCRIPTED_POLICIES, SCRIPTED),
         (task.OBSERVATIONS, LAYOUTS),
         (FIGURES, [*figure.KINDS, "handover"]),
     ],
@@ -35,6 +40,11 @@ def test_every_controller_of_the_configuration_exists() -> None:
                 make_choice(name, 0)
         else:
             assert callable(make_choice(name, 0))
+
+
+def test_a_part_that_is_named_by_a_file_of_its_group_exists() -> None:
+    for group, registry in {"task": SUBTASKS, "human": MOTIONS, "robot": ROBOTS}.items():
+        assert set(choices(group)) == set(registry), group
 
 
 def test_every_disturbance_of_the_configuration_exists() -> None:

@@ -1,0 +1,91 @@
+"""Words that stand for an override, and checks of what an override names, before the seconds that torch takes."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+from hrl_comfort.config import (
+    POLICIES,
+    SCRIPTED_POLICIES,
+    ConfigError,
+    EvaluateConfig,
+    FigureConfig,
+    MetaControllerTrainConfig,
+    ReportConfig,
+    StudioConfig,
+    TrainConfig,
+)
+from hrl_comfort.config.checks import is_object, one_of
+from hrl_comfort.config.overrides import Config, override
+from hrl_comfort.studio.policies import as_chain, with_defaults
+
+BARE = {"evaluate": "policy", "evaluate handover": "policy", "studio": "policy", "report": "run"}
+"""Key of a word without `=`, by command: `evaluate runs/pick`."""
+
+
+def completed(command: str, overrides: list[str]) -> list[str]:
+    """Return `overrides` with words without `=` as values of the command's key in BARE, and with its defaults."""
+    key = BARE.get(command)
+    if key is not None:
+        overrides = [
+            override(key, each) if each and "=" not in each and each[0] not in "~+-" else each for each in overrides
+        ]
+    if command == "studio":
+        return with_defaults(overrides)
+    return as_chain(overrides) if key == "policy" else overrides
+
+
+def check(config: Config) -> None:
+    """Raise ConfigError if `config` names a policy, a folder, a column or a package that is not there."""
+    for key, value in policies(config):
+        if value is not None and not _is_there(value):
+            raise ConfigError(f"{key}={value!r} is not there; give {POLICIES}")
+    if (
+        isinstance(config, TrainConfig | EvaluateConfig)
+        and config.task.start != "ik"
+        and not Path(config.task.start).is_file()
+    ):
+        raise ConfigError(f"task.start={config.task.start!r} is neither 'ik' nor an existing .npz file")
+    match config:
+        case StudioConfig():
+            _need_viser()
+        case EvaluateConfig() if config.group_by:
+            from hrl_comfort.evaluation.episode import COLUMNS  # numpy
+
+            for name in config.group_by:
+                one_of("group_by", name, COLUMNS)
+        case ReportConfig() if not Path(config.run).is_dir():
+            raise ConfigError(f"run={config.run!r} is not a folder")
+        case FigureConfig():
+            for pattern in config.evaluations:
+                if not any(Path(each).is_dir() for each in (pattern, *glob.glob(pattern))):
+                    raise ConfigError(f"evaluations={pattern!r} is not the folder of an evaluation")
+
+
+def policies(config: Config) -> Iterator[tuple[str, str | None]]:
+    """Yield the keys that name policies, with their values."""
+    if isinstance(config, EvaluateConfig):
+        yield "policy", config.policy
+    if isinstance(config, EvaluateConfig | MetaControllerTrainConfig):
+        yield from ((f"policies.{name}", source) for name, source in config.policies.items())
+    if isinstance(config, StudioConfig):
+        yield "beside", config.beside
+    if isinstance(config, TrainConfig):
+        yield "agent.demonstrator", config.agent.demonstrator
+        yield "agent.next_skill", config.agent.next_skill
+        yield "initial_policy", config.initial_policy
+
+
+def _is_there(policy: str) -> bool:
+    file = re.sub(r"^\w+:", "", policy)  # sb3:FILE
+    return policy in SCRIPTED_POLICIES or is_object(policy) or Path(file).exists()
+
+
+def _need_viser() -> None:
+    missing = [name for name in ("viser", "trimesh", "websockets") if find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"studio needs {missing[0]}: pip install 'hrl-comfort[studio]'")

@@ -1,0 +1,91 @@
+"""A wrong word is answered before anything heavy is imported, and a word alone is what it stands for."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from hrl_comfort.__main__ import configuration
+from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
+from hrl_comfort.config.compose import compose
+
+WRONG = {
+    "": "",
+    "evalute": "evalute is not a verb",
+    "train taks=pick": "did you mean task?",
+    "train seed=3": "did you mean train_seed?",
+    "evaluate seed=3": "did you mean episode_seed?",
+    "train gamma=0.9": "did you mean agent.gamma?",
+    "train task=pik": "did you mean pick?",
+    "train task.name=pik": "task.name='pik' is not allowed",
+    "train human.motion=run": "human.motion='run' is not allowed",
+    "train robot.name=arm": "robot.name='arm' is not allowed",
+    "train agent.policy_steps=-1": "outside its range",
+    "train agent.policy_steps=1.5": "agent.policy_steps=1.5",
+    "train initial_policy=runs/none": "initial_policy='runs/none' is not there",
+    "train task=place task.start=none.npz": "task.start='none.npz' is neither",
+    "train --fast": "'--fast' is not an override",
+    "train -m task=pik,pick": "did you mean pick?",
+    "train hierarchy task.name=place": "leave it out",
+    "evaluate policy=runs/none": "policy='runs/none' is not there",
+    "evaluate runs/none": "policy='runs/none' is not there",
+    "evaluate sb3:none.zip": "policy='sb3:none.zip' is not there",
+    "evaluate expert group_by=[sen]": "group_by='sen' is not allowed",
+    "studio runs/none": "policy='runs/none' is not there",
+    "report runs/none": "run='runs/none' is not a folder",
+    "figure kind=level evaluations=[a] output=a.png": "kind='level' is not allowed",
+    "figure kind=levels evaluations=[none] output=a.png": "evaluations='none' is not the folder",
+}
+HEAVY = ("torch", "mujoco", "pandas", "matplotlib", "viser", "joblib")
+PROGRAM = """
+import json, sys
+from hrl_comfort.__main__ import main
+lines = json.load(sys.stdin)
+codes = [main(line.split()) for line in lines]
+print(json.dumps([codes, [name for name in HEAVY if name in sys.modules]]))
+"""
+
+
+def test_a_wrong_word_gets_one_line_before_anything_heavy_is_imported(tmp_path):
+    program = PROGRAM.replace("HEAVY", repr(HEAVY))
+    done = subprocess.run(
+        [sys.executable, "-c", program], input=json.dumps(list(WRONG)), capture_output=True, text=True, cwd=tmp_path
+    )
+    codes, imported = json.loads(done.stdout.splitlines()[-1])
+    assert codes == [0] + [1] * (len(WRONG) - 1)
+    assert not imported
+    said = done.stderr.splitlines()
+    for line, (words, says) in zip(said, list(WRONG.items())[1:], strict=True):
+        assert says in line, words
+
+
+def test_a_word_alone_is_a_policy_or_a_run(tmp_path):
+    run = tmp_path / "my run"
+    run.mkdir()
+    assert configuration("evaluate", [str(run)]) == configuration("evaluate", [f"policy='{run}'"])
+    assert configuration("report", [str(run)]) == configuration("report", [f"run='{run}'"])
+    config = configuration("evaluate", ["expert", "episodes=2"])
+    assert isinstance(config, EvaluateConfig) and config.policy == "expert"
+
+
+def test_a_folder_of_options_is_evaluated_as_their_chain(tmp_path):
+    for name in ("pick", "place", "return"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "policy.pt").touch()
+    config = configuration("evaluate", [str(tmp_path), "episodes=2"])
+    assert isinstance(config, EvaluateConfig)
+    assert config.policies == {name: str(tmp_path / name) for name in ("pick", "place", "return")}
+    assert (config.task.name, config.meta_controller.name, config.policy) == ("cycle", "scripted", None)
+
+
+def test_a_whole_number_may_be_written_as_a_power_of_ten():
+    config = compose("train", ["agent.policy_steps=1e4", "agent.gamma=1", "curriculum.start_m=5e-1"])
+    assert isinstance(config, TrainConfig)
+    assert config.agent.policy_steps == 10_000 and isinstance(config.agent.policy_steps, int)
+    assert config.agent.gamma == 1.0 and isinstance(config.agent.gamma, float)
+    for value in ("1e-1", "1e300", "'1e4'", "true"):
+        with pytest.raises(ConfigError, match=r"agent\.policy_steps"):
+            compose("train", [f"agent.policy_steps={value}"])
