@@ -68,6 +68,12 @@ COMMANDS = {
         "watch a policy in the browser, walk into its cell, replay an evaluation",
         "policy=runs/cycle",
     ),
+    "export": Command(
+        "export",
+        "hrl_comfort.deploy.export:export",
+        "write trained policies as ONNX files for other programs",
+        "policy=runs/pick output=exported",
+    ),
     "bench env": Command(
         "train", "hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"
     ),

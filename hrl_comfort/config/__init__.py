@@ -15,6 +15,7 @@ from hrl_comfort.config.commands import (
     SPLITS,
     EnvConfig,
     EvaluateConfig,
+    ExportConfig,
     FigureConfig,
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
@@ -42,8 +43,8 @@ from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, Task
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
     "POLICIES", "SCRIPTED_POLICIES", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig",
-    "ComfortConfig", "ConfigError", "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "FigureConfig",
-    "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
-    "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig",
-    "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "ComfortConfig", "ConfigError", "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig",
+    "FigureConfig", "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig",
+    "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig",
+    "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

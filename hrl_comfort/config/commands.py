@@ -137,8 +137,8 @@ class EvaluateConfig(EnvConfig):
 
     meta_controller: MetaControllerConfig
     policy: str | None
-    """Run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`, `expert`, `potential_field` or
-    `random`; without a meta-controller."""
+    """Run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`, `onnx:FILE`, `expert`,
+    `potential_field` or `random`; without a meta-controller."""
     policies: dict[str, str]
     """Policy of each subtask, with a meta-controller."""
     checkpoints: Annotated[str, choice("none", "all")]
@@ -210,6 +210,22 @@ class EvaluateConfig(EnvConfig):
             raise ConfigError(f"{said} does not go with terminal_states=; choose a comfort.source")
         if self.checkpoints == "all":
             raise ConfigError(f"{said} does not go with checkpoints=all; choose a comfort.source")
+
+
+@dataclass(frozen=True)
+class ExportConfig(EnvConfig):
+    """`hrl-comfort export`."""
+
+    policy: str | None
+    """Run folder, checkpoint or policy file; or give `policies`."""
+    policies: dict[str, str]
+    """Policy of each subtask of a chain, in order."""
+    output: str
+    """Folder of the files."""
+
+    def __post_init__(self) -> None:
+        if (self.policy is None) == (not self.policies):
+            raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
 
 
 @dataclass(frozen=True)

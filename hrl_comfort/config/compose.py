@@ -37,6 +37,7 @@ _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if
 AS_TRAINED: dict[str, tuple[str, ...]] = {
     "evaluate": _ALL_BUT_ENGINE,
     "studio": _ALL_BUT_ENGINE,
+    "export": _ALL_BUT_ENGINE,
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections that take their defaults from the run of the given policy, by root."""

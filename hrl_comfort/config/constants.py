@@ -9,7 +9,8 @@ MAX_ENVS = 65536
 SCRIPTED_POLICIES = ("expert", "potential_field", "random")
 """Policies that no training made, by the name that `policy=` takes."""
 POLICIES = (
-    f"a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, {' or '.join(SCRIPTED_POLICIES)}"
+    "a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, onnx:FILE, "
+    f"{' or '.join(SCRIPTED_POLICIES)}"
 )
 """What `policy=` takes."""
 FAR_AWAY_M = 50.0

@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from hrl_comfort.config import (
     ConfigError,
     EvaluateConfig,
+    ExportConfig,
     FigureConfig,
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
@@ -35,6 +36,7 @@ Config = (
     | MetaControllerTrainConfig
     | EvaluateConfig
     | StudioConfig
+    | ExportConfig
     | ReportConfig
     | FigureConfig
 )
@@ -44,6 +46,7 @@ ROOTS: dict[str, type[Config]] = {
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
     "studio": StudioConfig,
+    "export": ExportConfig,
     "report": ReportConfig,
     "figure": FigureConfig,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from hrl_comfort.config.checks import is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_module, from_sb3
+from hrl_comfort.policies.graph import ONNX, read_onnx
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
@@ -36,6 +38,8 @@ def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, 
         return SCRIPTED[source](task, scene, config, seed)
     if isinstance(source, str) and Path(source).exists():
         return trained(source, task, config)
+    if isinstance(source, str) and source.startswith(ONNX):
+        return exported(source, task, config)
     policy = from_function(name_of(source), source) if callable(source) else external(source)
     return on_standard_observations(policy, task, scene, config)
 
@@ -128,9 +132,28 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     Raises:
       ConfigError: it was trained for another subtask, robot or decision length.
     """
-    spec = actor.spec["environment"]
-    if actor.spec["task"] != task.name:
-        raise ConfigError(f"policy={source!r} was trained for {actor.spec['task']!r}, not for {task.name!r}")
+    spec = {**actor.spec["environment"], "task": actor.spec["task"]}
+    check_trained(spec, source, task, config)
+    seen = subtask(task.name, str(spec.get("observation")), config.task.balls)
+    levels = spec.get("levels")
+    return seen if levels is None else with_level(seen, levels)
+
+
+def exported(source: str, task: Subtask, config: EnvConfig) -> Act:
+    """Return the policy `onnx:FILE`.
+
+    Raises:
+      ConfigError: it is damaged, or was trained for another subtask, robot or decision length.
+    """
+    policy = read_onnx(source)
+    check_trained({**policy.about, "action": "joint"}, source, task, config)
+    return policy
+
+
+def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvConfig) -> None:
+    """Raise ConfigError unless a policy of this `spec` was trained for this subtask, robot and decision length."""
+    if spec["task"] != task.name:
+        raise ConfigError(f"policy={source!r} was trained for {spec['task']!r}, not for {task.name!r}")
     now = {
         "robot": config.robot.name,
         "task.action": config.task.action,
@@ -147,8 +170,6 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     for key, here in now.items():
         if (there := spec.get(key.split(".")[-1])) != here:
             raise ConfigError(f"{key}={here}, but policy={source!r} was trained with {key}={there}")
-    seen = subtask(task.name, str(spec.get("observation")), config.task.balls)
-    return seen if levels is None else with_level(seen, levels)
 
 
 SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {

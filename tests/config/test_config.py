@@ -12,6 +12,7 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups
 
 OWN = {
+    "export": ["policy=expert"],
     "report": ["run=runs"],
     "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
 }

@@ -1,0 +1,1 @@
+"""Policies outside this package: files that other programs run."""

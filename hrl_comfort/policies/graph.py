@@ -1,0 +1,170 @@
+"""A trained policy as one graph, from named quantities of the cell to joint increments, and its ONNX file."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import logging
+import textwrap
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.policies.actor import ActorPolicy
+from hrl_comfort.tasks import State, Subtask
+
+ONNX = "onnx:"
+"""Prefix of a file that `hrl-comfort export` wrote."""
+OUTPUT = "joint_increment"
+NAMES = tuple(field.name for field in fields(State))
+
+
+class Watched(State):
+    """A state that remembers which of its fields were read."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in NAMES:
+            object.__getattribute__(self, "__dict__").setdefault("read", []).append(name)
+        return super().__getattribute__(name)
+
+
+def inputs_of(task: Subtask, state: State) -> tuple[str, ...]:
+    """Return the fields of `state` that the observation of `task` is made of, in the order of State."""
+    watched = Watched(**vars(state))
+    task.observe(watched)
+    read = set(vars(watched)["read"])
+    return tuple(name for name in NAMES if name in read)
+
+
+class PolicyGraph(nn.Module):
+    """Observation terms, normaliser, actor and scale of a policy: named fields of State to joint increments, rad.
+
+    Floating-point inputs are float32. The output (N, joints) is what the joint targets move by in each control
+    step of the decision.
+    """
+
+    def __init__(self, policy: ActorPolicy, task: Subtask, inputs: Sequence[str], max_step_rad: float) -> None:
+        super().__init__()
+        self.actor, self.normaliser = policy.actor, policy.normaliser
+        self._task, self._inputs, self._max_step_rad = task, tuple(inputs), max_step_rad
+
+    def forward(self, *values: Tensor) -> Tensor:
+        """Return the increments (N, joints) for the inputs, in the order of `inputs`."""
+        state = State(**{**dict.fromkeys(NAMES), **dict(zip(self._inputs, values, strict=True))})  # type: ignore[arg-type]
+        return self._max_step_rad * self.actor.mode(self.normaliser(self._task.observe(state).float()))
+
+
+def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:
+    """Return the inputs of a graph from a state: its fields, real numbers as float32."""
+    values = (getattr(state, name) for name in inputs)
+    return tuple(value.float() if value.is_floating_point() else value for value in values)
+
+
+def description(task: Subtask, inputs: Sequence[str], config: EnvConfig, spec: dict[str, Any]) -> dict[str, Any]:
+    """Return what a user of the file needs to know, as plain values."""
+    meanings = field_meanings()
+    return {
+        "task": task.name,
+        "robot": config.robot.name,
+        "joints": spec["action_dim"],
+        "inputs": {name: meanings[name] for name in inputs},
+        "output": {OUTPUT: "(N, joints) rad, added to the joint targets in each control step of a decision"},
+        "frame": "cell: origin in the robot's base, z up",
+        "stages": [stage.name for stage in task.stages],
+        "control_step_s": CONTROL_STEP_S,
+        "action_repeat": config.task.action_repeat,
+        "max_step_deg": config.task.max_step_deg,
+        "levels": spec["environment"].get("levels"),
+    }
+
+
+def field_meanings() -> dict[str, str]:
+    """Return shape, unit and meaning of each field of State, from its docstring."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(State))).body[0].body  # type: ignore[attr-defined]
+    return {
+        each.target.id: " ".join(ast.literal_eval(text.value).split())
+        for each, text in pairwise(body)
+        if isinstance(each, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(each.target, ast.Name)
+    }
+
+
+def write_onnx(graph: PolicyGraph, example: State, inputs: Sequence[str], about: dict[str, Any], path: Path) -> None:
+    """Write the graph to an ONNX file with any number of rows, and to a `torch.export` archive (.pt2) beside it.
+
+    Raises:
+      ConfigError: the packages of the extra `export` are not installed.
+    """
+    onnx = need("onnx")
+    need("onnxscript")
+    rows = torch.export.Dim("rows", min=1)
+    given = arguments(example.rows(torch.tensor([0, 0])), inputs)
+    program = torch.export.export(graph.eval(), given, dynamic_shapes=(tuple({0: rows} for _ in given),))
+    torch.export.save(program, path.with_suffix(".pt2"))
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it reports on torchvision, which is not needed
+    with warnings.catch_warnings(action="ignore", category=FutureWarning):
+        made = torch.onnx.export(program, input_names=list(inputs), output_names=[OUTPUT], verbose=False, dynamo=True)
+    assert made is not None
+    model = made.model_proto
+    entry = model.metadata_props.add()
+    entry.key, entry.value = "hrl_comfort", json.dumps(about)
+    onnx.save(model, path)
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxPolicy:
+    """A policy from a file that `write_onnx` wrote, run by ONNX Runtime on one thread."""
+
+    session: Any
+    about: dict[str, Any]
+
+    def __call__(self, state: State) -> Tensor:
+        """Return actions (N, joints) in [-1, 1], float64."""
+        names = tuple(self.about["inputs"])
+        given = {name: value.numpy() for name, value in zip(names, arguments(state, names), strict=True)}
+        increment = torch.from_numpy(self.session.run([OUTPUT], given)[0]).double()
+        return (increment / torch.deg2rad(torch.tensor(self.about["max_step_deg"]).double())).clamp(-1.0, 1.0)
+
+
+def read_onnx(source: str) -> OnnxPolicy:
+    """Return the policy `onnx:FILE`.
+
+    Raises:
+      ConfigError: there is no such file, it is damaged, `hrl-comfort export` did not write it, or ONNX Runtime is
+        not installed.
+    """
+    runtime = need("onnxruntime")
+    path = Path(source.removeprefix(ONNX))
+    if not path.is_file():
+        raise ConfigError(f"policy={source!r}: there is no file {path}")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        about = json.loads(session.get_modelmeta().custom_metadata_map["hrl_comfort"])
+    except KeyError:
+        raise ConfigError(f"policy={source!r} was not written by hrl-comfort export") from None
+    except Exception as error:  # ONNX Runtime's errors share no other class
+        raise ConfigError(f"policy={source!r} is not an ONNX file: {' '.join(str(error).split()):.200}") from error
+    return OnnxPolicy(session, about)
+
+
+def need(name: str) -> ModuleType:
+    """Return a package of the extra `export`.
+
+    Raises:
+      ConfigError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{name} is not installed: pip install 'hrl-comfort[export]'") from error
