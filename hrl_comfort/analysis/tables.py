@@ -6,6 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pandas import DataFrame
+from rich.table import Table
+
 from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS
 from hrl_comfort.analysis.intervals import UNBOUNDED, Bounds
 
@@ -32,6 +35,17 @@ LEVELS = {
     ("pairs", SPEED): Quantity("joint increment, ° (pairs)", digits=2),
 }
 """Columns of the table of levels, by the part of the summary and the name in it."""
+HEADLINE = {
+    "success": Quantity("success (%)", 100, 1),
+    "steps": Quantity("steps", digits=0),
+    "human_distance_mean_m": Quantity("distance (m)", digits=2),
+    "human_collision": Quantity("human collisions (%)", 100, 1),
+    "other_collision": Quantity("other collisions (%)", 100, 1),
+}
+"""Metrics of a group of episodes that every table of evaluations shows."""
+SHOWN = {"comfort_level": "level", "seen": "spawns"}
+"""Heads of the labels of groups that are not their names."""
+ALWAYS = ("comfort_level", "split")
 SERIES = {DISTANCE: Quantity("distance, m"), STEPS: Quantity("steps", digits=1)}
 """Measures of the table of series."""
 
@@ -60,6 +74,27 @@ def of_means(rows: Mapping[str, Mapping[str, Any]], quantities: Mapping[str, Qua
     there = {name: each for name, each in quantities.items() if any(name in row for row in rows.values())}
     heads = ["", *(each.label for each in there.values())]
     return markdown(heads, ([label, *cells(row, there)] for label, row in rows.items()))
+
+
+def of_groups(groups: Sequence[Mapping[str, Any]]) -> Table:
+    """Return groups of episodes for a terminal of 80 columns: labels, number of episodes n, HEADLINE.
+
+    A label is shown where the groups differ in it; the level and the split always. The success alone has an interval.
+    """
+    labels = DataFrame(groups, dtype=object).drop(columns=["policy", "episodes", "metrics"])
+    told = labels.where(labels.notna(), "-").replace({"seen": {True: "seen", False: "unseen"}}).astype(str)
+    shown = [name for name in told if told[name].nunique() > 1 or (name in ALWAYS and told[name].iloc[0] != "-")]
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
+    for name in shown:
+        table.add_column(SHOWN.get(name, name.removesuffix("_m")), overflow="fold")
+    for head in ("n", *(each.label.replace("collisions", "coll.").replace(" ", "\n") for each in HEADLINE.values())):
+        table.add_column(head, justify="right", no_wrap=head.startswith("success"))
+    for group, line in zip(groups, told[shown].to_numpy(), strict=True):
+        means = {
+            name: each and (each if name == "success" else each["mean"]) for name, each in group["metrics"].items()
+        }
+        table.add_row(*line, str(group["episodes"]), *cells(means, HEADLINE))
+    return table
 
 
 def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from pandas import DataFrame
 from rich.console import Console
+from rich.table import Table
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.analysis.episodes import success
+from hrl_comfort.analysis.tables import cell, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
@@ -38,12 +41,15 @@ def evaluate(config: EvaluateConfig) -> Path:
             raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
     output = Path(config.output)
     with output_folder(output, EvaluateConfig, *MARKS):
+        if (output / "summary.json").is_file() and config.checkpoints == "none":
+            warnings.warn(f"{output} holds an earlier evaluation, which this one replaces at its end", stacklevel=2)
         if config.checkpoints == "all":
-            return evaluate_checkpoints(config)
-        result = rollout(config)
-        result.write(output, config)
-    what = f"success {result.success:.1%} of {len(result.episodes)} episodes"
-    Console().print(f"{output}: {what}", soft_wrap=True)
+            output = evaluate_checkpoints(config)
+        else:
+            result = rollout(config)
+            result.write(output, config)
+            Console().print(of_groups(result.summary(config)["groups"]))
+    print(output)
     return output
 
 
@@ -75,7 +81,11 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         interval = share["ci95"] or (None, None)
         curve.append([policy_steps, share["mean"], *interval, config.task.precision.grasp_tolerance_m])
     header = ["policy_steps", "success", "success_low", "success_high", "precision_m"]
+    table = Table("policy steps", "success (%)", box=None, pad_edge=False)
+    for steps, mean, low, high, _ in curve:
+        table.add_row(f"{steps:,}", cell({"mean": mean, "ci95": None if low is None else (low, high)}, 100))
     with all_or_none():
         write_table(output.parent / "checkpoints.csv", header, curve)
         every.write(output, config)
+    Console().print(table)
     return output

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from pandas import DataFrame
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.adapt import max_episode_steps
@@ -25,6 +22,7 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, split_set
 from hrl_comfort.policies.load import Source, name_of
+from hrl_comfort.progress import Show, progress, success_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -55,6 +53,11 @@ class Result:
         """Fraction of episodes that succeeded."""
         return float(np.mean([episode.success for episode in self.episodes]))
 
+    def summary(self, config: EvaluateConfig) -> dict[str, Any]:
+        """Return the groups of summary.json."""
+        limits = [episode.max_episode_steps for episode in self.episodes]
+        return summarise(self.table, config.group_by, limits)
+
     def write(self, output: Path, config: EvaluateConfig) -> None:
         """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
         with all_or_none(*(output / name for name in STALE)):
@@ -64,28 +67,17 @@ class Result:
                 write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
             if self.paths:
                 write_table(output / "paths.csv", path_columns(len(self.paths[0])), self.paths)
-            limits = [episode.max_episode_steps for episode in self.episodes]
-            write_json(output / "summary.json", summarise(self.table, config.group_by, limits))
+            write_json(output / "summary.json", self.summary(config))
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
     """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
     entries = split(config)
     result = Result([], [], [])
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[success]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        total = config.episodes * max(1, len(config.levels))
-        bar = progress.add_task(f"evaluate {config.task.name}", total=total, success="")
+    with progress(f"evaluate {config.task.name}", config.episodes * max(1, len(config.levels))) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
-                batch = EvaluationBatch(at_level, policy, entries.part(start, start + BATCH), result)
-                batch.run(lambda done: progress.advance(bar, done))
-                progress.update(bar, success=f"success {result.success:.1%}")
+                EvaluationBatch(at_level, policy, entries.part(start, start + BATCH), result).run(show)
     return result
 
 
@@ -111,12 +103,14 @@ class EvaluationBatch:
         self.executor, self.choose = make_executor(config, policy, self.engine, int(entries.episode_seed[0]))
         self.recorder = EpisodeRecorder(config, policy, self.engine, entries, result)
 
-    def run(self, advance: Callable[[int], None]) -> None:
+    def run(self, show: Show) -> None:
         """Run every row to the end of its episode."""
+        before = [episode.success for episode in self.recorder.result.episodes]
         self.recorder.begin(self.engine.reset())
         for executed in execute(self.engine, self.executor, self.choose):
             self.recorder.add(executed)
-            advance(int(executed.ended.sum()))
+            ended = [*before, *self.recorder.outcomes]
+            show(len(ended), success_of(ended))
         self.engine.close()
         self.recorder.finish()
 
@@ -155,6 +149,11 @@ class EpisodeRecorder:
         for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
             self._found[row] = self._episode(row, executed.result)
         self._runs += executed.runs
+
+    @property
+    def outcomes(self) -> list[bool]:
+        """Success of the episodes that have ended."""
+        return [episode.success for episode in self._found.values()]
 
     def finish(self) -> None:
         """Append the rows to the result, once every episode has ended."""

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pandas as pd
 from pandas import DataFrame, Series
+from rich.console import Console
 
 from hrl_comfort.analysis.episodes import TERMINATIONS, terminations
 from hrl_comfort.analysis.learning_curve import POLICY, curve_of
 from hrl_comfort.analysis.summary import KEYS
-from hrl_comfort.analysis.tables import Quantity, cell, cells
+from hrl_comfort.analysis.tables import HEADLINE, cell, cells, of_groups
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.output import output_file
@@ -32,13 +33,6 @@ SEARCHED_PATHS = 20
 SHOWN_FAILURES = 40
 FAILURE = ["run", "episode", "colour", "spawn_id", "motion_id", "seen", "steps", "ended"]
 """Columns of the table of failures."""
-HEADLINE = {
-    "success": Quantity("success (%)", 100, 1),
-    "steps": Quantity("steps", digits=0),
-    "human_distance_mean_m": Quantity("distance (m)", digits=2),
-    "human_collision": Quantity("human collisions (%)", 100, 1),
-    "other_collision": Quantity("other collisions (%)", 100, 1),
-}
 HEADS = [each.label for each in HEADLINE.values()]
 OPTION_ENDS = ["success", "failure", "preempted"]
 
@@ -165,15 +159,17 @@ def _draw(run: Run, file: Path) -> str:
 def report(config: ReportConfig) -> Path:
     """Write the page about `config.run` to `config.output` (report.html in the run), and return its path.
 
-    A folder that holds the jobs of a sweep has a page of its own kind.
+    A folder that holds the jobs of a sweep has a page of its own kind. The evaluations are printed too.
     """
     folder = Path(config.run)
     output = Path(config.output) if config.output else folder / "report.html"
-    if folder.is_dir() and sweep_report(folder, output):
-        return output
-    runs = find_runs(folder)
-    with output_file(output):
-        _write_page(runs, folder.resolve().name, output, config.video)
+    if not (folder.is_dir() and sweep_report(folder, output)):
+        runs = find_runs(folder)
+        with output_file(output):
+            _write_page(runs, folder.resolve().name, output, config.video)
+        if groups := [{"run": run.name, **group} for run in runs for group in run.groups or []]:
+            Console().print(of_groups(groups))
+    print(output)
     return output
 
 

@@ -19,8 +19,8 @@ from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.progress import progress, success_of
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
-from hrl_comfort.training.progress import training_line
 from hrl_comfort.training.resume import train_in_folder
 
 METRICS = "meta_controller_metrics.csv"
@@ -79,13 +79,13 @@ class ControllerTraining:
 
     def run(self) -> None:
         """Train to the end, or go on to it; at SIGTERM write a checkpoint and raise Preempted."""
-        agent, precision_m = self.config.meta_controller_agent, self.config.task.precision.grasp_tolerance_m
+        agent = self.config.meta_controller_agent
         checkpoints, began = self.folder / "checkpoints", time.monotonic() - self.seconds
         if not self._resumes:
             save_config(self.config, self.folder / "config.yaml")
             self._provenance(finished=False)
         self._table.begin(self._rows)
-        with training_line("meta_controller", agent.options, self.options) as show, asked_to_stop() as stop:
+        with progress("train meta_controller", agent.options, self.options) as show, asked_to_stop() as stop:
             while self.options < agent.options:
                 if stop():
                     checkpoint.save_resumable(checkpoints, self.state_dict())
@@ -100,7 +100,7 @@ class ControllerTraining:
                         checkpoint.save_resumable(checkpoints, self.state_dict())
                     self._save()
                 latest = [episode[0] > 0 for episode in self.finished[-100:]]
-                show(min(self.options, agent.options), latest, precision_m, "")
+                show(min(self.options, agent.options), success_of(latest))
         self._provenance(finished=True)
         checkpoint.drop_resumable(checkpoints)
 

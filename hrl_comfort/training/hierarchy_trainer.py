@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
-from hrl_comfort.analysis.tables import cell
+from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import compose, load_config, save_config
 from hrl_comfort.config.overrides import override
@@ -190,19 +189,7 @@ def _evaluate(words: list[str], output: Path) -> None:
 
 def print_table(folder: Path) -> None:
     """Print the evaluations in a hierarchy's folder."""
-    table = Table(title=str(folder))
-    for name in ("task", "level", "spawns", "episodes", "success, % [95 % interval]", "steps", "human distance, m"):
-        table.add_column(name, justify="left" if name in ("task", "spawns") else "right")
-    for file in sorted(folder.glob("*/eval/summary.json")):
-        for group in read_json(file, Summary).model_dump()["groups"]:
-            metrics, level = group["metrics"], group.get("comfort_level")
-            table.add_row(
-                file.parent.parent.name,
-                "-" if level is None else str(level),
-                "seen" if group["seen"] else "unseen",
-                str(group["episodes"]),
-                cell(metrics["success"], 100),
-                cell(metrics.get("steps"), digits=0),
-                cell(metrics.get("human_distance_mean_m"), digits=3),
-            )
-    Console().print(table)
+    files = sorted(folder.glob("*/eval/summary.json"))
+    of_file = {file.parent.parent.name: read_json(file, Summary).model_dump()["groups"] for file in files}
+    print(folder)
+    Console().print(of_groups([{**group, "task": name} for name, groups in of_file.items() for group in groups]))

@@ -16,11 +16,11 @@ from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import save_config
 from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
+from hrl_comfort.progress import progress, success_of
 from hrl_comfort.training.collector import Collector, Transition, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list
 from hrl_comfort.training.logger import OUTCOMES, MetricsLog
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
-from hrl_comfort.training.progress import training_line
 from hrl_comfort.training.resume import train_in_folder
 
 FEWEST_EPISODES = 20
@@ -89,7 +89,7 @@ class Training:
         began = time.monotonic() - self.seconds
         lap = (self.seconds, self.policy_steps, self.learner.updates)
         shown: deque[bool] = deque(maxlen=self.config.curriculum.window)
-        line = training_line(self.config.task.name, self.stages[-1].end, self.policy_steps)
+        line = progress(f"train {self.config.task.name}", self.stages[-1].end, self.policy_steps)
         try:
             with line as show, asked_to_stop() as stop:
                 while self.policy_steps < self.stages[-1].end:
@@ -108,15 +108,17 @@ class Training:
                         lap = self._write_row(lap)
                     if self._passes(agent.checkpoint_every) or ends:
                         self.save(resumable=self.policy_steps < self.stages[-1].end)
-                    show(self.policy_steps, shown, self.curriculum.precision_m, self._stage_shown)
+                    show(self.policy_steps, f"{self._where}{success_of(list(shown))}")
         finally:
             self.log.close()
         self._write_provenance(finished=True)
         checkpoint.drop_resumable(self.folder / "checkpoints")
 
     @property
-    def _stage_shown(self) -> str:
-        return self.stage.setting.name if len(self.stages) > 1 else ""
+    def _where(self) -> str:
+        """The stage, if there are several, and the precision."""
+        stage = f"stage {self.stage.setting.name}, " if len(self.stages) > 1 else ""
+        return f"{stage}precision {self.curriculum.precision_m:.3g} m, "
 
     def begin_stage(self, index: int) -> None:
         """Go on in stage `index` from the policy that the one before it leaves; cut its episodes."""

@@ -73,6 +73,15 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     assert first == (run(tmp_path / "b") / "episodes.csv").read_bytes()
 
 
+def test_an_evaluation_prints_its_table_and_folder_and_warns_of_an_earlier_one(tmp_path: Path, capsys) -> None:
+    run(tmp_path, "levels=[1,10]")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines[-3:-1]] == [["1", "paper"], ["10", "paper"]]
+    assert lines[-1] == str(tmp_path)
+    with pytest.warns(UserWarning, match="holds an earlier evaluation"):
+        run(tmp_path)
+
+
 def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> None:
     human = []
     for index, limit in enumerate((20, 30)):
