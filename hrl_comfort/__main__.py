@@ -1,149 +1,50 @@
-"""`hrl-comfort VERB [overrides]`: the commands. Nothing heavy is imported before it is needed."""
+"""The installed command. At SIGINT it ends with exit code 130 and one line, during imports too."""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
-import warnings
-from collections.abc import Callable
-from functools import partial
-from importlib import import_module
-from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
 
-from hrl_comfort import __version__
-from hrl_comfort.cli import help as help_texts
-from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
-from hrl_comfort.cli.completion import complete
-from hrl_comfort.cli.first_checks import check, completed
-from hrl_comfort.config import ConfigError, ReportConfig
-from hrl_comfort.config.compose import compose, yaml_of
-from hrl_comfort.config.overrides import Config, check_overrides, root_of
-from hrl_comfort.files.atomic import OVERWRITE
-from hrl_comfort.sweeps.subprocesses import ERRORS
-from hrl_comfort.training.preemption import Preempted
-
-FLAGS = ("-h", "--help", "--version", "--dry-run", "-m", "--multirun", "--overwrite")
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of shells for a command that SIGINT has ended."""
 
 
-def configuration(command: str, overrides: list[str]) -> Config:
-    """Return the configuration of a command.
-
-    Raises:
-      ConfigError: a choice is not allowed.
-    """
-    given, overrides = overrides, completed(command, overrides)
-    config = compose(COMMANDS[command].root, overrides)
-    others = [line for line in given if not line.startswith("resume=")]
-    if others and getattr(config, "resume", None) is not None:
-        raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")
-    check(config)
-    return config
+def end(*_: object) -> NoReturn:
+    """End the process at once, as interrupted."""
+    os.write(sys.stderr.fileno(), b"hrl-comfort: interrupted\n")
+    os._exit(INTERRUPTED)
 
 
-def run(command: str, overrides: list[str]) -> None:
-    """Run a command with overrides; of a hierarchy, write the report once and show its table."""
-    config = configuration(command, overrides)
-    module, name = COMMANDS[command].place.split(":")
-    result = getattr(import_module(module), name)(config)
-    if command == "train hierarchy":
-        show_hierarchy(result)
+def interrupt(_: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt; end the process in an import, which may turn that into other errors, and next time."""
+    signal.signal(signal.SIGINT, end)
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            end()
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
-def show_hierarchy(folder: Path) -> None:
-    """Print the table of a hierarchy and where its report is; write that once."""
-    from hrl_comfort.report.report import report
-    from hrl_comfort.training.hierarchy_trainer import print_table
-
-    page = folder / "report.html"
-    if not page.is_file():
-        report(ReportConfig(run=str(folder), output=None, video=True))
-    print_table(folder)
-    print(f"report: {page}")
-    print(f"watch it: hrl-comfort studio policy={folder}")
+def unraisable(error: Any) -> None:
+    """Report an error that cannot propagate, for example out of `__del__`; end the process at KeyboardInterrupt."""
+    if isinstance(error.exc_value, KeyboardInterrupt):
+        end()
+    sys.__unraisablehook__(error)
 
 
-RUN: dict[str, Callable[[list[str]], None]] = {command: partial(run, command) for command in COMMANDS}
-SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
-
-
-def sweep(command: str, overrides: list[str]) -> None:
-    """Run a command once for every combination of the swept overrides.
-
-    What runs the jobs takes seconds to import: it is imported once every choice has been checked.
-    """
-    if command not in SWEPT:
-        raise ConfigError(f"{command} cannot be swept; -m goes with {', '.join(SWEPT)}")
-    if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
-        raise ConfigError("resume does not go with -m: give one run at a time")
-    outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
-    rest = completed(command, [line for line in overrides if not line.startswith("output=")])
-    checked = check_overrides(root_of(command), rest, sweep=True)
-    from hrl_comfort.sweeps.launcher import multirun
-
-    multirun(command, RUN[command], checked, outputs)
-
-
-def command_of(words: list[str]) -> tuple[str, list[str]]:
-    """Return the command that `words` begin with, and the other words.
-
-    Raises:
-      ConfigError: there is none.
-    """
-    verb, *rest = words
-    if verb not in VERBS:
-        raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
-    if rest and f"{verb} {rest[0]}" in RUN:
-        return f"{verb} {rest[0]}", rest[1:]
-    if verb not in RUN:
-        what = rest[0] if rest else "(nothing)"
-        raise ConfigError(f"{verb} {what} is not known; choose one of {', '.join(parts_of(verb))}")
-    return verb, rest
-
-
-def execute(words: list[str]) -> None:
-    """Do what the command line asks for."""
-    flags, rest = set(words) & set(FLAGS), [word for word in words if word not in FLAGS]
-    if "--overwrite" in flags:
-        os.environ[OVERWRITE] = "1"
-    asked, swept = bool(flags & {"-h", "--help"}), bool(flags & {"-m", "--multirun"})
-    if "--version" in flags:
-        print(f"hrl-comfort {__version__}")
-    elif not rest or rest == ["help"] or (asked and rest[0] in VERBS and rest[0] not in RUN and len(rest) == 1):
-        print(help_texts.overview())
-    elif asked:
-        print(help_texts.about(command_of(rest)[0]))
-    elif swept and "--dry-run" in flags:
-        raise ConfigError("--dry-run does not go with -m: give one run at a time")
-    elif swept:
-        sweep(*command_of(rest))
-    elif "--dry-run" in flags:
-        print(yaml_of(configuration(*command_of(rest))), end="")
-    else:
-        command, overrides = command_of(rest)
-        RUN[command](overrides)
-
-
-def main(words: list[str] | None = None) -> int:
-    """Run the command line `words` (default: the process's); return the exit code."""
-    try:
-        execute(list(sys.argv[1:] if words is None else words))
-    except ERRORS as error:
-        print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("hrl-comfort: interrupted", file=sys.stderr)
-        return 130
-    except Preempted as stopped:
-        print(f"hrl-comfort: {stopped}", file=sys.stderr)
-        return 128 + signal.SIGTERM
-    finally:
-        os.environ.pop(OVERWRITE, None)
-    return 0
-
-
-def console() -> None:
+def console() -> NoReturn:
     """Run as the installed command."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as under nohup
+        signal.signal(signal.SIGINT, interrupt)
+        sys.unraisablehook = unraisable
+    import warnings
+
+    from hrl_comfort.cli.completion import complete
+    from hrl_comfort.cli.main import main
+
     complete()
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reports on every buffer that it allocates
     warnings.formatwarning = lambda message, *_, **__: f"hrl-comfort: {message}\n"
@@ -153,7 +54,11 @@ def console() -> None:
     except BrokenPipeError:  # whoever read along has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
-    sys.exit(code)
+    except BaseException:
+        if signal.getsignal(signal.SIGINT) is end:  # C code may turn KeyboardInterrupt into any error
+            end()
+        raise
+    sys.exit(INTERRUPTED if signal.signal(signal.SIGINT, end) is end else code)
 
 
 if __name__ == "__main__":

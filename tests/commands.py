@@ -10,7 +10,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from hrl_comfort.__main__ import main
+from hrl_comfort.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_RUN = (

@@ -22,7 +22,7 @@ from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.hierarchy.q_learning import choice_file
 from hrl_comfort.policies.actor import policy_file
-from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent, run_in_subprocess
+from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import HIERARCHY, Left, left
 
@@ -63,8 +63,6 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
     GlobalHydra.instance().clear()  # the job composes its own configuration
-    if in_worker:
-        end_with_parent()  # an orphaned worker would wait for jobs
     try:
         config = compose(root_of(verb), words)
         assert isinstance(config, TrainingConfig | EvaluateConfig)

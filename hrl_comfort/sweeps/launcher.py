@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from functools import partial
 from importlib.util import find_spec
@@ -22,7 +23,7 @@ from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.output import INSIST
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import Command, job
-from hrl_comfort.sweeps.subprocesses import ERRORS
+from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent
 
 EXTRAS = {
     "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
@@ -105,13 +106,23 @@ def _plugin_overrides(overrides: list[str]) -> list[str]:
         extra, module = EXTRAS.get(chosen.get(key, ""), ("", ""))
         if extra and find_spec(module) is None:
             raise ConfigError(f"{key}={chosen[key]} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
+    found = _worker_overrides() if chosen.get("hydra/launcher", "joblib") == "joblib" else []
     if chosen.get("hydra/sweeper") != "optuna":
-        return []
+        return found
     wanted = {"hydra.sweeper.direction": "maximize"}
     if chosen.get("hydra/sweeper/sampler") != "grid":  # which has no seed
         wanted["hydra.sweeper.sampler.seed"] = "0"  # the same command repeats the same trials
-    return [
+    return found + [
         f"{key}={value}" for key, value in wanted.items() if not any(line.startswith(f"{key}=") for line in overrides)
+    ]
+
+
+def _worker_overrides() -> list[str]:
+    """Return Hydra's overrides by which joblib's workers, idle ones too, end with this process."""
+    place = f"{end_with_parent.__module__}.{end_with_parent.__name__}"
+    return [
+        f"+hydra.launcher.initializer={{_target_: hydra.utils.get_method, path: {place}}}",
+        f"+hydra.launcher.initargs=[{os.getpid()}]",
     ]
 
 

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from types import FrameType
 
 from hrl_comfort.config import ConfigError
@@ -32,10 +33,12 @@ ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
 """Errors that are reported by their message alone."""
 
 
-def end_with_parent() -> None:
-    """Let the kernel kill this process when its parent ends (Linux only)."""
+def end_with_parent(parent: int) -> None:
+    """Let the kernel kill this process when its `parent` ends, at once if it has ended (Linux only)."""
     if sys.platform == "linux":
         LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def run_in_subprocess(verb: str, words: list[str]) -> None:
@@ -63,7 +66,7 @@ def run_in_subprocess(verb: str, words: list[str]) -> None:
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": paths},
-            preexec_fn=end_with_parent,
+            preexec_fn=partial(end_with_parent, os.getpid()),
         ) as child:
             children.append(child)
             if asked:  # during the start

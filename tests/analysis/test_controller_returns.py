@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.analysis.comparison import controllers, table
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files.run_folder import Run

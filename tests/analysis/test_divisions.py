@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.analysis.comparison import divisions, table, training_cost
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.files.run_folder import Run

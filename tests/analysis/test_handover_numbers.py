@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.analysis.handover import CHAIN, SEAMS, summarise, table
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError
 
 

@@ -13,12 +13,12 @@ import pytest
 import torch
 from pandas import DataFrame
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.benchmarks import env as bench_env
 from hrl_comfort.benchmarks import measure
 from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.benchmarks.peers import TorchRLSAC
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import compose, environment
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hrl_comfort.__main__ import configuration
+from hrl_comfort.cli.main import configuration
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.config.compose import compose
 
@@ -42,7 +42,7 @@ WRONG = {
 HEAVY = ("torch", "mujoco", "pandas", "matplotlib", "viser", "joblib")
 PROGRAM = """
 import json, sys
-from hrl_comfort.__main__ import main
+from hrl_comfort.cli.main import main
 lines = json.load(sys.stdin)
 codes = [main(line.split()) for line in lines]
 print(json.dumps([codes, [name for name in HEAVY if name in sys.modules]]))

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from hrl_comfort import __main__ as commands
+from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups

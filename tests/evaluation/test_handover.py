@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.__main__ import main
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import EVALUATION_EPISODES
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"

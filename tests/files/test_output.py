@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.__main__ import main
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.files.atomic import all_or_none, write_text

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_comfort import __main__ as commands
+from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.rollout import path_columns

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.patches import Rectangle
 from pandas import DataFrame
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.analysis.episodes import chain_lengths
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, FigureConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.plots.figure import figure

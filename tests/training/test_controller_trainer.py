@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from hrl_comfort.__main__ import main
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files.provenance import read_provenance

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.__main__ import main
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override
