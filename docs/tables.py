@@ -44,7 +44,7 @@ def line(name: str) -> list[str]:
     rows = pd.concat([read_table(path.with_suffix(".csv")) for path in found], ignore_index=True)
     shares = [rows["success"][rows["seen"] == seen].mean() for seen in (True, False)]
     won = rows[rows["success"]]
-    hits = rows["human_collision"].mean(), (rows["other_collision"] != "none").mean()
+    hits = rows["contact"].mean(), (rows["other_collision"] != "none").mean()
     return [
         name.removesuffix("/eval"),
         f"{len(rows)}",

@@ -120,7 +120,7 @@ SIZES = {
     "home_tolerance": (), "arm_distance": (), "level": (), "balls": (1, 3),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
-FLAGS = ("human_collision", "table_collision", "self_collision")
+FLAGS = ("touching", "contact", "unsafe_contact", "table_collision", "self_collision")
 ROWS = 4
 
 

@@ -18,7 +18,7 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.training.collector import Collector
 
 LIMIT = 20
-FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
+FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
 
 
 class Stopped(Exception):
@@ -93,7 +93,8 @@ class PointEnv(EnvBase):
                 "reward": terms.sum(1, keepdim=True),
                 "reward_terms": terms,
                 "success": success,
-                "human_collision": torch.zeros_like(success),
+                "contact": torch.zeros_like(success),
+                "unsafe_contact": torch.zeros_like(success),
                 "other_collision": torch.zeros_like(success),
                 "terminated": success,
                 "truncated": late & ~success,

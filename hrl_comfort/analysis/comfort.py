@@ -25,9 +25,8 @@ from hrl_comfort.files.tables import Floats, column
 
 DISTANCE, STEPS, SPEED = "human_distance_mean_m", "steps", "joint_increment_mean_deg"
 MEASURED = (DISTANCE, STEPS, "human_distance_by_path_m", "tool_path_m", "waiting_share", SPEED)
-RATES = ("success", "moving_collision", "human_collision", "other_collision")
-"""Shares of all episodes: success; the moving robot hit the person; any collision with the person; with cell
-or itself."""
+RATES = ("success", "unsafe_contact", "contact", "other_collision")
+"""Shares of all episodes: success; an unsafe contact with the person; any contact; a collision with cell or robot."""
 OVER = ("pairs", "all")
 SAME = ["task", "precision_m"]
 """Columns that everything compared must agree in."""
@@ -118,12 +117,9 @@ def _measures(run: Run, episodes: DataFrame) -> DataFrame:
     frame = episodes.reindex(columns=[*SAME, *ENTRY, *SAME_ENTRY, "seen", "comfort_level"])
     if frame["comfort_level"].isna().any():
         raise ConfigError("comfort_level='': evaluate at given levels, such as levels=[1,10]")
-    for name in (*MEASURED, "success", "human_collision"):
+    for name in (*MEASURED, "success", "contact", "unsafe_contact"):
         frame[name] = column(episodes, name)
     frame[STEPS] = frame[STEPS].where(frame["success"] > 0, time_limit(run, column(frame, "comfort_level")))
-    # The cell is empty where nobody was touched, which is no collision of a moving robot either.
-    moving = column(episodes, "robot_moving_at_collision")
-    frame["moving_collision"] = np.where(frame["human_collision"] == 0, 0.0, moving)
     frame["other_collision"] = (episodes["other_collision"].fillna("none") != "none").astype(float)
     return frame
 

@@ -23,14 +23,14 @@ from hrl_comfort.files.tables import column
 
 PARTS = ("success", "return", "placed", "time", "discomfort")
 """Success and return of a controller, and the parts of its return: placed balls, costs of time and discomfort."""
-RESULTS = ("success", "moving", "steps", "distance")
+RESULTS = ("success", "contact", "steps", "distance")
 """Results of a division; steps and mean distance to the person of episodes that succeed."""
 QUANTITIES = {
     "networks": Quantity("networks", digits=0),
     "policy_steps": Quantity("policy steps", digits=0),
     "minutes": Quantity("training, min", digits=0),
     "success": Quantity("success, %", 100, 1, SHARE),
-    "moving": Quantity("moving robot hit person, %", 100, 1, SHARE),
+    "contact": Quantity("contact, %", 100, 1, SHARE),
     "steps": Quantity("steps", digits=1),
     "distance": Quantity("distance, m"),
     "return": Quantity("return"),
@@ -111,9 +111,9 @@ def divisions(groups: Groups) -> dict[str, Numbers]:
     frames = {}
     for label, runs in groups.items():
         frame = _pooled(runs)
-        hit, won = column(frame, "human_collision"), column(frame, "success") > 0
+        won = column(frame, "success") > 0
         frames[label] = frame.assign(
-            moving=np.where(hit > 0, column(frame, "robot_moving_at_collision"), hit),
+            contact=column(frame, "contact"),
             steps=np.where(won, column(frame, "steps"), np.nan),
             distance=np.where(won, column(frame, "human_distance_mean_m"), np.nan),
         )

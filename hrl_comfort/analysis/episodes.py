@@ -14,8 +14,8 @@ from hrl_comfort.files.tables import column
 
 TERMINATIONS = (
     "success",
-    "robot hit human",
-    "human walked into still robot",
+    "unsafe contact",
+    "contact",
     "hit table",
     "self-collision",
     "time limit",
@@ -28,15 +28,15 @@ PICK = re.compile(rf"pick_(\d+){LEVEL}")
 
 def terminations(episodes: DataFrame) -> pd.Series:
     """Return how each of n episodes ended, in words: one of TERMINATIONS or `other`."""
-    hit, moving = column(episodes, "human_collision") > 0, column(episodes, "robot_moving_at_collision")
+    contact, timed_out = column(episodes, "contact") > 0, column(episodes, "truncated") > 0
     other = episodes["other_collision"] if "other_collision" in episodes else pd.Series("none", episodes.index)
     conditions = [
         column(episodes, "success") > 0,
-        hit & (moving != 0),
-        hit,
+        column(episodes, "unsafe_contact") > 0,
+        contact & ~timed_out & (other == "none").to_numpy(dtype=bool),
         (other == "table").to_numpy(dtype=bool),
         (other == "self").to_numpy(dtype=bool),
-        column(episodes, "truncated") > 0,
+        timed_out,
     ]
     return pd.Series(np.select(conditions, TERMINATIONS, "other"), index=episodes.index)
 

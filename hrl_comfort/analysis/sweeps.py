@@ -53,7 +53,7 @@ QUANTITIES = {
     "eval_success": Quantity("evaluated success (%)", 100, 1, SHARE),
     "eval_steps": Quantity("evaluated steps", digits=1, bounds=POSITIVE),
     "eval_human_distance_mean_m": Quantity("evaluated distance (m)", bounds=POSITIVE),
-    "eval_human_collision": Quantity("evaluated human collisions (%)", 100, 1, SHARE),
+    "eval_contact": Quantity("evaluated contacts (%)", 100, 1, SHARE),
 }
 
 
@@ -63,7 +63,7 @@ def numbers_of(run: Run) -> dict[str, float | None]:
     found["minutes"] = run.minutes
     if run.episodes is not None:
         won = column(run.episodes, "success") > 0
-        for name in ("success", STEPS, DISTANCE, "human_collision"):
+        for name in ("success", STEPS, DISTANCE, "contact"):
             values = Series(column(run.episodes, name))
             found[f"eval_{name}"] = (values[won] if name in (STEPS, DISTANCE) else values).mean()
     return found

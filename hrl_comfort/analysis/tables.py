@@ -25,8 +25,8 @@ class Quantity:
 
 LEVELS = {
     ("rates", "success"): Quantity("success, %", 100, 1),
-    ("rates", "moving_collision"): Quantity("moving robot hit person, %", 100, 1),
-    ("rates", "human_collision"): Quantity("person touched, %", 100, 1),
+    ("rates", "unsafe_contact"): Quantity("unsafe contact, %", 100, 1),
+    ("rates", "contact"): Quantity("contact, %", 100, 1),
     ("pairs", DISTANCE): Quantity("distance, m (pairs)"),
     ("pairs", STEPS): Quantity("steps (pairs)", digits=1),
     ("all", DISTANCE): Quantity("distance, m (all)"),
@@ -39,7 +39,7 @@ HEADLINE = {
     "success": Quantity("success (%)", 100, 1),
     "steps": Quantity("steps", digits=0),
     "human_distance_mean_m": Quantity("distance (m)", digits=2),
-    "human_collision": Quantity("human collisions (%)", 100, 1),
+    "contact": Quantity("contacts (%)", 100, 1),
     "other_collision": Quantity("other collisions (%)", 100, 1),
 }
 """Metrics of a group of episodes that every table of evaluations shows."""
@@ -98,16 +98,20 @@ def of_groups(groups: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:
-    """Return the levels of a summary as a Markdown table, below them the change from first to last."""
+    """Return the levels of a summary as a Markdown table, below them the change from first to last.
+
+    A quantity that no level has is left out.
+    """
     found = summary["spawns"][spawns]
+    there = {at: each for at, each in LEVELS.items() if any(at[1] in level[at[0]] for level in found["levels"])}
     lines = [
-        [str(at["level"]), *cells({(part, name): at[part].get(name) for part, name in LEVELS}, LEVELS)]
+        [str(at["level"]), *cells({(part, name): at[part].get(name) for part, name in there}, there)]
         for at in found["levels"]
     ]
     if (whole := found["first_to_last"]) is not None:
-        changes = [cell(whole.get(part, {}).get(name), key="percent") for part, name in LEVELS]
+        changes = [cell(whole.get(part, {}).get(name), key="percent") for part, name in there]
         lines.append([f"{whole['from']} to {whole['to']}, change in %", *changes])
-    return markdown(["level", *(each.label for each in LEVELS.values())], lines)
+    return markdown(["level", *(each.label for each in there.values())], lines)
 
 
 def series(summaries: Mapping[str, Mapping[str, Any]]) -> str:

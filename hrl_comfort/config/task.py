@@ -63,6 +63,8 @@ class TaskConfig:
     """`point_to_point`: fixed second point, m."""
     start: str
     """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
+    terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
+    """Contact with the human that ends an episode; after another one it goes on."""
     resample_start_probability: Annotated[float, within(0.0, 1.0)]
     """Training: probability of a new random human and level for a recorded start, instead of the recorded ones."""
 
@@ -96,8 +98,8 @@ class RewardConfig:
     """Completion of `reach`."""
     arrival_speed: Weight
     """Per rad/s of joint velocity (Euclidean norm) at the control step that completes a stage."""
-    human_collision: Weight
-    """Contact of the robot with the human."""
+    contact: Weight
+    """Beginning of a contact with the human."""
     other_collision: Weight
     """Contact of the robot with the cell or itself."""
     step: Weight

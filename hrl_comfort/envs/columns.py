@@ -11,13 +11,15 @@ from hrl_comfort.sim.step_result import StepResult
 def step_columns(outcome: StepResult) -> dict[str, Tensor]:
     """Return the outcome of a decision by name, (N,) each.
 
-    `success`, `human_collision`, `other_collision`: bool. `steps`, `decision_steps`: int64, control steps of the
-    episode and of the decision. `human_distance`: m, mean horizontal distance over the decision.
+    `success`, `contact`, `unsafe_contact`, `other_collision`: bool, so far in the episode. `steps`,
+    `decision_steps`: int64, control steps of the episode and of the decision. `human_distance`: m, mean
+    horizontal distance over the decision.
     """
     state, count = outcome.state, outcome.decision_steps
     return {
         "success": outcome.success,
-        "human_collision": state.human_collision,
+        "contact": state.contact,
+        "unsafe_contact": state.unsafe_contact,
         "other_collision": state.table_collision | state.self_collision,
         "steps": state.steps,
         "decision_steps": count,

@@ -18,7 +18,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 
-_FLAGS = ("success", "human_collision", "other_collision", "terminated", "truncated", "done")
+_FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
 
 
 class CellEnv(EnvBase):
@@ -46,7 +46,7 @@ class CellEnv(EnvBase):
         flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=(*n, width), dtype=torch.float32),
-            **{name: flag.clone() for name in _FLAGS[:3]},
+            **{name: flag.clone() for name in _FLAGS[:4]},
             **{name: count.clone() for name in ("steps", "decision_steps")},
             human_distance=Unbounded(shape=(*n, 1), dtype=torch.float32),
             reward_terms=Unbounded(shape=(*n, len(self.reward_names)), dtype=torch.float32),
@@ -54,7 +54,7 @@ class CellEnv(EnvBase):
         )
         self.action_spec = Bounded(-1.0, 1.0, shape=(*n, self.engine.episodes.action_dim), dtype=torch.float32)
         self.reward_spec = Unbounded(shape=(*n, 1), dtype=torch.float32)
-        self.full_done_spec = Composite({name: flag.clone() for name in _FLAGS[3:]}, shape=n)
+        self.full_done_spec = Composite({name: flag.clone() for name in _FLAGS[4:]}, shape=n)
         self.engine.episodes.rewind()
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
@@ -80,7 +80,7 @@ class CellEnv(EnvBase):
         self.last = outcome
         columns = step_columns(outcome)
         columns |= {"steps": columns["steps"].clone(), "human_distance": columns["human_distance"].float()}
-        columns |= {name: getattr(outcome, name) for name in _FLAGS[3:]}
+        columns |= {name: getattr(outcome, name) for name in _FLAGS[4:]}
         return TensorDict(
             {
                 "observation": self.engine.episodes.subtask.observe(outcome.state).float(),

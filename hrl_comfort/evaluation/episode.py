@@ -30,8 +30,8 @@ class Episode:
     policy_steps: int
     # `return` is a Python keyword; the column is named without the underscore.
     return_: float
-    human_collision: bool
-    robot_moving_at_collision: bool | None
+    contact: bool
+    unsafe_contact: bool
     other_collision: str
     truncated: bool
     balls_placed: int

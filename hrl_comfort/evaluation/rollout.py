@@ -211,7 +211,6 @@ class EpisodeRecorder:
     def _episode(self, row: int, step: StepResult) -> Episode:
         config, state, entries = self.config, step.state, self.entries
         success = bool(step.success[row])
-        hit = bool(state.human_collision[row])
         colour = COLOURS[int(state.colours[row, 0])]
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
         episodes = self.engine.episodes
@@ -233,10 +232,10 @@ class EpisodeRecorder:
             steps=int(state.steps[row]),
             policy_steps=int(self.totals["policy_steps"][row]),
             return_=rounded(self.totals["return"][row]),
-            human_collision=hit,
-            robot_moving_at_collision=bool(step.robot_moving[row]) if hit else None,
+            contact=bool(state.contact[row]),
+            unsafe_contact=bool(state.unsafe_contact[row]),
             other_collision="table" if table else "self" if itself else "none",
-            truncated=not success and not (hit or table or itself),
+            truncated=not success and not bool(step.terminated[row]),
             balls_placed=int(state.placed[row].sum()),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             measures={},

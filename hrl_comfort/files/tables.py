@@ -46,7 +46,7 @@ KNOWN: dict[str, dict[str, str]] = {
     "episodes": dict.fromkeys(("task", "policy", "split", "colour", "human", "other_collision"), "text?")
     | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
     | dict.fromkeys(("steps", "policy_steps", "balls_placed"), "int?")
-    | dict.fromkeys(("seen", "human_collision", "robot_moving_at_collision", "truncated"), "bool?"),
+    | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated"), "bool?"),
     "options": {"comfort_level": "int?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""

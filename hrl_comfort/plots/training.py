@@ -40,14 +40,14 @@ def _stages(axes: Sequence[Axes], table: DataFrame) -> None:
 
 
 def learning_curves(tables: Mapping[str, DataFrame]) -> Figure:
-    """Draw success and collisions over training by run, and under them the curriculum's precision."""
+    """Draw success and contacts over training by run, and under them the curriculum's precision."""
     with styled():
         figure, axes = panels(len(tables), (2.2, 1.0), 3.9)
         for (name, table), (top, below) in zip(tables.items(), axes.T, strict=True):
             x = _thousands(table)
             curve(top, x, 100 * column(table, "success"), BLUE, "success")
-            if "human_collision" in table:
-                curve(top, x, 100 * column(table, "human_collision"), VERMILLION, "human collision")
+            if "contact" in table:
+                curve(top, x, 100 * column(table, "contact"), VERMILLION, "contact")
             top.set(title=name, ylim=(-2, 102))
             if "precision_m" in table:
                 below.step(x, 100 * column(table, "precision_m"), where="post", color=BLACK)

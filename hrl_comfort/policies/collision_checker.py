@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.kinematics import LinkFrames
 
 Array = NDArray[np.float64]
 
@@ -25,43 +25,25 @@ CLEARANCE_M = 0.01
 
 
 class ArmSpheres:
-    """The arm as spheres, by batched kinematics."""
+    """The arm as spheres along its capsules."""
 
     def __init__(self, scene: Scene) -> None:
-        self._frames = LinkFrames(scene)
-        model, data = scene.model, mujoco.MjData(scene.model)
-        mujoco.mj_kinematics(model, data)
-        links = self._frames.links
-        places, radii, self._link = [], [], []
-        for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
-            while body not in links and body != 0:
-                body = int(model.body_parentid[body])
-            if body == 0:
-                continue  # not part of a moving link
-            size, half = model.geom_size[geom][:2]
-            along = np.linspace(-half, half, max(2, int(np.ceil(2 * half / SPACING_M)) + 1))
-            world = data.geom_xpos[geom] + along[:, None] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
-            places.append((world - data.xpos[body]) @ data.xmat[body].reshape(3, 3))
-            radii.append(np.full(len(along), size))
-            self._link.append(links.index(body))
-        self._places, self.radius = places, np.concatenate(radii)
-        tcp = data.site("robot/tcp").xpos
-        self._tcp = (tcp - data.xpos[links[-1]]) @ data.xmat[links[-1]].reshape(3, 3)
+        self._arm = ArmGeometry(scene)
+        ends = self._arm.pose(scene.home[None]).ends[..., 0]
+        counts = np.maximum(np.ceil(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=0) / SPACING_M - 1e-9), 1) + 1
+        self._part = np.repeat(np.arange(len(counts)), counts.astype(int))
+        self._along = np.concatenate([np.linspace(0.0, 1.0, int(count)) for count in counts])
+        self.radius = self._arm.radius[self._part]
 
     def spheres(self, joints: Array) -> Array:
         """Return the spheres' centres (..., P, 3) m."""
-        frames = self._frames(joints)
-        parts = []
-        for link, places in zip(self._link, self._places, strict=True):
-            turn, origin = frames[link]
-            parts.append(origin[..., None, :] + places @ np.swapaxes(turn, -1, -2))
-        return np.concatenate(parts, axis=-2)
+        ends = self._arm.pose(joints.reshape(-1, joints.shape[-1])).ends[:, self._part]
+        centres = ends[:, :, 0] + (ends[:, :, 1] - ends[:, :, 0]) * self._along[:, None]
+        return np.asarray(centres.T.reshape(*joints.shape[:-1], -1, 3))
 
     def tool(self, joints: Array) -> Array:
-        """Return the tool centre point (..., 3) m."""
-        turn, origin = self._frames(joints)[-1]
-        return origin + turn @ self._tcp
+        """Return the tool centre points (n, 3) m of postures (n, J)."""
+        return self._arm.tool(joints)
 
 
 class CollisionChecker:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.shield import Shield
 from hrl_comfort.scene.ratings import RATINGS
@@ -88,11 +88,6 @@ class Drive:
         """Continue from `state_dict`."""
         if self._shield is not None:
             self._shield.load_state_dict(saved)
-
-    def touches(self, angles: Array, limbs: Array) -> NDArray[np.bool_]:
-        """Return (N,) whether people at `limbs` (N, L, 7) touch arms at `angles` (N, J) rad."""
-        apart = gaps(self.arm, self.arm.pose(angles).ends, self.person, self.person.ends(limbs))
-        return np.asarray((apart <= 0.0).any(axis=0))
 
 
 def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:

@@ -52,11 +52,25 @@ class ArmGeometry:
         self._local = np.stack([part[1] for part in found])
         self.radius = np.array([part[2] for part in found])
         """(C,) m."""
+        last = bodies[-1]
+        self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
         self.lever = self._levers()
         """(C, J) m, largest possible distance of a point of the capsule from a joint's anchor; 0 beyond it."""
 
+    def tool(self, angles: Array) -> Array:
+        """Return the tool centre point (N, 3) m at `angles` (N, J) rad."""
+        rotation, _, origins = self._frames(angles)
+        return np.asarray((origins[:, -1] + _turned(rotation[:, :, -1], self._tcp[:, None])).T)
+
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
+        rotation, anchor, origins = self._frames(angles)
+        local = self._local.transpose(2, 0, 1)[..., None]
+        ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
+        return ArmPose(_turned(rotation, self._axis.T[..., None]), anchor, ends)
+
+    def _frames(self, angles: Array) -> tuple[Array, Array, Array]:
+        """Return rotation (3, 3, J, N), a point on the axis and origin (3, J, N) m of the joints' links."""
         fixed, sine, cosine = self._steps
         steps = fixed + np.sin(angles.T) * sine + (1 - np.cos(angles.T)) * cosine  # (3, 3, J, N)
         n = len(angles)
@@ -67,10 +81,7 @@ class ArmGeometry:
             turn = _turned(turn[:, :, None], steps[:, :, joint])
             origin = anchor[:, joint] - _turned(turn, self._anchor[joint])
             rotation[:, :, joint] = turn
-        origins = anchor - _turned(rotation, self._anchor.T[..., None])
-        local = self._local.transpose(2, 0, 1)[..., None]
-        ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
-        return ArmPose(_turned(rotation, self._axis.T[..., None]), anchor, ends)
+        return rotation, anchor, anchor - _turned(rotation, self._anchor.T[..., None])
 
     def point_velocity(self, pose: ArmPose, velocity: Array, part: NDArray[np.int64], point: Array) -> Array:
         """Return the velocity (3, N) m/s of points (3, N) m fixed to the capsules `part` (N,)."""

@@ -21,11 +21,13 @@ from hrl_comfort.comfort.sources import make_source
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import SetPoints, make_drive
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
+from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.tasks import State, Subtask, subtask
@@ -54,6 +56,7 @@ class Episodes:
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         plain = subtask(config.task.name, config.task.observation, config.task.balls)
+        plain = replace(plain, terminate_on=config.task.terminate_on)
         self.subtask: Subtask = with_comfort(plain, config.comfort, config.task.max_step_deg)
         weights = reward_weights(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
@@ -76,8 +79,10 @@ class Episodes:
         """What was drawn for the episode of each row."""
         self.source = make_source(config.comfort, rows)
         paid = config.comfort.distance == "arm" and config.comfort.source != "none"
-        self._sensors = Sensors(scene, measure_arm or paid)
+        self._separation = Separation(scene)
+        self._sensors = Sensors(scene, self._separation, measure_arm or paid)
         self._drive = make_drive(scene, config, rows)
+        self._people_stop = self._drive is not None or config.task.terminate_on == "unsafe_contact"
         self._disturbance = Disturbance(disturbance, rows)
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
@@ -123,7 +128,7 @@ class Episodes:
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
             sensed = probe(self.draw.start[pending, :moving], control)
-            state = self._first_state(pending, self._sensors.read(sensed, planned))
+            state = self._first_state(pending, self._sensors.read_first(sensed, planned))
             if self.state is not None:
                 self.state = self.state.put(torch.from_numpy(pending), state)
             elif len(pending) == self.rows:
@@ -133,7 +138,7 @@ class Episodes:
             if self._drive is not None:
                 self._drive.begin(pending, limbs)
             solved = self.subtask.next_stage(state) > 0
-            bad = (solved | self.subtask.failure(state)).numpy()
+            bad = (solved | state.touching | self.subtask.failure(state)).numpy()
             pending = pending[bad]
             if not len(pending):
                 self._ready[rows] = True
@@ -182,7 +187,7 @@ class Episodes:
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
             ends = targets[:, substeps - 1 :: substeps].reshape(-1, joints)
             points = SetPoints(ends, velocity, np.ones(self.rows * steps))
-            self._walks = humans.Walk.along(list(self._walking(times)))
+            self._walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self._walks)
         else:
             points, limbs = self._driven(increment / CONTROL_STEP_S, times)
@@ -196,7 +201,7 @@ class Episodes:
     def _driven(self, asked: Array, times: NDArray[np.int64]) -> tuple[SetPoints, Array]:
         """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
 
-        `asked` (N, J) rad/s, `times` (N, K). People stop where they touch the arm.
+        `asked` (N, J) rad/s, `times` (N, K).
         """
         assert self._drive is not None and self.state is not None
         points = [SetPoints(self.state.joint_target.numpy(), self.state.target_vel.numpy(), self.state.share.numpy())]
@@ -204,9 +209,7 @@ class Episodes:
         self._drive.begin_decision()
         for k in range(times.shape[1]):
             points.append(self._drive.step(points[-1], asked, limbs[-1]))
-            walk = self._walk_on(walks[-1], times[:, k])
-            standing = np.flatnonzero(self._drive.touches(points[-1].angles, limbs_of(self.scene, walk)))
-            walks.append(walk.put(standing, walks[-1].rows(standing)) if len(standing) else walk)
+            walks.append(self._walk_on(walks[-1], times[:, k], points[-1].angles))
             limbs.append(limbs_of(self.scene, walks[-1]))
         self._walks = humans.Walk.along(walks[1:])
         n, poses = times.size, np.stack(limbs[1:], axis=1)
@@ -236,12 +239,8 @@ class Episodes:
         Readings may be those of some `rows` (r,): see `Engine.step`.
         """
         assert self.state is not None
-        substeps = self.config.engine.substeps
-        sensed = sensed[:, substeps - 1 :: substeps].reshape(-1, sensed.shape[-1])
-        if rows is None:
-            moving = self._sensors.read(sensed, self._planned)
-        else:
-            moving = self._sensors.read_rows(sensed, self._planned, rows, self.state)
+        readings = sensed.reshape(-1, self.config.engine.substeps, sensed.shape[-1])
+        moving = self._sensors.read_decision(readings, self._planned, self.state, rows)
         limit = max_episode_steps(self.state.level, self.config.task.max_episode_steps, self.config.comfort)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state.with_(level=self._next_level(result))
@@ -263,21 +262,22 @@ class Episodes:
         assert self.state is not None
         self.state = target_ball(self.state, rows, ball, self.subtask)
 
-    def _walking(self, times: NDArray[np.int64]) -> Iterator[humans.Walk]:
-        """Yield the K walks over the control steps that begin at `times` (N, K)."""
+    def _walking(self, times: NDArray[np.int64], angles: Array) -> Iterator[humans.Walk]:
+        """Yield the K walks over the control steps that begin at `times` (N, K); see `_walk_on`."""
         walk = self.walk
         for k in range(times.shape[1]):
-            walk = self._walk_on(walk, times[:, k])
+            walk = self._walk_on(walk, times[:, k], angles[:, k])
             yield walk
 
-    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
-        """Return `walk` after the control step that begins at `times` (N,)."""
+    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], angles: Array) -> humans.Walk:
+        """Return `walk` after the control step that begins at `times` (N,) and takes the arm to `angles` (N, J) rad."""
         assert self.state is not None
         keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
         before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out)
         standing = np.flatnonzero(self._disturbance.stands(times))
-        return walk.put(standing, before.rows(standing)) if len(standing) else walk
+        walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
+        return stop_at_contact(self.scene, self._separation, angles, before, walk) if self._people_stop else walk
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from hrl_comfort import humans
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.safety.separation import UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
-from hrl_comfort.sim.arm_distance import ArmDistance
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-COLLISIONS = {"human_collision": "human", "table_collision": "table", "self_collision": "self"}
+COLLISIONS = {"touching": "human", "table_collision": "table", "self_collision": "self"}
 """Field of State -> sensors whose contact it reports."""
 MEASURED = ("joint_pos", "joint_vel", "tcp_pos")
 
@@ -55,30 +55,63 @@ def pack_controls(
 
 
 class Sensors:
-    """Fields of State that change within an episode; `arm_distance` is NaN unless `measure_arm`."""
+    """Fields of State that the sensors give; `arm_distance` is NaN unless `measure_arm`."""
 
-    def __init__(self, scene: Scene, measure_arm: bool) -> None:
-        self._at = scene.sensors
-        self._arm = ArmDistance(scene) if measure_arm else None
+    def __init__(self, scene: Scene, separation: Separation, measure_arm: bool) -> None:
+        self._at, self._separation, self._measure_arm = scene.sensors, separation, measure_arm
 
-    def read(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
+    def read_first(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
+        """Return the fields (r, ...) of the first instants of episodes; see `_read`."""
+        fields = self._read(sensed, planned)
+        return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
+
+    def read_decision(
+        self, readings: Array, planned: dict[str, NDArray[Any]], before: State, rows: NDArray[np.int64] | None
+    ) -> dict[str, Tensor]:
+        """Return the fields (N * K, ...) of the decision that began in the state `before` (N rows).
+
+        `readings` (r * K, substeps, nsensor) are those of `rows` (r,), all by default; the other rows stay as they
+        are. `planned` are the fields known beforehand, and `limbs`.
+        """
+        n, sensed = len(before.steps), readings[:, -1]
+        rows = np.arange(n) if rows is None else rows
+        count = len(sensed) // len(rows)
+        at = (rows[:, None] * count + np.arange(count)).reshape(-1)
+        fields = self._read(sensed, {name: value[at] for name, value in planned.items()})
+        fields |= self._contacts(readings, planned["limbs"][at], before, rows, fields["touching"])
+        if len(rows) < n:
+            for name, value in fields.items():
+                still = getattr(before, name).repeat_interleave(count, dim=0)
+                fields[name] = still.index_copy(0, torch.from_numpy(at), value)
+        return fields
+
+    def _read(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
         """Return the fields (n, ...) of readings (n, nsensor); `planned` are those known beforehand, and `limbs`."""
         fields = {name: value for name, value in planned.items() if name != "limbs"}
         fields |= {name: sensed[:, self._at[name]] for name in MEASURED}
         fields |= {name: np.asarray(sensed[:, self._at[key]].any(axis=1)) for name, key in COLLISIONS.items()}
         fields["arm_distance"] = np.full(len(sensed), np.nan)
-        if self._arm is not None:
-            fields["arm_distance"] = self._arm(fields["joint_pos"], planned["limbs"])
+        if self._measure_arm:
+            fields["arm_distance"] = self._separation.gap(fields["joint_pos"], planned["limbs"])
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
 
-    def read_rows(
-        self, sensed: Array, planned: dict[str, NDArray[Any]], rows: NDArray[np.int64], state: State
+    def _contacts(
+        self, readings: Array, limbs: Array, before: State, rows: NDArray[np.int64], touching: Tensor
     ) -> dict[str, Tensor]:
-        """Return the fields (N * K, ...) of readings (r * K, nsensor) of `rows` (r,); those of `state` elsewhere."""
-        count = len(sensed) // len(rows)
-        at = (rows[:, None] * count + np.arange(count)).reshape(-1)
-        fields = self.read(sensed, {name: value[at] for name, value in planned.items()})
-        for name, value in fields.items():
-            still = getattr(state, name).repeat_interleave(count, dim=0)
-            fields[name] = still.index_copy(0, torch.from_numpy(at), value)
-        return fields
+        """Return `contact` and `unsafe_contact` (r * K,) of a decision of `rows` (r,), `touching` (r * K,) in it.
+
+        `readings` (r * K, substeps, nsensor), people at `limbs` (r * K, L, 7), the state `before` of all rows.
+        """
+        touching = touching.view(len(rows), -1)
+        began = touching & ~torch.cat([before.touching[rows, None], touching[:, :-1]], dim=1)
+        unsafe = torch.zeros_like(began)
+        at = torch.nonzero(began.flatten())[:, 0].numpy()
+        if len(at):
+            # The first reading with the contact belongs to the instant before the physics resolves it.
+            first = readings[at][..., self._at["human"]].any(axis=-1).argmax(axis=1)
+            sensed = readings[at, first]
+            moving = sensed[:, self._at["joint_pos"]], sensed[:, self._at["joint_vel"]]
+            speed = self._separation.closing_speed(*moving, limbs[at])
+            unsafe.view(-1)[at] = torch.from_numpy(speed > UNSAFE_SPEED_M_S)
+        found = {"contact": (before.contact, touching), "unsafe_contact": (before.unsafe_contact, unsafe)}
+        return {name: (old[rows, None] | (new.cumsum(dim=1) > 0)).flatten() for name, (old, new) in found.items()}

@@ -15,9 +15,6 @@ from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
 from hrl_comfort.tasks import State, Subtask
 
-MOVING_RAD_S = 0.05
-"""Speed of the fastest joint below which a robot stands still: the human walked into it."""
-
 
 @dataclass(frozen=True)
 class StepResult:
@@ -68,11 +65,6 @@ class StepResult:
         """The K instants of N rows each, for recording."""
         n, count = self.valid.shape
         return [self.instants.rows(torch.arange(n) * count + k) for k in range(count)]
-
-    @property
-    def robot_moving(self) -> Tensor:
-        """(N,) bool: a joint is faster than MOVING_RAD_S."""
-        return self.state.joint_vel.abs().amax(dim=-1) > MOVING_RAD_S
 
 
 def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, float]:

@@ -51,7 +51,7 @@ class LivePlay:
             if ends[index] <= self.now_s + 1e-9:
                 step = self.sessions[index].step()
                 self._start[index], self._clips[index] = self.now_s, step.clip
-                self._views[index].flash(bool(step.result.state.human_collision))
+                self._views[index].flash(bool(step.result.state.touching))
                 for watcher in self.watchers:
                     watcher.stepped(index, self.sessions[index], step)
         return min(self._start[index] + self._clips[index].duration_s for index in going) - self.now_s

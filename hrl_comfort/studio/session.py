@@ -56,8 +56,10 @@ class Step:
             return ""
         if bool(self.result.success[0]):
             return "success"
+        if not bool(self.result.terminated[0]):
+            return "out of time"
         state = self.result.state
-        for name, hit in (("person", state.human_collision), ("cell", state.table_collision)):
+        for name, hit in (("person", state.touching), ("cell", state.table_collision)):
             if bool(hit[0]):
                 return f"contact with the {name}"
         return "contact with itself" if bool(state.self_collision[0]) else "out of time"
@@ -158,7 +160,7 @@ class Session:
         runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
         self.over = bool(result.done | options.given_up)
         self.decisions += 1
-        self.contacts += int(result.state.human_collision)
+        self.contacts += int(result.state.touching & ~before.touching)
         clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, self.walk)
         self.seconds += clip.duration_s
         if not self.over:

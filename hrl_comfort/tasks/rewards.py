@@ -53,9 +53,9 @@ def arrival_speed(before: State, after: State) -> Tensor:
     return torch.where(after.stage > before.stage, vector_norm(after.joint_vel, dim=-1), 0.0)
 
 
-def human_collision(before: State, after: State) -> Tensor:
-    """Return 1 where the robot touches the human."""
-    return after.human_collision.to(after.tcp_pos.dtype)
+def contact(before: State, after: State) -> Tensor:
+    """Return 1 where a contact of robot and human begins."""
+    return (after.touching & ~before.touching).to(after.tcp_pos.dtype)
 
 
 def other_collision(before: State, after: State) -> Tensor:
@@ -92,5 +92,5 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, TransitionFunction]:
     for bonus in dict.fromkeys(stage.bonus for stage in stages):
         paid = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
         terms[bonus] = paid[0] if len(paid) == 1 else total(paid)
-    common = (arrival_speed, human_collision, other_collision, step, overtime)
+    common = (arrival_speed, contact, other_collision, step, overtime)
     return {**terms, **{term.__name__: term for term in common}}

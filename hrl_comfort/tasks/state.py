@@ -70,8 +70,13 @@ class State:
     """(N,) comfort level in force, constant over a decision; NaN without one (`comfort.source=none`)."""
     arm_distance: Tensor
     """(N,) m, smallest distance between any robot link and any body part; NaN where it is not measured."""
-    human_collision: Tensor
+    touching: Tensor
     """(N,) bool, robot touches human."""
+    contact: Tensor
+    """(N,) bool, robot has touched human in this episode."""
+    unsafe_contact: Tensor
+    """(N,) bool, and a contact began with the robot moving towards the human faster than
+    `safety.separation.UNSAFE_SPEED_M_S`."""
     table_collision: Tensor
     """(N,) bool, robot touches a table, the pedestal or the floor."""
     self_collision: Tensor

@@ -84,6 +84,8 @@ class Subtask:
     observations: dict[str, StateFunction]
     rewards: dict[str, TransitionFunction]
     start: Start = Start.HOME
+    terminate_on: str = "contact"
+    """Contact with the human that is a failure: `contact` or `unsafe_contact`."""
 
     @property
     def points(self) -> int:
@@ -106,8 +108,9 @@ class Subtask:
         return state.stage >= len(self.stages)
 
     def failure(self, state: State) -> Tensor:
-        """Return (N,) bool: the robot touches the human, the workcell or itself."""
-        return state.human_collision | state.table_collision | state.self_collision
+        """Return (N,) bool: a contact with the human, as `terminate_on` says, or with the workcell or itself."""
+        contact = state.unsafe_contact if self.terminate_on == "unsafe_contact" else state.contact
+        return contact | state.table_collision | state.self_collision
 
     def ball(self, stage: int) -> Ball:
         """Return the location of the ball in a stage, or after the last one."""

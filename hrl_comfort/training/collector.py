@@ -42,10 +42,11 @@ class Transition:
     reward_terms: Tensor
     """(N, T)."""
     success: Tensor
-    """(N,) bool, as are the next four."""
+    """(N,) bool, as are the next five."""
     terminated: Tensor
     done: Tensor
-    human_collision: Tensor
+    contact: Tensor
+    unsafe_contact: Tensor
     other_collision: Tensor
     steps: Tensor
     """(N,) int64: control steps in the episode."""
@@ -53,7 +54,7 @@ class Transition:
     """(N,) int64: control steps in the decision."""
 
 
-COLUMNS = ("success", "terminated", "done", "human_collision", "other_collision", "steps", "decision_steps")
+COLUMNS = ("success", "terminated", "done", "contact", "unsafe_contact", "other_collision", "steps", "decision_steps")
 """Fields of `Transition` that the environment reports as (N, 1)."""
 
 

@@ -32,8 +32,8 @@ def row(level: int, episode: int, **changes: object) -> dict[str, str]:
         "success": True,
         "steps": 50,
         "human_distance_mean_m": 1.0,
-        "human_collision": False,
-        "robot_moving_at_collision": "",
+        "contact": False,
+        "unsafe_contact": False,
         "other_collision": "none",
         "human_distance_by_path_m": 1.0,
         "tool_path_m": 2.0,
@@ -58,11 +58,11 @@ def two_levels() -> comfort.Paired:
         [
             row(1, 0, steps=60, human_distance_mean_m=1.0),
             row(1, 1, steps=70, human_distance_mean_m=1.2),
-            row(1, 2, steps=10, human_distance_mean_m=0.2, success=False, human_collision=True,
-                robot_moving_at_collision=True),
+            row(1, 2, steps=10, human_distance_mean_m=0.2, success=False, contact=True,
+                unsafe_contact=True),
             row(10, 0, steps=45, human_distance_mean_m=0.8),
-            row(10, 1, steps=20, human_distance_mean_m=0.3, success=False, human_collision=True,
-                robot_moving_at_collision=False),
+            row(10, 1, steps=20, human_distance_mean_m=0.3, success=False, contact=True,
+                unsafe_contact=False),
             row(10, 2, steps=55, human_distance_mean_m=0.6),
         ]
     )  # fmt: skip
@@ -120,10 +120,10 @@ def test_rates_are_over_all_episodes_and_tell_a_moving_robot_from_a_still_one():
     rates = [{name: value["mean"] for name, value in level["rates"].items()} for level in at]
     third = pytest.approx(1 / 3)
     assert rates[0] == {
-        "success": pytest.approx(2 / 3), "moving_collision": third, "human_collision": third,
+        "success": pytest.approx(2 / 3), "unsafe_contact": third, "contact": third,
         "other_collision": 0,
     }  # fmt: skip
-    assert (rates[1]["moving_collision"], rates[1]["human_collision"]) == (0, third)
+    assert (rates[1]["unsafe_contact"], rates[1]["contact"]) == (0, third)
 
 
 def test_a_rate_without_a_case_has_no_interval():

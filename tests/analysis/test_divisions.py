@@ -34,8 +34,8 @@ def evaluation(policies: dict[str, str], steps: list[str], success: list[str] | 
     episodes = [
         {
             "train_seed": "0", "episode": str(i), "spawn_id": str(i), "success": win, "steps": each,
-            "human_distance_mean_m": "1.0", "human_collision": "True" if win == "False" else "False",
-            "robot_moving_at_collision": "True" if win == "False" else "",
+            "human_distance_mean_m": "1.0", "contact": "True" if win == "False" else "False",
+            "unsafe_contact": "True" if win == "False" else "False",
         }
         for i, (each, win) in enumerate(zip(steps, wins, strict=True))
     ]  # fmt: skip
@@ -70,7 +70,7 @@ def test_steps_are_compared_where_both_divisions_succeed(tmp_path) -> None:
     assert found["differences"]["a - b"]["steps"]["mean"] == pytest.approx(-30)
     assert found["differences"]["a - b"]["success"]["mean"] == pytest.approx(1 / 3)
     assert found["divisions"]["b"]["steps"]["mean"] == pytest.approx(140)
-    assert found["divisions"]["b"]["moving"]["mean"] == pytest.approx(1 / 3)
+    assert found["divisions"]["b"]["contact"]["mean"] == pytest.approx(1 / 3)
     lines = table(found).splitlines()
     assert [line.split(" | ")[0] for line in lines] == ["| ", "| ---", "| a", "| b", "| a - b"]
     assert "| 1 | 100 | 0 |" in lines[2]

@@ -31,8 +31,8 @@ def episode(index: int, **changes: object) -> dict[str, object]:
         "return": 5.0,
         "human_distance_mean_m": 0.8,
         "human_distance_min_m": 0.5,
-        "human_collision": 0,
-        "robot_moving_at_collision": "",
+        "contact": 0,
+        "unsafe_contact": "",
         "other_collision": "none",
         "truncated": 0,
     }
@@ -62,7 +62,7 @@ def test_a_missing_value_is_left_out_and_an_empty_metric_is_absent():
     metrics = summary_of(rows)[0]["metrics"]
     assert metrics["return"]["mean"] == 4.0
     assert metrics["return"]["ci95"] is None
-    assert "robot_moving_at_collision" not in metrics
+    assert "unsafe_contact" not in metrics
 
 
 def test_no_success_leaves_steps_absent_but_steps_all_at_the_limit():
@@ -166,7 +166,7 @@ def test_a_share_stays_between_0_and_1():
     [
         ({"success": ""}, "line 3: success= is missing"),
         ({"return": "inf"}, "line 3: return=inf is not finite"),
-        ({"human_collision": "maybe"}, "line 3: human_collision=maybe is neither True nor False"),
+        ({"contact": "maybe"}, "line 3: contact=maybe is neither True nor False"),
     ],
 )
 def test_a_bad_cell_is_named(changes, message):

@@ -8,7 +8,7 @@ from hrl_comfort.analysis.tables import of_groups
 
 
 def group(**labels):
-    names = ("steps", "human_distance_mean_m", "human_collision", "other_collision")
+    names = ("steps", "human_distance_mean_m", "contact", "other_collision")
     metrics = {name: {"mean": 0.5, "ci95": [0.4, 0.6]} for name in names}
     metrics["success"] = {"mean": 0.985, "ci95": [0.9, 1.0]}
     return {"task": "pick_place", "policy": "runs/pick", "split": "validation", "episodes": 1000, **labels,

@@ -51,7 +51,7 @@ def test_a_seed_gives_the_episodes_of_the_dm_control_front() -> None:
             there = twin.step(action.astype(np.float32).astype(np.float64))
             ended = terminated or truncated
             assert reward == pytest.approx(there.reward, abs=1e-6) and ended == there.last()
-        assert set(info) >= {"success", "human_collision", "steps", "human_distance"}
+        assert set(info) >= {"success", "contact", "steps", "human_distance"}
 
 
 def test_a_row_of_the_batch_equals_the_single_cell_and_restarts_at_its_end() -> None:

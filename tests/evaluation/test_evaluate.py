@@ -46,7 +46,7 @@ CONTRACT = [
     "return",
     "human_distance_mean_m",
     "human_distance_min_m",
-    "human_collision",
+    "contact",
     "other_collision",
 ]
 

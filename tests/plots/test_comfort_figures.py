@@ -66,8 +66,8 @@ def evaluation(
                     "human": human,
                     "success": e > 0,
                     "steps": steps,
-                    "human_collision": e == 0,
-                    "robot_moving_at_collision": e == 0 or "",
+                    "contact": e == 0,
+                    "unsafe_contact": e == 0,
                     "other_collision": "none",
                     "truncated": False,
                     "human_distance_mean_m": gap[1:].mean(),
@@ -164,7 +164,7 @@ def test_paths_of_levels_in_folders_of_their_own_and_chosen_episodes(tmp_path, m
     draw(tmp_path / "f.png", "paths", folders, "levels=[2,9]", "episodes=[0]")
     (axis,) = drawn().axes
     (first, _) = (text.get_text() for text in axis.get_legend().get_texts())
-    assert first.endswith("robot hit human")
+    assert first.endswith("unsafe contact")
 
 
 def test_people_are_told_apart_by_their_motion(tmp_path, monkeypatch):

@@ -60,7 +60,7 @@ def make_training(folder: Path, rng: np.random.Generator, rows: int) -> None:
                 "success": noisy[i] if i else "",
                 "return": 15 * noisy[i] - 3,
                 "steps": 120,
-                "human_collision": 0.1 * (1 - noisy[i]),
+                "contact": 0.1 * (1 - noisy[i]),
                 "other_collision": 0,
                 "critic_loss": 0.1,
                 "entropy": -6 * share[i],
@@ -111,8 +111,8 @@ def make_evaluation(folder: Path, task: str, rng: np.random.Generator, episodes:
                 "return": 11.0,
                 "human_distance_mean_m": 0.8 + 0.1 * rng.random(),
                 "human_distance_min_m": 0.4,
-                "human_collision": int(failed),
-                "robot_moving_at_collision": 1 if failed else "",
+                "contact": int(failed),
+                "unsafe_contact": int(failed),
                 "other_collision": "none",
                 "truncated": 0,
             }
@@ -239,15 +239,15 @@ def test_paths_without_a_human_or_a_cell_are_drawn(demo):
     ("changes", "words"),
     [
         ({"success": "1"}, "success"),
-        ({"human_collision": "1", "robot_moving_at_collision": "0"}, "human walked into still robot"),
-        ({"human_collision": "1", "robot_moving_at_collision": "1"}, "robot hit human"),
+        ({"contact": "1", "unsafe_contact": "0"}, "contact"),
+        ({"contact": "1", "unsafe_contact": "1"}, "unsafe contact"),
         ({"other_collision": "table"}, "hit table"),
         ({"truncated": "1"}, "time limit"),
         ({}, "other"),
     ],
 )
 def test_endings_are_told_apart(changes, words):
-    row = {"episode": "0", "success": "0", "human_collision": "0", "other_collision": "none", **changes}
+    row = {"episode": "0", "success": "0", "contact": "0", "other_collision": "none", **changes}
     assert list(terminations(records_of([row], "episodes"))) == [words]
 
 

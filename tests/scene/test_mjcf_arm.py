@@ -14,12 +14,11 @@ import pytest
 import hrl_comfort
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.safety.geometry import ArmGeometry, segment_distance
 from hrl_comfort.scene import MjcfArm, build_scene, franka
 from hrl_comfort.scene.jaco import JACO
 from hrl_comfort.scene.robots import robot_named
-from hrl_comfort.sim.arm_distance import segment_distance
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.kinematics import LinkFrames
 from hrl_comfort.sim.starts import inverse_kinematics
 
 AXES = ["001", "010", "001", "010", "001", "010", "001"]
@@ -94,7 +93,8 @@ def test_nearly_every_vertex_of_the_file_is_within_a_centimetre_of_a_capsule() -
         first, count = (int(table[source.geom_dataid[geom]]) for table in (source.mesh_vertadr, source.mesh_vertnum))
         vertices = source.mesh_vert[first : first + count] @ given.geom_xmat[geom].reshape(3, 3).T
         points = (vertices + given.geom_xpos[geom])[:, None]
-        gap = segment_distance(points, points, data.geom_xpos - reach, data.geom_xpos + reach) - model.geom_size[:, 0]
+        ends = ((data.geom_xpos + side * reach).T[:, None] for side in (-1, 1))
+        gap = segment_distance(points.T.swapaxes(1, 2), points.T.swapaxes(1, 2), *ends) - model.geom_size[:, 0]
         near += list(gap.min(axis=1) < 0.01)
     assert np.mean(near) > 0.95
 
@@ -113,19 +113,21 @@ def test_an_arm_follows_its_set_points_within_seven_degrees(arm: MjcfArm) -> Non
     np.testing.assert_allclose(data.qpos, data.ctrl, atol=np.radians(0.5))
 
 
-@pytest.mark.parametrize("name", ["ur3e", "jaco"])
-def test_link_frames_are_those_of_mujoco(name: str) -> None:
-    config = environment(f"robot={name}")
+@pytest.mark.parametrize("name", ["ur3e", "jaco", "seven"])
+def test_capsules_axes_and_tool_are_those_of_mujoco(name: str, module: str) -> None:
+    config = environment(f"robot={module if name == 'seven' else name}")
     scene = build_scene(config.robot, config.cell, 2)
-    frames, data = LinkFrames(scene), mujoco.MjData(scene.model)
-    joints = postures(scene.model, 4)
-    found = frames(joints)
+    model, data, arm = scene.model, mujoco.MjData(scene.model), ArmGeometry(scene)
+    joints = postures(model, 4)
+    pose, tool = arm.pose(joints), arm.tool(joints)
+    capsules = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] in model.jnt_bodyid]
+    assert len(capsules) == len(arm.radius)
     for row, posture in enumerate(joints):
         data.qpos[:] = posture
-        mujoco.mj_kinematics(scene.model, data)
-        for (turn, origin), link in zip(found, frames.links, strict=True):
-            np.testing.assert_allclose(origin[row], data.xpos[link], atol=1e-12)
-            np.testing.assert_allclose(turn[row], data.xmat[link].reshape(3, 3), atol=1e-12)
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(tool[row], data.site("robot/tcp").xpos, atol=1e-12)
+        np.testing.assert_allclose(pose.axis[..., row].T, data.xaxis, atol=1e-12)
+        np.testing.assert_allclose(pose.ends[..., row].mean(axis=2).T, data.geom_xpos[capsules], atol=1e-12)
 
 
 def environment(*overrides: str) -> EnvConfig:

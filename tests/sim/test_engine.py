@@ -115,16 +115,47 @@ def test_time_limit_truncates_and_does_not_terminate() -> None:
     assert ends[2].decision_steps.tolist() == [2, 2, 2]
 
 
-def test_human_walking_into_a_still_robot_is_told_apart() -> None:
-    config = configured("task=reach", "human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.speed_m_s=1.0")
-    engine = Engine(config, 4, 0)
+WALKER = ("human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.speed_m_s=1.0")
+
+
+@pytest.mark.parametrize("terminate_on", ["contact", "unsafe_contact"])
+def test_who_walks_into_a_still_robot_makes_a_safe_contact(terminate_on: str) -> None:
+    engine = Engine(configured("task=reach", *WALKER, f"task.terminate_on={terminate_on}"), 4, 0, measure_arm=True)
     engine.reset()
-    hit = torch.zeros(4, dtype=torch.bool)
+    touched, ended = torch.zeros(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
     for _ in range(60):
         outcome = engine.step(np.zeros((4, 6)))
-        hit |= outcome.state.human_collision & outcome.done & ~outcome.robot_moving
+        assert not outcome.state.unsafe_contact.any() and outcome.state.arm_distance.min() > -0.04
+        touched |= outcome.state.contact
+        ended |= outcome.state.contact & outcome.terminated
         engine.reset(np.flatnonzero(outcome.done.numpy()))
-    assert hit.any()
+    assert touched.any() and ended.any() == (terminate_on == "contact")
+
+
+@pytest.mark.parametrize("terminate_on", ["contact", "unsafe_contact"])
+def test_an_arm_that_swings_into_somebody_makes_an_unsafe_contact(terminate_on: str) -> None:
+    engine = Engine(configured("task=reach", *WALKER, f"task.terminate_on={terminate_on}"), 8, 0)
+    engine.reset()
+    unsafe = 0
+    for decision in range(80):
+        outcome = engine.step(np.tile([1.0 - 2 * (decision // 10 % 2), 0, 0, 0, 0, 0], (8, 1)))
+        here = outcome.state.unsafe_contact
+        assert (outcome.terminated & ~outcome.success)[here].all() and outcome.state.contact[here].all()
+        unsafe += int(here.sum())
+        engine.reset(np.flatnonzero(outcome.done.numpy()))
+    assert unsafe
+
+
+def test_a_contact_is_paid_once_though_the_episode_goes_on() -> None:
+    engine = Engine(configured("task=reach", *WALKER, "task.terminate_on=unsafe_contact"), 4, 0)
+    engine.reset()
+    paid, lasted = torch.zeros(4), torch.zeros(4, dtype=torch.int64)
+    term = engine.episodes.reward_names.index("contact")
+    for _ in range(60):
+        outcome = engine.step(np.zeros((4, 6)))
+        paid += outcome.reward_terms[:, term]
+        lasted += outcome.state.touching
+    assert (lasted > 3).any() and set(paid[lasted > 3].tolist()) == {-10.0}
 
 
 def test_masked_human_is_hidden_from_the_policy_but_still_there() -> None:

@@ -1,4 +1,4 @@
-"""The batched distance between arm and person is MuJoCo's own."""
+"""The batched distance between arm and person is MuJoCo's own, and how fast it closes is its rate."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import pytest
 
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.safety.geometry import segment_distance
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.scene.workcell import build_scene
-from hrl_comfort.sim.arm_distance import ArmDistance, segment_distance
 
 
-@pytest.mark.parametrize("robot", ["ur3e", "ur10e"])
+@pytest.mark.parametrize("robot", [*UR_ARMS, "jaco"])
 def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
     config = compose("train", [f"robot={robot}"])
     assert isinstance(config, TrainConfig)
@@ -21,7 +23,7 @@ def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
     scene = build_scene(cell.robot, cell.cell, 2)
     model, data = scene.model, mujoco.MjData(scene.model)
     rng = np.random.default_rng(0)
-    joints = rng.uniform(-np.pi, np.pi, (40, 6))
+    joints = rng.uniform(-np.pi, np.pi, (40, len(scene.joints)))
     x, y = rng.uniform(-1.0, 1.0, (2, 40))
     poses = limb_poses(x, y, rng.uniform(-np.pi, np.pi, 40), rng.uniform(0, 6, 40), 0.5, scene.floor_z)
     person = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name in LIMBS]
@@ -35,7 +37,7 @@ def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
     assert {model.body(model.geom_bodyid[g]).name for g in person} == set(LIMBS), "a limb without a shape"
     assert {model.body(model.geom_bodyid[g]).name for g in arm} >= moved, "a link without a shape"
     assert len(person) == 6 and len(arm) >= 10
-    measured = ArmDistance(scene)(joints, poses)
+    measured = Separation(scene).gap(joints, poses)
     for case in range(40):
         data.qpos[:] = joints[case]
         data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = poses[case, :, :3], poses[case, :, 3:]
@@ -53,3 +55,17 @@ def test_segments_that_cross_touch_and_parallel_ones_keep_their_distance() -> No
     assert segment_distance(a, b, a + side, b + side) == pytest.approx(2.0)
     assert segment_distance(a, b, np.array([3.0, 0, 0]), np.array([4.0, 0, 0])) == pytest.approx(2.0)
     assert segment_distance(a, a, b, b) == pytest.approx(1.0)
+
+
+def test_closing_speed_is_the_rate_at_which_the_arm_closes_the_gap() -> None:
+    config, rng = compose("train", []), np.random.default_rng(3)
+    scene = build_scene(config.robot, config.cell, 2)
+    separation = Separation(scene)
+    angles, velocity = rng.uniform(-3, 3, (40, 6)), rng.uniform(-1, 1, (40, 6))
+    x, y, yaw, phase = rng.uniform(-1.0, 1.0, (4, 40))
+    limbs, step = limb_poses(x, y, 3 * yaw, 3 * phase, 0.4, scene.floor_z), 1e-6
+    apart = separation.gap(angles, limbs)
+    closed = (apart - separation.gap(angles + step * velocity, limbs)) / step
+    outside = apart > 0
+    assert outside.sum() > 20
+    assert separation.closing_speed(angles, velocity, limbs)[outside] == pytest.approx(closed[outside], abs=1e-3)

@@ -1,0 +1,49 @@
+"""Distance of arm and person, and how fast the arm closes it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, closest_points, gaps, norm
+from hrl_comfort.scene.workcell import Scene
+
+Array = NDArray[np.float64]
+
+UNSAFE_SPEED_M_S = 0.25
+"""Largest speed of moving parts that a person may reach without separation (reduced speed: ISO 10218-1:2011, 5.6.2,
+of the tool; ISO 10218-2:2025, 5.5.6.1, of all accessible parts). Touches below it are what ISO/TS 15066:2016, 5.5.4,
+allows once the protective distance is used up."""
+
+
+class Separation:
+    """Distances and speeds between the capsules of arm and person, for N cells at once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.arm, self.person = ArmGeometry(scene), PersonGeometry(scene)
+
+    def gap(self, angles: Array, limbs: Array) -> Array:
+        """Return the distance (N,) m of arms at `angles` (N, J) rad from people at `limbs` (N, L, 7).
+
+        Negative in overlap.
+        """
+        apart = gaps(self.arm, self.arm.pose(angles).ends, self.person, self.person.ends(limbs))
+        return np.asarray(apart.min(axis=0))
+
+    def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
+        """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it.
+
+        `angles` (N, J) rad and `velocity` (N, J) rad/s are those before the contact pushes the arm, `limbs`
+        (N, L, 7) the person then. The person's own motion does not count; negative where the arm draws back.
+        """
+        arm, person = self.arm, self.person
+        pose, limb = arm.pose(angles), person.ends(limbs)
+        axes = pose.ends[:, :, None, 0], pose.ends[:, :, None, 1], limb[:, None, :, 0], limb[:, None, :, 1]
+        p, q = closest_points(*axes)
+        apart = norm(q - p) - np.add.outer(arm.radius, person.radius)[..., None]
+        rows = np.arange(apart.shape[-1])
+        part, other = np.unravel_index(apart.reshape(-1, len(rows)).argmin(axis=0), apart.shape[:2])
+        p, q = p[:, part, other, rows], q[:, part, other, rows]
+        towards = (q - p) / np.maximum(norm(q - p), 1e-9)
+        point = p + towards * arm.radius[part]
+        return np.asarray((arm.point_velocity(pose, velocity, part, point) * towards).sum(axis=0))
