@@ -44,16 +44,17 @@ class Entry:
 
 POSITIVE = (0.0, np.inf)
 QUANTITIES = {
+    "eval_success": Quantity("evaluated success (%)", 100, 1, SHARE),
+    "eval_precision_m": Quantity("evaluated at (cm)", 100, 1, POSITIVE),
+    "eval_steps": Quantity("evaluated steps", digits=1, bounds=POSITIVE),
+    "eval_human_distance_mean_m": Quantity("evaluated distance (m)", bounds=POSITIVE),
+    "eval_contact": Quantity("evaluated contacts (%)", 100, 1, SHARE),
     "success": Quantity("training success (%)", 100, 1, SHARE),
     "return": Quantity("return", digits=2),
     "steps": Quantity("steps", digits=1, bounds=POSITIVE),
     "placed": Quantity("balls placed", digits=2, bounds=POSITIVE),
-    "precision_m": Quantity("precision (cm)", 100, 1, POSITIVE),
+    "precision_m": Quantity("training at (cm)", 100, 1, POSITIVE),
     "minutes": Quantity("training (min)", digits=1, bounds=POSITIVE),
-    "eval_success": Quantity("evaluated success (%)", 100, 1, SHARE),
-    "eval_steps": Quantity("evaluated steps", digits=1, bounds=POSITIVE),
-    "eval_human_distance_mean_m": Quantity("evaluated distance (m)", bounds=POSITIVE),
-    "eval_contact": Quantity("evaluated contacts (%)", 100, 1, SHARE),
 }
 
 
@@ -63,7 +64,7 @@ def numbers_of(run: Run) -> dict[str, float | None]:
     found["minutes"] = run.minutes
     if run.episodes is not None:
         won = column(run.episodes, "success") > 0
-        for name in ("success", STEPS, DISTANCE, "contact"):
+        for name in ("success", "precision_m", STEPS, DISTANCE, "contact"):
             values = Series(column(run.episodes, name))
             found[f"eval_{name}"] = (values[won] if name in (STEPS, DISTANCE) else values).mean()
     return found

@@ -76,25 +76,34 @@ def of_means(rows: Mapping[str, Mapping[str, Any]], quantities: Mapping[str, Qua
     return markdown(heads, ([label, *cells(row, there)] for label, row in rows.items()))
 
 
+def in_terminal(labels: Sequence[str], numbers: Sequence[str], lines: Iterable[Sequence[str]]) -> Table:
+    """Return a narrow table: columns of labels, which fold, and of numbers, with a line a word of the head."""
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
+    for head in labels:
+        table.add_column(head, overflow="fold")
+    for head in numbers:
+        table.add_column(head.replace(" ", "\n"), justify="right", no_wrap=True)
+    for line in lines:
+        table.add_row(*line)
+    return table
+
+
 def of_groups(groups: Sequence[Mapping[str, Any]]) -> Table:
     """Return groups of episodes for a terminal of 80 columns: labels, number of episodes n, HEADLINE.
 
     A label is shown where the groups differ in it; the level and the split always. The success alone has an interval.
     """
-    labels = DataFrame(groups, dtype=object).drop(columns=["policy", "episodes", "metrics"])
-    told = labels.where(labels.notna(), "-").replace({"seen": {True: "seen", False: "unseen"}}).astype(str)
+    found = DataFrame(groups, dtype=object).drop(columns=["policy", "episodes", "metrics"])
+    told = found.where(found.notna(), "-").replace({"seen": {True: "seen", False: "unseen"}}).astype(str)
     shown = [name for name in told if told[name].nunique() > 1 or (name in ALWAYS and told[name].iloc[0] != "-")]
-    table = Table(box=None, pad_edge=False, collapse_padding=True)
-    for name in shown:
-        table.add_column(SHOWN.get(name, name.removesuffix("_m")), overflow="fold")
-    for head in ("n", *(each.label.replace("collisions", "coll.").replace(" ", "\n") for each in HEADLINE.values())):
-        table.add_column(head, justify="right", no_wrap=head.startswith("success"))
+    lines = []
     for group, line in zip(groups, told[shown].to_numpy(), strict=True):
         means = {
             name: each and (each if name == "success" else each["mean"]) for name, each in group["metrics"].items()
         }
-        table.add_row(*line, str(group["episodes"]), *cells(means, HEADLINE))
-    return table
+        lines.append([*line, str(group["episodes"]), *cells(means, HEADLINE)])
+    labels = [SHOWN.get(name, name.removesuffix("_m")) for name in shown]
+    return in_terminal(labels, ["n", *(each.label.replace("collisions", "coll.") for each in HEADLINE.values())], lines)
 
 
 def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:

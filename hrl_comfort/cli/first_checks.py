@@ -27,13 +27,20 @@ BARE = {"evaluate": "policy", "evaluate handover": "policy", "studio": "policy",
 """Key of a word without `=`, by command: `evaluate runs/pick`."""
 
 
-def completed(command: str, overrides: list[str]) -> list[str]:
-    """Return `overrides` with words without `=` as values of the command's key in BARE, and with its defaults."""
+def completed(command: str, overrides: list[str], sweep: bool = False) -> list[str]:
+    """Return `overrides` with words without `=` as values of the command's key in BARE, and with its defaults.
+
+    Raises:
+      ConfigError: there are several such words, without `sweep`.
+    """
     key = BARE.get(command)
-    if key is not None:
-        overrides = [
-            override(key, each) if each and "=" not in each and each[0] not in "~+-" else each for each in overrides
-        ]
+    words = [each for each in overrides if each and "=" not in each and each[0] not in "~+-"] if key else []
+    if len(words) > 1 and not sweep:
+        each_one = "; add -m to evaluate each" if command == "evaluate" else ""
+        raise ConfigError(f"{' '.join(words)} are {len(words)} values of {key}=, which takes one{each_one}")
+    if key is not None and words:
+        values = ",".join(override(key, word).partition("=")[2] for word in words)
+        overrides = [f"{key}={values}", *(each for each in overrides if each not in words)]
     if command == "studio":
         return with_defaults(overrides)
     return as_chain(overrides) if key == "policy" else overrides

@@ -49,15 +49,16 @@ def run(command: str, overrides: list[str]) -> None:
 
 
 def show_hierarchy(folder: Path) -> None:
-    """Print the table of a hierarchy and where its report is; write that once."""
+    """Print the table of a hierarchy and the path of its report; write that once."""
     from hrl_comfort.report.report import report
     from hrl_comfort.training.hierarchy_trainer import print_table
 
     page = folder / "report.html"
-    if not page.is_file():
+    if page.is_file():
+        print_table(folder)
+        print(page)
+    else:
         report(ReportConfig(run=str(folder), output=None, video=True))
-    print_table(folder)
-    print(f"report: {page}")
     print(f"watch it: hrl-comfort studio policy={folder}")
 
 
@@ -75,7 +76,7 @@ def sweep(command: str, overrides: list[str]) -> None:
     if any(line.lstrip("+").split("=")[0] == "resume" for line in overrides):
         raise ConfigError("resume does not go with -m: give one run at a time")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
-    rest = completed(command, [line for line in overrides if not line.startswith("output=")])
+    rest = completed(command, [line for line in overrides if not line.startswith("output=")], sweep=True)
     checked = check_overrides(root_of(command), rest, sweep=True)
     from hrl_comfort.sweeps.launcher import multirun
 

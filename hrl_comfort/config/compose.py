@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 from collections.abc import Iterable
 from operator import attrgetter
@@ -174,3 +175,4 @@ def _evaluation_folder(policy: str | None, task: str, split: str) -> str:
 
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)
+OmegaConf.register_new_resolver("absolute", os.path.abspath, replace=True)

@@ -9,11 +9,10 @@ from pathlib import Path
 import torch
 from pandas import DataFrame
 from rich.console import Console
-from rich.table import Table
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.analysis.episodes import success
-from hrl_comfort.analysis.tables import cell, of_groups
+from hrl_comfort.analysis.tables import cell, in_terminal, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
@@ -72,20 +71,18 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
     if not found:
         raise ConfigError(f"checkpoints=all: {folder}/checkpoints holds no step_*.pt; policy must be a run folder")
     output = Path(config.output) / "checkpoints"
-    every, curve = Result([], [], []), []
+    every, curve, lines = Result([], [], []), [], []
     for path in found:
         result = rollout(config, str(path))
         every.episodes += result.episodes
         share = success(result.table)
         policy_steps = checkpoint.load(path)["counters"]["policy_steps"]
         interval = share["ci95"] or (None, None)
+        lines.append([f"{policy_steps:,}", cell(share, 100)])
         curve.append([policy_steps, share["mean"], *interval, config.task.precision.grasp_tolerance_m])
     header = ["policy_steps", "success", "success_low", "success_high", "precision_m"]
-    table = Table("policy steps", "success (%)", box=None, pad_edge=False)
-    for steps, mean, low, high, _ in curve:
-        table.add_row(f"{steps:,}", cell({"mean": mean, "ci95": None if low is None else (low, high)}, 100))
     with all_or_none():
         write_table(output.parent / "checkpoints.csv", header, curve)
         every.write(output, config)
-    Console().print(table)
+    Console().print(in_terminal([], ["policy steps", "success (%)"], lines))
     return output

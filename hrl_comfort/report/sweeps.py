@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from rich.console import Console
+from rich.table import Table
 
-from hrl_comfort.analysis.sweeps import Sweep, as_csv, not_finished, read_sweep, table
-from hrl_comfort.analysis.tables import markdown
+from hrl_comfort.analysis.sweeps import QUANTITIES, Sweep, as_csv, not_finished, read_sweep, table
+from hrl_comfort.analysis.tables import cells, in_terminal, markdown
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.atomic import all_or_none, write_text
 from hrl_comfort.files.output import output_file
@@ -50,7 +52,20 @@ def sweep_report(folder: Path, output: Path) -> bool:
         raise ConfigError(f"output={str(output)!r} is the page; its {output.suffix} file is written beside it")
     with output_file(output, *map(output.with_suffix, BESIDE)), all_or_none():
         _write(sweep, folder, output)
+    Console().print(_printed(sweep))
     return True
+
+
+def _printed(sweep: Sweep) -> Table:
+    """Return the table for the terminal: the evaluated success first, then the score of the trainings."""
+    names = ("eval_success", "eval_precision_m", sweep.curve.score if sweep.curve else "", "precision_m")
+    there = {name: QUANTITIES[name] for name in names if any(name in row.means for row in sweep.rows)}
+    lines = []
+    for row in sweep.rows:
+        finished = f"{row.counts['finished']}/{len(row.entries)}"
+        lines.append([*(row.combination.values() or ["all runs"]), finished, *cells(row.means, there)])
+    labels = list(sweep.rows[0].combination) or ["combination"]
+    return in_terminal(labels, ["finished", *(each.label for each in there.values())], lines)
 
 
 def _write(sweep: Sweep, folder: Path, output: Path) -> None:
@@ -63,6 +78,7 @@ def _write(sweep: Sweep, folder: Path, output: Path) -> None:
     page = render(
         "sweep.html.j2",
         title=folder.resolve().name,
+        folder=folder,
         alike=sweep.alike,
         words=len(heads) if not sweep.rows[0].combination else len(sweep.rows[0].combination),
         heads=heads,

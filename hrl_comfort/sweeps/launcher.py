@@ -12,11 +12,13 @@ from hydra import version
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.compose import run_folder
 from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
 from hrl_comfort.files.documents import read_yaml
@@ -43,6 +45,8 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
       ConfigError: a choice is not allowed, or a job is not done; the other jobs have run.
     """
     rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
+    if verb == "evaluate" and not outputs and _of_runs(checked):
+        rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
     rest += _plugin_overrides(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
@@ -124,6 +128,15 @@ def _worker_overrides() -> list[str]:
         f"+hydra.launcher.initializer={{_target_: hydra.utils.get_method, path: {place}}}",
         f"+hydra.launcher.initargs=[{os.getpid()}]",
     ]
+
+
+def _of_runs(overrides: list[str]) -> bool:
+    """Return whether `policy` alone is swept, over one policy each of several run folders."""
+    swept = [each for each in OverridesParser.create().parse_overrides(overrides) if each.is_sweep_override()]
+    if [each.key_or_group for each in swept] != ["policy"]:
+        return False
+    folders = [run_folder(str(each).strip("'\"")) for each in swept[0].sweep_string_iterator()]
+    return None not in folders and len(set(folders)) == len(folders)
 
 
 def _folder_overrides(output: str) -> list[str]:

@@ -19,6 +19,7 @@ from hydra._internal.hydra import Hydra
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.files.sweep_record import find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
 from hrl_comfort.sweeps import launcher as sweep
@@ -211,3 +212,17 @@ def test_an_extra_runs_a_sweep_and_reports_failures(module: str, choices: list[s
     assert ran.returncode == 1
     assert "policy=/no/policy" in ran.stdout and "1 of 2 jobs failed" in ran.stderr
     assert sorted(job.state for job in find_jobs(tmp_path).values()) == ["done", "failed"]
+
+
+def test_evaluations_of_several_runs_go_to_the_runs(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "my run"):
+        save_config(compose("train", ["task=reach"]), tmp_path / name / "config.yaml")  # without a policy
+    assert commands.main(["evaluate", "-m", "a/", "my run", "hydra/launcher=basic", "episodes=1"]) == 1
+    assert "2 of 2 jobs failed" in capsys.readouterr().err
+    for name in ("a", "my run"):
+        assert read_job(tmp_path / name / "eval").state == "failed"
+    assert commands.main(["evaluate", "a", "my run"]) == 1
+    assert "add -m to evaluate each" in capsys.readouterr().err
+    assert commands.main(["evaluate", "-m", "a", "hydra/launcher=basic", "human=arc,still"]) == 1
+    assert len(find_jobs(max((tmp_path / "runs" / "sweep").iterdir()))) == 2
