@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import re
+import warnings
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +13,7 @@ from hrl_comfort.config import (
     POLICIES,
     SCRIPTED_POLICIES,
     ConfigError,
+    EnvConfig,
     EvaluateConfig,
     FigureConfig,
     MetaControllerTrainConfig,
@@ -47,7 +49,10 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
 
 
 def check(config: Config) -> None:
-    """Raise ConfigError if `config` names a policy, a folder, a column or a package that is not there."""
+    """Raise ConfigError if `config` names a policy, a folder, a column or a package that is not there.
+
+    What is merely doubtful in its cell gets a warning.
+    """
     for key, value in policies(config):
         if value is not None and not _is_there(value):
             raise ConfigError(f"{key}={value!r} is not there; give {POLICIES}")
@@ -71,6 +76,11 @@ def check(config: Config) -> None:
             for pattern in config.evaluations:
                 if not any(Path(each).is_dir() for each in (pattern, *glob.glob(pattern))):
                     raise ConfigError(f"evaluations={pattern!r} is not the folder of an evaluation")
+    if isinstance(config, EnvConfig):
+        from hrl_comfort.scene.layout import doubts  # mujoco, once all else is right
+
+        for doubt in doubts(config):
+            warnings.warn(doubt, stacklevel=2)
 
 
 def policies(config: Config) -> Iterator[tuple[str, str | None]]:

@@ -1,0 +1,52 @@
+"""Goals out of reach and furniture in furniture are warned of before anything is simulated."""
+
+from __future__ import annotations
+
+import pytest
+
+from hrl_comfort.cli.main import configuration, main
+from hrl_comfort.config.compose import compose
+from hrl_comfort.scene.layout import doubts, reach
+from hrl_comfort.scene.ur import UR_ARMS
+
+
+@pytest.mark.parametrize("arm", UR_ARMS.values(), ids=str)
+def test_the_farthest_point_is_beyond_the_datasheets_reach_by_the_gripper(arm):
+    shoulder, most = reach(arm.name)
+    assert shoulder[2] == pytest.approx(arm.d_m[0])
+    assert arm.reach_m < most < arm.reach_m + 0.3
+
+
+@pytest.mark.parametrize("task", ["reach", "pick", "place", "return", "cycle", "sort", "point_to_point"])
+@pytest.mark.parametrize("robot", ["ur3e", "ur10e", "jaco"])
+def test_the_default_cell_suits_every_task_and_arm(task, robot):
+    assert not list(doubts(compose("train", [f"task={task}", f"robot={robot}"])))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["task=pick", "cell.ball_m=[1.2,0,0.3]"], "cell.ball_m=[1.2, 0.0, 0.3] is 1.21 m from the shoulder of ur3e"),
+        (["task=cycle", "cell.pink_drop_m=[0,0,1.5]", "cell.table_half_width_m=0.05"], "the task cannot be done"),
+        (["task=reach", "task.point=fixed", "task.point_m=[0,1,0]"], "task.point_m=[0.0, 1.0, 0.0]"),
+        (["task=pick", "cell.ball_m=[0.6,0,0.3]"], "the tables of cell.ball_m and cell.orange_drop_m overlap"),
+        (["task=pick", "cell.pink_drop_m=[0,0.1,-0.1]"], "its table stands in the robot's pedestal"),
+        (["task=pick", "cell.pink_drop_m=[0.1,0.45,-0.74]"], "is below the floor, at -0.75 m"),
+    ],
+)
+def test_what_is_doubtful_is_warned_of(words, says):
+    assert any(says in doubt for doubt in doubts(compose("train", words)))
+
+
+def test_points_that_a_task_does_not_visit_may_be_anywhere():
+    assert not list(doubts(compose("train", ["task=reach", "task.point=random", "task.point_m=[9,0,0]"])))
+    assert not list(doubts(compose("train", ["task=place", "cell.ball_m=[1.2,0,0.3]"])))
+    assert list(doubts(compose("train_hierarchy", ["cell.pink_drop_m=[1.2,0.3,0.3]"])))
+
+
+def test_a_doubtful_command_goes_on():
+    words = ["task=pick", "cell.ball_m=[1.2,0,0.3]"]
+    with pytest.warns(UserWarning, match="the task cannot be done"):
+        assert configuration("train", words).task.name == "pick"
+    with pytest.warns(UserWarning, match="the task cannot be done"):
+        assert main(["train", *words, "--dry-run"]) == 0
