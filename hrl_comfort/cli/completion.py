@@ -28,7 +28,7 @@ def complete() -> None:
 def candidates(words: list[str], prefix: str) -> list[str]:
     """Return what may follow the complete `words`, as far as it begins with `prefix`."""
     if not words:
-        return [verb for verb in VERBS if verb.startswith(prefix)]
+        return [verb for verb in (*VERBS, "doctor") if verb.startswith(prefix)]
     command = next((each for each in (" ".join(words[:2]), words[0]) if each in COMMANDS), None)
     found = list(parts_of(words[0])) if len(words) == 1 else []
     if command is not None:

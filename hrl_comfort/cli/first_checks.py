@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 import warnings
 from collections.abc import Iterator
+from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from hrl_comfort.config import (
     EnvConfig,
     EvaluateConfig,
     FigureConfig,
+    HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     StudioConfig,
@@ -76,11 +79,44 @@ def check(config: Config) -> None:
             for pattern in config.evaluations:
                 if not any(Path(each).is_dir() for each in (pattern, *glob.glob(pattern))):
                     raise ConfigError(f"evaluations={pattern!r} is not the folder of an evaluation")
+    if (lost := _drawn(config)) and not _can_draw():
+        from hrl_comfort.scene.camera import PACKAGES
+
+        remedy = f"on Debian or Ubuntu: apt-get install {PACKAGES}"
+        warnings.warn(f"{lost}, for off-screen OpenGL is not installed; {remedy}", stacklevel=2)
     if isinstance(config, EnvConfig):
+        for key, live in {
+            "comfort.source": config.comfort.source == "lsl",
+            "human.file": config.human.motion == "live" and (config.human.file or "").startswith("lsl:"),
+        }.items():
+            if live:
+                _need_lsl(key)
         from hrl_comfort.scene.layout import doubts  # mujoco, once all else is right
 
         for doubt in doubts(config):
             warnings.warn(doubt, stacklevel=2)
+
+
+def _drawn(config: Config) -> str | None:
+    """Return what a command cannot do without off-screen OpenGL."""
+    match config:
+        case HierarchyTrainConfig() | ReportConfig(video=True):
+            return "the report will have no video"
+        case StudioConfig():
+            return "clips cannot be saved"
+    return None
+
+
+def _can_draw() -> bool:
+    """Return whether the OpenGL library is there that pictures are drawn with (`scene.camera`)."""
+    return find_library("OSMesa" if os.environ.get("MUJOCO_GL", "").lower() == "osmesa" else "EGL") is not None
+
+
+def _need_lsl(key: str) -> None:
+    try:
+        import pylsl  # noqa: F401
+    except (ImportError, RuntimeError) as error:  # the second without liblsl
+        raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
 
 
 def policies(config: Config) -> Iterator[tuple[str, str | None]]:

@@ -25,6 +25,7 @@ def overview() -> str:
     """Return the help of all commands."""
     lines = ["usage: hrl-comfort COMMAND [key=value ...] [-m] [--dry-run]", "", "commands"]
     lines += [f"  {command:<22}{each.about}" for command, each in COMMANDS.items()]
+    lines += [f"  {'doctor':<22}list versions, extras and what is missing, for an issue"]
     lines += ["", "options", *(f"  {name:<22}{about}" for name, about in OPTIONS.items()), ""]
     lines += ["hrl-comfort COMMAND --help lists a command's choices, keys and defaults."]
     lines += ['Completion in bash and zsh: eval "$(register-python-argcomplete hrl-comfort)"']

@@ -108,6 +108,10 @@ def execute(words: list[str]) -> None:
     asked, swept = bool(flags & {"-h", "--help"}), bool(flags & {"-m", "--multirun"})
     if "--version" in flags:
         print(f"hrl-comfort {__version__}")
+    elif rest == ["doctor"]:
+        from hrl_comfort.cli import doctor
+
+        print(doctor.report(), end="")
     elif not rest or rest == ["help"] or (asked and rest[0] in VERBS and rest[0] not in RUN and len(rest) == 1):
         print(help_texts.overview())
     elif asked:
