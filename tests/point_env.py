@@ -39,6 +39,8 @@ class PointEnv(EnvBase):
             **{name: flag.clone() for name in FLAGS[:3]},
             steps=count.clone(),
             decision_steps=count.clone(),
+            shield_share_mean=Unbounded((rows, 1)),
+            protective_stops=count.clone(),
             reward_terms=Unbounded((rows, 2)),
             shape=(rows,),
         )
@@ -70,6 +72,8 @@ class PointEnv(EnvBase):
                 **flags,
                 "steps": self.steps.clone(),
                 "decision_steps": torch.zeros_like(self.steps),
+                "shield_share_mean": torch.ones(len(self.point), 1),
+                "protective_stops": torch.zeros_like(self.steps),
                 "reward_terms": torch.zeros(len(self.point), 2),
             },
             batch_size=self.batch_size,
@@ -101,6 +105,8 @@ class PointEnv(EnvBase):
                 "done": success | late,
                 "steps": self.steps.clone(),
                 "decision_steps": torch.full_like(self.steps, 2),
+                "shield_share_mean": torch.ones_like(distance),
+                "protective_stops": torch.zeros_like(self.steps),
             },
             batch_size=self.batch_size,
         )

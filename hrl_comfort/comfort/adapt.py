@@ -28,7 +28,7 @@ def with_level(task: Subtask, levels: int) -> Subtask:
     def level(state: State) -> Tensor:
         return ((state.level - 1) / (levels - 1))[:, None]
 
-    return replace(task, observations={**task.observations, "level": level})
+    return task.observing(level=level)
 
 
 def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunction:

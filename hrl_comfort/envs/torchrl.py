@@ -19,6 +19,8 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 
 _FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
+_COUNTS = ("steps", "decision_steps", "protective_stops")
+_NUMBERS = ("human_distance", "shield_share_mean")
 
 
 class CellEnv(EnvBase):
@@ -47,8 +49,8 @@ class CellEnv(EnvBase):
         self.observation_spec = Composite(
             observation=Unbounded(shape=(*n, width), dtype=torch.float32),
             **{name: flag.clone() for name in _FLAGS[:4]},
-            **{name: count.clone() for name in ("steps", "decision_steps")},
-            human_distance=Unbounded(shape=(*n, 1), dtype=torch.float32),
+            **{name: count.clone() for name in _COUNTS},
+            **{name: Unbounded(shape=(*n, 1), dtype=torch.float32) for name in _NUMBERS},
             reward_terms=Unbounded(shape=(*n, len(self.reward_names)), dtype=torch.float32),
             shape=n,
         )
@@ -68,8 +70,9 @@ class CellEnv(EnvBase):
                 "observation": observation,
                 **{name: torch.zeros(self.rows, 1, dtype=torch.bool) for name in _FLAGS},
                 "steps": state.steps[:, None].clone(),
-                "decision_steps": torch.zeros(self.rows, 1, dtype=torch.int64),
+                **{name: torch.zeros(self.rows, 1, dtype=torch.int64) for name in _COUNTS[1:]},
                 "human_distance": human_distance(state.tcp_pos, state.human_pos)[:, None].float(),
+                "shield_share_mean": torch.ones(self.rows, 1),
                 "reward_terms": torch.zeros(self.rows, len(self.reward_names)),
             },
             batch_size=self.batch_size,
@@ -79,7 +82,8 @@ class CellEnv(EnvBase):
         outcome = self.engine.step(checked_action(tensordict["action"], (self.rows, self.engine.episodes.action_dim)))
         self.last = outcome
         columns = step_columns(outcome)
-        columns |= {"steps": columns["steps"].clone(), "human_distance": columns["human_distance"].float()}
+        columns |= {name: columns[name].float() for name in _NUMBERS}
+        columns |= {name: columns[name].clone() for name in _COUNTS}
         columns |= {name: getattr(outcome, name) for name in _FLAGS[4:]}
         return TensorDict(
             {

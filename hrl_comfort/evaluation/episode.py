@@ -36,6 +36,8 @@ class Episode:
     truncated: bool
     balls_placed: int
     comfort_level_mean: float | None
+    shield_share_mean: float | None
+    protective_stops: int | None
     measures: dict[str, float | None]
     """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
     max_episode_steps: int

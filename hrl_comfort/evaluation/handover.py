@@ -18,7 +18,6 @@ from torch import Tensor
 
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
-from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.evaluation.rollout import MARKS, rollout, split
@@ -28,6 +27,7 @@ from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.load import observed_by
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 
@@ -129,9 +129,7 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
-    task = subtask(config.task.name, policy.spec["environment"]["observation"])
-    if policy.spec["environment"].get("levels") is not None:
-        task = with_level(task, config.comfort.levels)
+    task = observed_by(policy, config.policy, subtask(config.task.name), environment(config))
     entries = split(config)
     engine = Engine(environment(config), len(entries.episode), 0, entries)
     state = engine.reset()

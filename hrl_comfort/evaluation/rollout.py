@@ -197,7 +197,14 @@ class EpisodeRecorder:
             tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
             distance = float(np.linalg.norm(tcp[:2] - human))
             level = float(state.level[row])
-            numbers = [*state.joint_pos[row].tolist(), *tcp, *human, float(state.human_yaw[row]), distance]
+            numbers = [
+                *state.joint_pos[row].tolist(),
+                *tcp,
+                *human,
+                float(state.human_yaw[row]),
+                distance,
+                state.share[row],
+            ]
             self.result.paths.append(
                 [
                     int(self.entries.episode[row]),
@@ -205,6 +212,7 @@ class EpisodeRecorder:
                     int(state.stage[row]),
                     None if np.isnan(level) else round(level),
                     *map(rounded, numbers),
+                    int(state.protective_stops[row]),
                 ]
             )
 
@@ -213,7 +221,7 @@ class EpisodeRecorder:
         success = bool(step.success[row])
         colour = COLOURS[int(state.colours[row, 0])]
         table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
-        episodes = self.engine.episodes
+        episodes, shielded = self.engine.episodes, config.safety.kind != "none"
         return Episode(
             task=config.task.name,
             policy=self.label,
@@ -238,6 +246,8 @@ class EpisodeRecorder:
             truncated=not success and not bool(step.terminated[row]),
             balls_placed=int(state.placed[row].sum()),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
+            shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
+            protective_stops=int(state.protective_stops[row]) if shielded else None,
             measures={},
             max_episode_steps=self._limit(row, step),
         )
@@ -267,7 +277,17 @@ class EpisodeRecorder:
 
 
 PATH_INSTANT = ("episode", "step", "stage", "level")
-PATH_PLACES = ("tcp_x", "tcp_y", "tcp_z", "human_x", "human_y", "human_yaw", "human_distance_m")
+PATH_PLACES = (
+    "tcp_x",
+    "tcp_y",
+    "tcp_z",
+    "human_x",
+    "human_y",
+    "human_yaw",
+    "human_distance_m",
+    "shield_share",
+    "protective_stops",
+)
 
 
 def path_columns(cells: int) -> list[str]:

@@ -21,6 +21,7 @@ from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks.observations import share
 
 Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, A) in [-1, 1]."""
@@ -80,7 +81,10 @@ def observation_policy(source: str) -> ObservationPolicy:
 
 
 def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Scene, config: EnvConfig) -> Act:
-    """Return the policy as a function of the state: it sees the observations of `config.task` and the level, if any.
+    """Return the policy as a function of the state.
+
+    It sees the observations of `config.task`, the level, if any, and behind a shield its share, unless it takes one
+    number less.
 
     Raises:
       ConfigError: it takes observations or gives actions of another width.
@@ -98,6 +102,8 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Sc
 
     def act(state: State) -> Tensor:
         observation = seen.observe(state)
+        if config.safety.kind != "none" and policy.observation_dim != observation.shape[-1]:
+            observation = torch.cat([observation, share(state)], dim=-1)
         if policy.observation_dim not in (None, observation.shape[-1]):
             parts = ", ".join(f"{name} {term(state).shape[-1]}" for name, term in seen.observations.items())
             raise ConfigError(
@@ -135,8 +141,9 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     spec = {**actor.spec["environment"], "task": actor.spec["task"]}
     check_trained(spec, source, task, config)
     seen = subtask(task.name, str(spec.get("observation")), config.task.balls)
-    levels = spec.get("levels")
-    return seen if levels is None else with_level(seen, levels)
+    if (levels := spec.get("levels")) is not None:
+        seen = with_level(seen, levels)
+    return seen.observing(share=share) if spec.get("shield") else seen
 
 
 def exported(source: str, task: Subtask, config: EnvConfig) -> Act:

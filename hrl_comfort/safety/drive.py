@@ -28,6 +28,19 @@ class SetPoints:
     """(N, J) rad/s, with which they got there."""
     share: Array
     """(N,) of the asked speed that was passed, in [0, 1]; 1 if none was asked."""
+    share_sum: Array
+    """(N,) its sum over the episode."""
+    braking: NDArray[np.bool_]
+    """(N,) whether the shield commanded the rated brake."""
+    protective_stops: NDArray[np.int64]
+    """(N,) how often in the episode it began to."""
+
+    @classmethod
+    def unshielded(cls, angles: Array, velocity: Array, steps: NDArray[np.int64]) -> SetPoints:
+        """Return set-points that pass all that is asked for, `steps` (N,) control steps after the episode began."""
+        n = len(steps)
+        none = np.zeros(n, dtype=bool)
+        return cls(angles, velocity, np.ones(n), steps.astype(float), none, np.zeros(n, dtype=np.int64))
 
 
 class Drive:
@@ -74,11 +87,14 @@ class Drive:
         limited = self._rating.limited(self.arm, pose, asked)
         limited = self._rating.within(self._low, self._high, angles, limited)
         wanted = self._rating.follow(velocity, limited)
+        braking = np.zeros(len(wanted), dtype=bool)
         if self._shield is not None:
-            wanted = self._shield.step(pose, velocity, wanted, limbs)
+            wanted, passed = self._shield.step(pose, velocity, wanted, limbs)
+            braking = passed == 0.0
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
-        return SetPoints(angles + wanted * CONTROL_STEP_S, wanted, share)
+        stops = before.protective_stops + (braking & ~before.braking)
+        return SetPoints(angles + wanted * CONTROL_STEP_S, wanted, share, before.share_sum + share, braking, stops)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""

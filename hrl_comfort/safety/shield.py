@@ -90,8 +90,8 @@ class Shield:
         """Continue from `state_dict`."""
         self._seen, self._trail = saved["seen"].numpy().copy(), saved["trail"].numpy().copy()
 
-    def step(self, pose: ArmPose, before: Array, wanted: Array, limbs: Array) -> Array:
-        """Return the velocity (N, J) rad/s that may be run in this control step.
+    def step(self, pose: ArmPose, before: Array, wanted: Array, limbs: Array) -> tuple[Array, Array]:
+        """Return the velocity (N, J) rad/s that may be run in this control step, and the share (N,) passed.
 
         `pose` is that of the set-points, `before` (N, J) rad/s their velocity, `wanted` (N, J) what the rating
         would pass, `limbs` (N, L, 7) the person now.
@@ -111,7 +111,7 @@ class Shield:
         velocity = brake + share[:, None] * (wanted - brake)
         self._trail = np.maximum(slow + share * (fast - slow), self._trail * np.exp(-CONTROL_STEP_S / SERVO_LAG_S))
         self._decision.append((self._seen, self._trail))
-        return velocity
+        return velocity, share
 
     def _safe(self, velocity: Array, speeds: Array, apart: Array, pace: Array) -> NDArray[np.bool_]:
         """Return (N,) whether running `velocity` (N, J) for a control step and braking then is safe.

@@ -31,6 +31,7 @@ from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks.observations import share
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
@@ -57,7 +58,8 @@ class Episodes:
         self.scene, self.config, self.rows = scene, config, rows
         plain = subtask(config.task.name, config.task.observation, config.task.balls)
         plain = replace(plain, terminate_on=config.task.terminate_on)
-        self.subtask: Subtask = with_comfort(plain, config.comfort, config.task.max_step_deg)
+        seen = with_comfort(plain, config.comfort, config.task.max_step_deg)
+        self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
         weights = reward_weights(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
@@ -124,7 +126,7 @@ class Episodes:
             velocity = begun[:, moving // 2 : moving]
             still = np.zeros_like(targets) if self._drive is None else self._drive.rated(velocity)
             steps = np.zeros(len(pending), dtype=np.int64)
-            planned = self._plan(fresh, limbs, SetPoints(targets, still, np.ones(len(pending))), steps)
+            planned = self._plan(fresh, limbs, SetPoints.unshielded(targets, still, steps), steps)
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
             sensed = probe(self.draw.start[pending, :moving], control)
@@ -186,7 +188,7 @@ class Episodes:
             targets = np.minimum(np.maximum(targets, lowest), highest)
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
             ends = targets[:, substeps - 1 :: substeps].reshape(-1, joints)
-            points = SetPoints(ends, velocity, np.ones(self.rows * steps))
+            points = SetPoints.unshielded(ends, velocity, times.reshape(-1) + 1)
             self._walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self._walks)
         else:
@@ -204,7 +206,8 @@ class Episodes:
         `asked` (N, J) rad/s, `times` (N, K).
         """
         assert self._drive is not None and self.state is not None
-        points = [SetPoints(self.state.joint_target.numpy(), self.state.target_vel.numpy(), self.state.share.numpy())]
+        names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
+        points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
         self._drive.begin_decision()
         for k in range(times.shape[1]):
@@ -224,6 +227,9 @@ class Episodes:
             "joint_target": points.angles,
             "target_vel": points.velocity,
             "share": points.share,
+            "share_sum": points.share_sum,
+            "braking": points.braking,
+            "protective_stops": points.protective_stops,
             "human_pos": walk.position,
             "human_yaw": walk.yaw,
             "human_seen": humans.seen_position(self.config.human, walk.position, self.sampler.spawns),

@@ -51,6 +51,11 @@ def human_from_tool(state: State) -> Tensor:
     return torch.cat([offset, offset.norm(dim=-1, keepdim=True)], dim=-1)
 
 
+def share(state: State) -> Tensor:
+    """Return (N, 1): the part of the speed asked for that the shield passed last."""
+    return state.share[:, None]
+
+
 def goal_offset(stages: tuple[Stage, ...]) -> StateFunction:
     """Return the term (N, 4) m: from the tool to the goal of the stage in force, and its length."""
     goal = by_stage(stages, lambda stage: stage.goal)

@@ -26,6 +26,12 @@ class State:
     """(N, J) rad/s, velocity of the targets."""
     share: Tensor
     """(N,) in [0, 1], part of the speed asked for that rating and shield passed in the last control step."""
+    share_sum: Tensor
+    """(N,) sum of `share` over the control steps of the episode."""
+    braking: Tensor
+    """(N,) bool, the shield commanded the rated brake in the last control step."""
+    protective_stops: Tensor
+    """(N,) int64, how often in the episode `braking` began."""
     tcp_pos: Tensor
     """(N, 3) m, tool centre point."""
     tcp_home: Tensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import torch
@@ -95,6 +95,10 @@ class Subtask:
     def observe(self, state: State) -> Tensor:
         """Return the observation (N, D), the concatenation of the named terms in their order."""
         return torch.cat([term(state) for term in self.observations.values()], dim=-1)
+
+    def observing(self, **terms: StateFunction) -> Subtask:
+        """Return this subtask with further observations, the last ones."""
+        return replace(self, observations={**self.observations, **terms})
 
     def next_stage(self, state: State) -> Tensor:
         """Return the stage (N,) in force after this instant: one further where the present one is done."""

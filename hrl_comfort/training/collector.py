@@ -52,9 +52,16 @@ class Transition:
     """(N,) int64: control steps in the episode."""
     decision_steps: Tensor
     """(N,) int64: control steps in the decision."""
+    shield_share_mean: Tensor
+    """(N,): part of the speed asked for that the shield passed in the episode so far; 1 without a shield."""
+    protective_stops: Tensor
+    """(N,) int64: in the episode so far."""
 
 
-COLUMNS = ("success", "terminated", "done", "contact", "unsafe_contact", "other_collision", "steps", "decision_steps")
+COLUMNS = (
+    *("success", "terminated", "done", "contact", "unsafe_contact", "other_collision", "steps", "decision_steps"),
+    *("shield_share_mean", "protective_stops"),
+)
 """Fields of `Transition` that the environment reports as (N, 1)."""
 
 

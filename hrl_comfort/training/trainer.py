@@ -238,6 +238,7 @@ class Training:
                 "observation": task.observation,
                 "robot": self.config.robot.name,
                 "levels": None if self.config.comfort.source == "none" else self.config.comfort.levels,
+                "shield": self.config.safety.kind != "none",
                 "train_seed": self.config.train_seed,
             },
         }

@@ -101,7 +101,7 @@ def test_human_motion_is_the_same_whatever_the_policy_does(tmp_path: Path) -> No
 def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
     folder = run(tmp_path, "record=true", "task.max_episode_steps=23")
     rows, episodes = table(folder / "paths.csv"), table(folder / "episodes.csv")
-    assert list(rows[0]) == path_columns(17)
+    assert list(rows[0]) == path_columns(19)
     for episode in episodes:
         steps = sorted(int(row["step"]) for row in rows if row["episode"] == episode["episode"])
         assert steps == list(range(int(episode["steps"]) + 1))
@@ -235,3 +235,16 @@ def test_a_folder_that_cannot_be_written_is_found_out_before_the_work(
 def test_all_checkpoints_of_a_folder_without_any_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"holds no step_\*\.pt"):
         run(tmp_path, "checkpoints=all")
+
+
+def test_behind_a_shield_its_share_and_stops_are_recorded_and_empty_without(tmp_path: Path) -> None:
+    words = ("record=true", "human=approach", "task.max_episode_steps=60")
+    shielded = run(tmp_path / "a", *words, "robot.rating=collaborative", "safety=ssm")
+    paths = table(shielded / "paths.csv")
+    for episode in table(shielded / "episodes.csv"):
+        mine = [row for row in paths if row["episode"] == episode["episode"]]
+        mean = sum(float(row["shield_share"]) for row in mine[1:]) / int(episode["steps"])
+        assert float(episode["shield_share_mean"]) == pytest.approx(mean, abs=1e-5) and 0 < mean <= 1
+        assert episode["protective_stops"] == mine[-1]["protective_stops"]
+    bare = table(run(tmp_path / "b", *words) / "episodes.csv")
+    assert {(row["shield_share_mean"], row["protective_stops"]) for row in bare} == {("", "")}

@@ -13,11 +13,16 @@ import torch
 from pandas.testing import assert_frame_equal
 
 import hrl_comfort
+from hrl_comfort.agents.networks import Actor, Normaliser
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.tables import read_table
-from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.actor import ActorPolicy, load_policy
+from hrl_comfort.policies.external import ObservationPolicy
+from hrl_comfort.policies.load import observed_by, on_standard_observations
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import subtask
 from tests.agents.test_checkpoint import write_policy
 
 MODULE = """
@@ -169,3 +174,31 @@ def test_a_loaded_policy_acts_as_its_file_on_one_observation_or_many(tmp_path: P
         policy(np.zeros((2, 9)))
     with pytest.raises(ConfigError, match="acts on the state of the cell"):
         hrl_comfort.load_policy("expert")
+
+
+@pytest.mark.parametrize("takes", [None, WIDTH, WIDTH + 1])
+def test_behind_a_shield_a_policy_sees_the_share_unless_it_is_one_number_too_much(takes: int | None) -> None:
+    task, cell = (
+        subtask("reach"),
+        environment(compose("train", ["task=reach", "robot.rating=collaborative", "safety=ssm"])),
+    )
+    engine, widths = Engine(cell, 2, 0), []
+    state = engine.reset()
+
+    def act(seen: np.ndarray) -> np.ndarray:
+        widths.append(seen.shape[1])
+        return np.zeros((2, 6))
+
+    on_standard_observations(ObservationPolicy("mine", act, takes, 6), task, engine.scene, cell)(state)
+    assert widths == [takes or WIDTH + 1]
+
+
+@pytest.mark.parametrize("shield", [None, False, True])
+def test_a_trained_policy_sees_the_share_if_it_was_trained_behind_a_shield(shield: bool | None) -> None:
+    cell = environment(compose("train", ["task=reach"]))
+    about = {"robot": "ur3e", "action": "joint", "action_repeat": 5, "observation": "default"}
+    spec = {"task": "reach", "environment": about if shield is None else {**about, "shield": shield}}
+    policy = ActorPolicy(Actor(4, 2, [8]), Normaliser(4), spec, None)
+    assert list(observed_by(policy, "mine", subtask("reach"), cell).observations)[-1] == (
+        "share" if shield else "goal_offset"
+    )

@@ -23,7 +23,8 @@ def test_set_points_keep_to_speed_acceleration_tool_speed_and_range(robot: str, 
     drive, rated, rng = Drive(scene, config, ROWS), RATINGS[robot][rating], np.random.default_rng(0)
     limbs = limb_poses(np.full(ROWS, 50.0), 0.0, 0.0, 0.0, 0.0, scene.floor_z)
     low, high = scene.joint_range.T
-    before = SetPoints(np.tile(scene.home, (ROWS, 1)), np.zeros((ROWS, 6)), np.ones(ROWS))
+    home = np.tile(scene.home, (ROWS, 1))
+    before = SetPoints.unshielded(home, np.zeros((ROWS, 6)), np.zeros(ROWS, dtype=np.int64))
     asked = np.zeros((ROWS, 6))
     for step in range(STEPS):
         if step % 10 == 0:

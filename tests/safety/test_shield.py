@@ -76,3 +76,25 @@ def test_the_shielded_engine_goes_on_bit_for_bit_after_its_state_is_loaded() -> 
     for action in actions[4:]:
         first, second = one.step(action).state, other.step(action).state
         assert torch.equal(first.joint_pos, second.joint_pos) and torch.equal(first.share, second.share)
+
+
+def test_policies_see_the_shields_last_share_and_its_stops_are_counted() -> None:
+    config = environment(compose("train", [*WORLD, "human.speed_m_s=1.0", "safety=ssm"]))
+    engine = Engine(config, 8, 0)
+    engine.reset()
+    sums, stops = np.zeros(8), np.zeros(8, dtype=int)
+    braking, least, most = np.zeros(8, dtype=bool), 1.0, 0
+    for decision in range(40):
+        result = engine.step(np.full((8, 6), 1.0 - 2 * (decision // 8 % 2)))
+        for state, valid in zip(result.steps, result.valid.numpy().T, strict=True):
+            sums += np.where(valid, state.share.numpy(), 0.0)
+            stops += valid & state.braking.numpy() & ~braking
+            braking = np.where(valid, state.braking.numpy(), braking)
+        after = result.state
+        assert torch.equal(engine.episodes.subtask.observe(after)[:, -1], after.share)
+        assert after.share_sum.numpy() == pytest.approx(sums) and after.protective_stops.tolist() == stops.tolist()
+        least, most = min(least, float(after.share.min())), max(most, int(stops.max()))
+        done = result.done.numpy()
+        sums[done], stops[done], braking[done] = 0.0, 0, False
+        engine.reset(np.flatnonzero(done))
+    assert least < 0.5 and most > 0

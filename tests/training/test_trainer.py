@@ -66,7 +66,8 @@ def test_metrics_have_the_contracts_columns_and_empty_cells_where_nothing_came(r
     table = rows(run)
     assert list(table[0]) == [
         *("policy_steps", "stage", "updates", "episodes", "precision_m", "success", "return", "steps"),
-        *("contact", "unsafe_contact", "other_collision", "reward/progress", "reward/reach", *TERMS),
+        *("contact", "unsafe_contact", "other_collision", "shield_share_mean", "protective_stops"),
+        *("reward/progress", "reward/reach", *TERMS),
     ]
     assert [row["policy_steps"] for row in table] == [str(n) for n in range(200, 1601, 200)]
     assert all(table[0][term] == "" for term in TERMS)
