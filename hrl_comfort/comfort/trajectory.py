@@ -18,6 +18,8 @@ INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
 """Outer radii of the zones around a person (Hall, The Hidden Dimension, 1966)."""
 SLOW_M_S = 0.01
 """A slower tool counts as waiting."""
+SMOOTHING_S = 0.2
+"""Time over which speeds of time to contact and separation are averaged: one step's speed is mostly servo ripple."""
 SHORT_CONTACT_S = 0.5
 CLOSING_M_S = 1e-3
 """Time to contact is infinite at lower closing speeds."""
@@ -78,29 +80,40 @@ def of_person(path: Trajectory) -> dict[str, float | None]:
     distance = np.linalg.norm(path.tool[1:, :2] - path.human[1:], axis=-1)
     arm, speed = path.arm_distance[1:], lengths / CONTROL_STEP_S
     near = arm < INTIMATE_M
-    human_speed = np.linalg.norm(np.diff(path.human, axis=0), axis=-1) / CONTROL_STEP_S
     contact = time_to_contact(path.arm_distance)
+    tool, human = (np.linalg.norm(smoothed_rate(each), axis=-1) for each in (path.tool, path.human))
+    worst, observed = (arm - protective_distance(tool, each) for each in (WORST_HUMAN_M_S, human))
     return {
         "human_distance_mean_m": float(distance.mean()),
         "human_distance_min_m": float(distance.min()),
         "human_distance_by_path_m": _ratio((distance * lengths).sum(), lengths.sum()),
         "arm_distance_mean_m": float(arm.mean()),
         "arm_distance_min_m": float(arm.min()),
-        "zone_intimate": float((distance < INTIMATE_M).mean()),
-        "zone_personal": float(((distance >= INTIMATE_M) & (distance < PERSONAL_M)).mean()),
-        "zone_social": float(((distance >= PERSONAL_M) & (distance < SOCIAL_M)).mean()),
+        "zone_intimate": float(near.mean()),
+        "zone_personal": float(((arm >= INTIMATE_M) & (arm < PERSONAL_M)).mean()),
+        "zone_social": float(((arm >= PERSONAL_M) & (arm < SOCIAL_M)).mean()),
         "tool_speed_near_m_s": float(speed[near].mean()) if near.any() else None,
         "time_to_contact_min_s": float(contact.min()) if np.isfinite(contact).any() else None,
         "time_to_contact_short": float((contact < SHORT_CONTACT_S).mean()),
-        "separation_margin_min_m": float((arm - protective_distance(speed, WORST_HUMAN_M_S)).min()),
-        "separation_margin_observed_min_m": float((arm - protective_distance(speed, human_speed)).min()),
+        "separation_margin_min_m": float(worst.min()),
+        "separation_margin_negative": float((worst < 0).mean()),
+        "separation_margin_observed_min_m": float(observed.min()),
+        "separation_margin_observed_negative": float((observed < 0).mean()),
     }
 
 
 def time_to_contact(distance: Floats) -> Floats:
-    """Return d / -d' (T,) s for distances (T + 1,) m; infinite where they do not shrink."""
-    closing = -np.diff(distance) / CONTROL_STEP_S
+    """Return d / -d' (T,) s for distances (T + 1,) m, d' over SMOOTHING_S; infinite where they do not shrink."""
+    closing = -smoothed_rate(distance)
     return np.where(closing > CLOSING_M_S, np.maximum(distance[1:], 0.0) / np.maximum(closing, 1e-9), np.inf)
+
+
+def smoothed_rate(values: Floats) -> Floats:
+    """Return the mean rate (T, ...) 1/s of values (T + 1, ...) over the last SMOOTHING_S, at first over less."""
+    now = np.arange(1, len(values))
+    before = np.maximum(now - round(SMOOTHING_S / CONTROL_STEP_S), 0)
+    spent = (now - before).reshape(-1, *[1] * (values.ndim - 1)) * CONTROL_STEP_S
+    return np.asarray((values[now] - values[before]) / spent)
 
 
 def protective_distance(robot_m_s: Floats, human_m_s: Floats | float) -> Floats:

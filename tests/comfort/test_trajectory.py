@@ -68,13 +68,13 @@ def test_distance_is_horizontal_and_leaves_out_the_instant_before_the_first_step
     assert found["tool_path_m"] == pytest.approx(math.hypot(1.0, 0.5) + 1.5)
 
 
-def test_zones_share_the_steps_and_far_away_belongs_to_none() -> None:
-    found = metrics(straight())
-    assert [found[f"zone_{name}"] for name in ("intimate", "personal", "social")] == [0.0, 0.5, 0.5]
-    far = metrics(episode(along_x([0.0, 0.3, 0.7, 2.0, 9.0]), human=(0.7, 0.0)))
+def test_zones_are_those_of_the_nearest_link_and_far_away_belongs_to_none() -> None:
+    arm = np.array([0.2, 0.4, -0.01, 1.3, 8.3])
+    far = metrics(replace(straight(4), arm_distance=arm))
     shares = [far[f"zone_{name}"] for name in ("intimate", "personal", "social")]
-    assert shares == [0.5, 0.0, 0.25]  # 0.4 and 0 m; none; 1.3 m; and 8.3 m
-    assert sum(shares) <= 1
+    assert shares == [0.5, 0.0, 0.25]
+    borders = metrics(replace(straight(4), arm_distance=np.array([0.2, 0.45, 1.2, 3.6, 0.44])))
+    assert [borders[f"zone_{name}"] for name in ("intimate", "personal", "social")] == [0.25, 0.25, 0.25]
 
 
 def test_steps_slower_than_a_centimetre_a_second_are_waiting() -> None:
@@ -115,6 +115,18 @@ def test_a_robot_that_backs_away_or_stands_has_no_time_to_contact() -> None:
         assert found["time_to_contact_short"] == 0
 
 
+def test_a_jolt_of_one_step_counts_a_tenth_of_its_speed() -> None:
+    # 2 cm in one step is 1 m/s, but 0.1 m/s over 0.2 s.
+    arm = np.where(np.arange(51) < 25, 0.52, 0.5)
+    found = metrics(replace(straight(), arm_distance=arm))
+    assert found["time_to_contact_min_s"] == pytest.approx(0.5 / 0.1)
+    jolted = straight()
+    jolted.human[25:, 0] += 0.02
+    still = metrics(replace(straight(), arm_distance=np.full(51, 1.0)))["separation_margin_observed_min_m"]
+    moved = metrics(replace(jolted, arm_distance=np.full(51, 1.0)))["separation_margin_observed_min_m"]
+    assert still is not None and moved == pytest.approx(still - 0.1 * 0.2)
+
+
 def test_time_to_contact_is_zero_in_contact() -> None:
     found = metrics(replace(straight(2), arm_distance=np.array([0.02, 0.01, -0.001])))
     assert found["time_to_contact_min_s"] == 0
@@ -136,6 +148,12 @@ def test_separation_margin_takes_the_worst_and_the_observed_walker() -> None:
     robot = 0.5 * 0.1 + 0.025
     assert found["separation_margin_min_m"] == pytest.approx(0.6 - 1.6 * 0.2 - robot)
     assert found["separation_margin_observed_min_m"] == pytest.approx(0.6 - 1.0 * 0.2 - robot)
+    assert found["separation_margin_negative"] == found["separation_margin_observed_negative"] == 0
+    # S_p is 0.395 m beside a person at 1.6 m/s, 0.275 m beside this one.
+    near = np.select([np.arange(51) % 5 == 0, np.arange(51) % 5 == 1], [0.2, 0.3], 2.0)
+    shares = metrics(replace(straight(), human=walker, arm_distance=near))
+    assert shares["separation_margin_negative"] == pytest.approx(0.4)
+    assert shares["separation_margin_observed_negative"] == pytest.approx(0.2)
     assert found["arm_distance_min_m"] == pytest.approx(0.6)
     assert found["arm_distance_mean_m"] == pytest.approx((49 * 2.0 + 0.6) / 50)
 
