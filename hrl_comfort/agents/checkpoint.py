@@ -1,26 +1,18 @@
 """Checkpoint files: careful reads, keeping the newest few."""
 
 import os
-import pickle
 import re
-import struct
 import warnings
-import zlib
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, ZipFile
 
 import torch
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.archives import DAMAGED, check_archive
 from hrl_comfort.files.atomic import write_atomically
 
 FORMAT = "hrl-comfort checkpoint"
-DAMAGED = (
-    RuntimeError, EOFError, OSError, KeyError, ValueError, struct.error, zlib.error, BadZipFile,
-    pickle.UnpicklingError,
-)  # fmt: skip
-"""Errors of zipfile and torch at a damaged file."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 RESUMABLE = ("latest.pt", "previous.pt")
 """Files to resume from, the newest first."""
@@ -49,11 +41,9 @@ def load(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing, cut short, or not one of ours.
     """
     try:
-        with ZipFile(path) as archive:
-            damaged = archive.testzip()
-        if damaged is not None:
-            raise BadZipFile(f"{damaged} is not what its checksum says")
+        check_archive(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
+        _check_tensors(state, "its")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; a checkpoint or policy.pt is needed") from None
     except DAMAGED as error:
@@ -62,6 +52,17 @@ def load(path: Path) -> dict[str, Any]:
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise ConfigError(f"{path}: not a checkpoint of this program")
     return state
+
+
+def _check_tensors(value: Any, place: str) -> None:
+    """Raise ValueError at a tensor that is not dense, or of which the file holds less than its shape says."""
+    if isinstance(value, (dict, list, tuple)):
+        for name, each in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_tensors(each, f"{place} {name}")
+    elif isinstance(value, torch.Tensor):
+        dense = value.layout == torch.strided and value.device.type == "cpu" and not value.is_quantized
+        if not dense or value.untyped_storage().nbytes() < value.nbytes:
+            raise ValueError(f"{place} is not a dense tensor")
 
 
 def step_path(folder: Path, policy_steps: int) -> Path:

@@ -2,7 +2,6 @@
 
 import copy
 import math
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,11 +12,11 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
+from hrl_comfort.agents.memory import check_memory, check_networks
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
 
-FLOAT_BYTES = 4
 TERMS = {
     "critic_loss": "loss_qvalue", "actor_loss": "loss_actor", "alpha_loss": "loss_alpha",
     "alpha": "alpha", "entropy": "entropy", "q_mean": "q_mean",
@@ -51,20 +50,19 @@ class SAC:
     are returned there, so the device changes a training by rounding only.
 
     Raises:
-        ConfigError: the device is not available, or the replay buffer is larger than this machine's memory.
+        ConfigError: the device is not available, or buffer or networks are larger than this machine's memory.
     """
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
         if config.device == "cuda" and not torch.cuda.is_available():
             raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
         self.config, self.device = config, torch.device(config.device)
-        needed = config.buffer_size * (2 * observation_dim + action_dim + 4) * FLOAT_BYTES
-        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        if self.device.type == "cpu" and needed > there:
-            raise ConfigError(
-                f"agent.buffer_size={config.buffer_size} takes {needed / 1e9:.0f} GB; "
-                f"this machine has {there / 1e9:.0f} GB"
-            )
+        if self.device.type == "cpu":
+            floats = config.buffer_size * (2 * observation_dim + action_dim + 4)
+            check_memory(f"agent.buffer_size={config.buffer_size}", floats)
+            sizes = (observation_dim + action_dim, *config.hidden, 2 * action_dim)
+            # an actor, its average, two critics, their targets; gradients and two moments of the three that learn
+            check_networks(f"agent.hidden={list(config.hidden)}", 6 + 3 * 3, sizes)
         self.observation_dim, self.action_dim = observation_dim, action_dim
         hidden = list(config.hidden)
         self.normaliser = Normaliser(observation_dim, config.normalise).to(self.device)

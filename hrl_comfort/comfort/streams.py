@@ -169,6 +169,8 @@ def read_recording(config: ComfortConfig) -> Recording:
     """
     name = f"comfort.file={config.file!r}"
     try:
+        if not Path(config.file or "").is_file():
+            raise FileNotFoundError("no such file")
         with Path(config.file or "").open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file, strict=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:

@@ -83,7 +83,7 @@ unique = AfterValidator(_unique)
 Coordinate = Annotated[float, within(-FARTHEST, FARTHEST)]
 XY = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 XYZ = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
-Widths = Annotated[list[Annotated[int, within(1, 8192)]], Field(min_length=1)]
+Widths = Annotated[list[Annotated[int, within(1, 8192)]], Field(min_length=1, max_length=64)]
 """Widths of hidden layers."""
 
 

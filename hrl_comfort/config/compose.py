@@ -33,6 +33,7 @@ from hrl_comfort.config.overrides import (
 from hrl_comfort.config.stages import flat, stages_of, with_budget
 from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.documents import yaml_text
 
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
 AS_TRAINED: dict[str, tuple[str, ...]] = {
@@ -117,7 +118,7 @@ def load_config(path: str | Path) -> Config:
     if not file.is_file():
         raise ConfigError(f"{file} does not exist; a run folder holds a config.yaml")
     try:
-        loaded = OmegaConf.load(file)
+        loaded = OmegaConf.create(yaml_text(file))
         for cls in ROOTS.values():
             if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
                 return freeze(cls, loaded)
@@ -129,7 +130,7 @@ def load_config(path: str | Path) -> Config:
         raise ConfigError(f"{file} is not YAML: {one_line(error)}") from error
     except RecursionError:
         raise ConfigError(f"{file} {TOO_DEEP}") from None
-    except OSError as error:  # raised by OmegaConf also for a file with a single number or word
+    except OSError as error:
         raise ConfigError(f"{file} cannot be read: {one_line(error)}") from error
     raise ConfigError(f"{file} does not have the keys of a {', '.join(ROOTS)} configuration")
 

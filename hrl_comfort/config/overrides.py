@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import is_dataclass
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, RangeSweep
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -53,6 +54,8 @@ ROOTS: dict[str, type[Config]] = {
 """Configuration class of each root, a file `conf/ROOT.yaml`."""
 NAMES = {"task": "task.name", "human": "human.motion", "robot": "robot.name"}
 """Key that names a part, by group: a part of another package has no file in the group."""
+MOST_JOBS = 10_000
+"""Largest sweep: Hydra lists every job before the first begins."""
 TOO_DEEP = "contains itself, or is nested too deeply"
 
 
@@ -117,7 +120,23 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
-    return [_checked(root, _parsed(line, sweep), line) for line in overrides]
+    parsed = [(_parsed(line, sweep), line) for line in overrides]
+    check_jobs(each for each, _ in parsed)
+    return [_checked(root, each, line) for each, line in parsed]
+
+
+def check_jobs(overrides: Iterable[Override]) -> None:
+    """Raise ConfigError if a sweep of `overrides` has more than MOST_JOBS jobs."""
+    count = math.prod(_count(each.value()) for each in overrides)
+    if not count <= MOST_JOBS:
+        raise ConfigError(f"the sweep has {count:.4g} jobs; at most {MOST_JOBS} are allowed")
+
+
+def _count(value: object) -> float:
+    """Return the number of values that an override stands for."""
+    if isinstance(value, RangeSweep):
+        return max(0.0, ((value.stop or 0) - (value.start or 0)) / value.step) if value.step else math.inf
+    return len(value.list) if isinstance(value, ChoiceSweep) else 1
 
 
 def _parsed(line: str, sweep: bool) -> Override:
@@ -147,6 +166,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     if parsed.is_delete():
         raise ConfigError(f"{line} deletes a key; every key needs a value: {key}=VALUE")
     if key in allowed:
+        if isinstance(parsed.value(), Glob):
+            raise ConfigError(f"{line} is a pattern; list the choices: {key}={','.join(allowed[key][:2])}")
         swept = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]
         values = [str(value).replace("\\:", ":") for value in swept]  # Hydra escapes colons
         if key in NAMES and all(value in plugins(NAMES[key]) or is_object(value) for value in values):

@@ -76,7 +76,7 @@ def evaluate_checkpoints(config: EvaluateConfig) -> Path:
         result = rollout(config, str(path))
         every.episodes += result.episodes
         share = success(result.table)
-        policy_steps = checkpoint.load(path)["counters"]["policy_steps"]
+        policy_steps = int(path.stem.removeprefix("step_"))
         interval = share["ci95"] or (None, None)
         lines.append([f"{policy_steps:,}", cell(share, 100)])
         curve.append([policy_steps, share["mean"], *interval, config.task.precision.grasp_tolerance_m])

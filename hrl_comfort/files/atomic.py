@@ -77,13 +77,14 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def all_or_none(*stale: Path) -> Iterator[None]:
     """Hold back the files written in this context until its end, and write none of them if one fails.
 
-    They replace what was there in the order of writing, after the files `stale` have been deleted.
+    They replace what was there in the order of writing, after the files `stale` and the last one have been deleted:
+    where the last one is there, all are, even if the process was killed.
     """
     held_back: list[tuple[Path, Path]] = []
     token = _held_back.set(held_back)
     try:
         yield
-        for path in stale:
+        for path in (*stale, *(path for _, path in held_back[-1:])):
             path.unlink(missing_ok=True)
         for temporary, path in held_back:
             os.replace(temporary, path)

@@ -10,6 +10,8 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, Validation
 
 from hrl_comfort.config.checks import ConfigError, first_error
 
+MOST_BYTES = 10**6
+"""Largest YAML file; those of a run are of some kB."""
 T = TypeVar("T")
 
 
@@ -44,24 +46,42 @@ def damaged(path: Path, reason: object) -> ConfigError:
 
 def read_json(path: Path, kind: type[T]) -> T:
     """Return the content of a JSON file; raise ConfigError if the file does not exist, or is not of this kind."""
+    if not path.is_file():
+        raise ConfigError(f"{path} does not exist")
     try:
         return TypeAdapter(kind).validate_json(path.read_bytes())
-    except FileNotFoundError:
-        raise ConfigError(f"{path} does not exist") from None
     except ValidationError as error:
         raise damaged(path, first_error(error)) from None
+
+
+def yaml_text(path: Path) -> str:
+    """Return the text of a YAML file.
+
+    Raises:
+      ConfigError: it is not UTF-8, not YAML, too large, or has aliases, by which few lines stand for any number.
+    """
+    if not path.is_file() or path.stat().st_size > MOST_BYTES:
+        raise damaged(path, f"it is not a regular file of at most {MOST_BYTES} bytes")
+    try:
+        text = path.read_text(encoding="utf-8")
+        aliases = [event for event in yaml.parse(text, yaml.CSafeLoader) if isinstance(event, yaml.AliasEvent)]
+    except (ValueError, yaml.YAMLError) as error:
+        raise damaged(path, error) from None
+    if aliases:
+        raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")
+    return text
 
 
 def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text of a YAML mapping and its content.
 
     Raises:
-      ConfigError: the file is not UTF-8, not YAML, or not a mapping.
+      ConfigError: the file is not a YAML file in the sense of `yaml_text`, or not a mapping.
     """
+    text = yaml_text(path)
     try:
-        text = path.read_text(encoding="utf-8")
         content = yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError) as error:
+    except (ValueError, OverflowError, RecursionError, yaml.YAMLError) as error:
         raise damaged(path, error) from None
     if not isinstance(content, dict):
         raise damaged(path, f"it holds a {type(content).__name__}, not a mapping")

@@ -15,10 +15,15 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
+from hrl_comfort.config.overrides import check_jobs
 from hrl_comfort.files.atomic import write_json
-from hrl_comfort.files.documents import damaged, read_json
+from hrl_comfort.files.documents import damaged, read_json, yaml_text
 
 FILE = "job.json"
+DAMAGED = (
+    HydraException, OmegaConfBaseException, YAMLError, AttributeError, TypeError, ValueError, RecursionError
+)  # fmt: skip
+"""Errors of Hydra and OmegaConf at a damaged record."""
 JobState = Literal["running", "done", "stopped", "failed"]
 """A job that was killed stays `running`: it could not record its end."""
 
@@ -73,9 +78,10 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
     if not file.is_file():
         return []
     try:
-        asked = [str(line) for line in OmegaConf.load(file).hydra.overrides.task]
+        asked = [str(line) for line in OmegaConf.create(yaml_text(file)).hydra.overrides.task]
         parsed = OverridesParser.create().parse_overrides(asked)
+        check_jobs(parsed)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)
-    except (HydraException, OmegaConfBaseException, YAMLError, AttributeError, ValueError) as error:
+    except DAMAGED as error:
         raise damaged(file, error) from None
     return [tuple(job) for job in jobs]

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pandas import DataFrame, Series
+from pyarrow.parquet import ParquetFile
 
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import damaged
@@ -50,6 +51,8 @@ KNOWN: dict[str, dict[str, str]] = {
     "options": {"comfort_level": "int?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""
+MOST_CELLS = 5 * 10**7
+"""Largest parquet table: 0.4 GB of floats."""
 TRUTH = {"true": "1", "false": "0"}
 
 
@@ -63,10 +66,19 @@ def read_table(path: Path) -> DataFrame | None:
     if file is None:
         return None
     try:
-        frame = pd.read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
-    except (ValueError, OSError) as error:  # pyarrow's errors are of both classes
+        frame = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    except (ValueError, OSError, csv.Error) as error:  # pyarrow's errors are of the first two classes
         raise damaged(file, error) from None
     return conform(frame, path.stem, file) if len(frame) else None
+
+
+def _read_parquet(path: Path) -> DataFrame:
+    """Return the table of a parquet file; raise ValueError where it unpacks to more than MOST_CELLS."""
+    with ParquetFile(path) as file:
+        cells = file.metadata.num_rows * file.metadata.num_columns
+        if cells > MOST_CELLS:
+            raise ValueError(f"it unpacks to {cells} cells; at most {MOST_CELLS} are allowed")
+    return pd.read_parquet(path)
 
 
 def _read_csv(path: Path) -> DataFrame:
@@ -161,8 +173,13 @@ class GrowingTable:
         self._path, self._header = path, header
 
     def begin(self, rows: int) -> None:
-        """Cut the file back to its first `rows` rows; raise ConfigError if it holds fewer."""
-        lines = self._path.read_text().splitlines(keepends=True)[1 : rows + 1] if rows else []
+        """Cut the file back to its first `rows` rows; raise ConfigError if it is damaged or holds fewer."""
+        try:
+            if rows and not self._path.is_file():
+                raise FileNotFoundError("it does not exist")
+            lines = self._path.read_text(encoding="utf-8").splitlines(keepends=True)[1 : rows + 1] if rows else []
+        except (OSError, UnicodeDecodeError) as error:
+            raise damaged(self._path, error) from None
         if len(lines) < rows:
             raise damaged(self._path, f"it holds {len(lines)} rows; its checkpoint was written after {rows}")
         write_text(self._path, "".join([",".join(self._header) + "\n", *lines]))

@@ -17,6 +17,7 @@ from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.memory import check_networks
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
@@ -42,6 +43,9 @@ class QLearner:
     """Double DQN with a soft target and uniform exploration among the options that can start."""
 
     def __init__(self, config: MetaControllerAgentConfig, observation_dim: int, options: int, seed: int) -> None:
+        sizes = (observation_dim, *config.hidden, options)
+        # the network, its target, its average, gradients and two moments
+        check_networks(f"meta_controller_agent.hidden={list(config.hidden)}", 6, sizes)
         torch.manual_seed(seed)
         self.config, self.observation_dim, self.count = config, observation_dim, options
         self.network = make_network(observation_dim, options, list(config.hidden))

@@ -8,9 +8,10 @@ NaN without one.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import ZipFile
 
 import mink
 import mujoco
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import COLOURS, ConfigError, EnvConfig
+from hrl_comfort.files.archives import DAMAGED, check_archive
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import Start
 
@@ -25,6 +27,8 @@ Array = NDArray[np.float64]
 
 PARTS, WITH_HUMAN = 3, 3
 """Numbers of a start: for each joint, and for the human and the level."""
+MOST_BYTES = 10**8
+"""Largest size of the arrays of a file, unpacked."""
 MOST = 100.0
 """Largest angle, rad, velocity, rad/s, and coordinate, m, of a valid start."""
 COUNT = 96
@@ -59,6 +63,18 @@ def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
     return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal, near in goals]
 
 
+def _bank(archive: ZipFile, name: str) -> Array:
+    """Return an array of an .npz; raise ValueError if the file holds less than its header says."""
+    with archive.open(name) as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+    if math.prod(shape) * dtype.itemsize > archive.getinfo(name).file_size:
+        raise ValueError(f"{name} is cut short")
+    with archive.open(name) as file:
+        return np.asarray(np.lib.format.read_array(file), dtype=np.float64)
+
+
 def at_rest(joint_pos: Array) -> Array:
     """Return the starts (M, 3 J) of joint angles (M, J) at rest, the servo targets at the joint angles."""
     return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
@@ -71,9 +87,10 @@ def recorded(path: str, levels: int, joints: int) -> list[Array]:
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
     try:
-        file = np.load(path)
-        banks = [np.asarray(file[colour], dtype=np.float64) for colour in COLOURS]
-    except (LookupError, ValueError, OSError, EOFError, BadZipFile) as error:
+        check_archive(Path(path), MOST_BYTES)
+        with ZipFile(path) as archive:
+            banks = [_bank(archive, f"{colour}.npy") for colour in COLOURS]
+    except DAMAGED as error:
         raise ConfigError(
             f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {arm}) or (M, {whole})"
         ) from error

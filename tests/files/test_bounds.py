@@ -1,0 +1,121 @@
+"""What a file or a command line asks for is bounded before it is allocated."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+import torch
+
+from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.sac import SAC
+from hrl_comfort.comfort.streams import read_recording
+from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
+from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.overrides import check_overrides
+from hrl_comfort.files.documents import read_json, read_yaml
+from hrl_comfort.files.sweep_record import planned
+from hrl_comfort.files.tables import GrowingTable, read_table
+from hrl_comfort.sim.starts import recorded
+
+ALIASES = "a: &a [x, x]\nb: [*a, *a]\n"
+
+
+def zipped(path: Path, name: str, size: int, put: bytes = b"") -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(name, "w") as file:
+        file.write(put)
+        for _ in range(size // 10**6):
+            file.write(bytes(10**6))
+    return path
+
+
+def test_an_archive_is_not_unpacked_beyond_its_bound(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"policy\.pt: cut short .*unpacks to 300 MB"):
+        checkpoint.load(zipped(tmp_path / "policy.pt", "archive/data.pkl", 3 * 10**8))
+    with pytest.raises(ConfigError, match="must hold arrays 'orange' and 'pink'"):
+        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 3 * 10**8)), 10, 6)
+
+
+def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path: Path) -> None:
+    header = io.BytesIO()
+    about = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 21)}
+    np.lib.format.write_array_header_1_0(header, about)
+    with pytest.raises(ConfigError, match="must hold arrays"):
+        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 10**6, header.getvalue())), 10, 6)
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        torch.zeros(1).expand(10**5, 10**5),
+        torch.sparse_coo_tensor(torch.zeros(2, 1, dtype=torch.int64), torch.ones(1), (9, 9), check_invariants=True),
+        torch.empty(7, device="meta"),
+    ],
+)
+def test_a_tensor_without_its_numbers_is_refused(tensor: torch.Tensor, tmp_path: Path) -> None:
+    torch.save({"format": checkpoint.FORMAT, "networks": [tensor]}, tmp_path / "policy.pt")
+    with pytest.raises(ConfigError, match="its networks 0 is not a dense tensor"):
+        checkpoint.load(tmp_path / "policy.pt")
+
+
+def test_a_table_that_unpacks_to_more_than_memory_holds_is_refused(tmp_path: Path) -> None:
+    zeros = pa.array(np.zeros(3 * 10**7, dtype=np.int8))
+    pa.parquet.write_table(pa.table({"episode": zeros, "success": zeros}), tmp_path / "episodes.parquet")
+    with pytest.raises(ConfigError, match="unpacks to 60000000 cells"):
+        read_table(tmp_path / "episodes.csv")
+
+
+def test_a_cell_of_any_size_is_a_number_or_one_line(tmp_path: Path) -> None:
+    (tmp_path / "episodes.csv").write_text('episode,success\n"' + "9" * 200_000 + '",1\n')
+    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: field larger than field limit"):
+        read_table(tmp_path / "episodes.csv")
+
+
+@pytest.mark.parametrize("read", [load_config, read_yaml])
+def test_yaml_with_aliases_is_refused(read: Callable[[Path], object], tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(ALIASES)
+    with pytest.raises(ConfigError, match=r"line 2 has an alias, \*a"):
+        read(tmp_path / "config.yaml")
+
+
+def test_a_sweep_has_a_bounded_number_of_jobs(tmp_path: Path) -> None:
+    assert len(check_overrides("train", ["train_seed=range(0,100)", "agent.gamma=0.9,0.99"], sweep=True)) == 2
+    for much in (["train_seed=range(0,1000000000)"], ["train_seed=range(0,300)"] * 3, ["train_seed=range(0,1,0)"]):
+        with pytest.raises(ConfigError, match="at most 10000 are allowed"):
+            check_overrides("train", much, sweep=True)
+    with pytest.raises(ConfigError, match=r"task=glob\(\*\) is a pattern; list the choices: task=cycle,pick"):
+        check_overrides("train", ["task=glob(*)"], sweep=True)
+    (tmp_path / "multirun.yaml").write_text("hydra: {overrides: {task: ['a=range(0,1000000000)']}}")
+    with pytest.raises(ConfigError, match=r"multirun\.yaml is damaged: the sweep has 1e\+09 jobs"):
+        planned(tmp_path)
+
+
+def test_networks_beyond_memory_are_refused_before_they_are_made() -> None:
+    with pytest.raises(ConfigError, match=r"hidden.* at most 64"):
+        compose("train", [f"agent.hidden=[{','.join(['8'] * 5000)}]"])
+    config = compose("train", [f"agent.hidden=[{','.join(['8192'] * 64)}]", "agent.buffer_size=1000"])
+    assert isinstance(config, TrainConfig)
+    with pytest.raises(ConfigError, match=r"agent\.hidden=.* takes 25\d GB; this machine has"):
+        SAC(config.agent, 30, 6)
+
+
+def test_a_fifo_is_no_file(tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    config = compose("train", ["comfort=conditioned", "comfort.source=file", f"comfort.file={fifo}"])
+    assert isinstance(config.comfort, ComfortConfig)
+    reads: list[Callable[[], object]] = [
+        lambda: checkpoint.load(fifo), lambda: load_config(fifo), lambda: read_yaml(fifo),
+        lambda: read_json(fifo, dict), lambda: GrowingTable(fifo, ["a"]).begin(1),
+        lambda: recorded(str(fifo), 10, 6), lambda: read_recording(config.comfort),
+    ]  # fmt: skip
+    for read in reads:
+        with pytest.raises(ConfigError):
+            read()
