@@ -195,7 +195,7 @@ class EvaluateConfig(EnvConfig):
                 f"disturbance=drop needs a ball that is picked and then placed; task.name={self.task.name!r} "
                 f"is not one of {', '.join(PICK_AND_PLACE)}"
             )
-        if self.disturbance == "block" and self.human.motion in ("none", "playback"):
+        if self.disturbance == "block" and self.human.motion in ("none", "recorded"):
             raise ConfigError(f"disturbance=block needs a human who can stand still; not human={self.human.motion}")
         if self.terminal_states is not None:
             raise ConfigError(f"disturbance={self.disturbance} does not go with terminal_states=")

@@ -2,86 +2,98 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
-from hrl_comfort.config.checks import part
-from hrl_comfort.humans.approach import approach
-from hrl_comfort.humans.arc import arc
 from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
-from hrl_comfort.humans.live import live, pose_source
-from hrl_comfort.humans.none import none
-from hrl_comfort.humans.patrol import patrol
-from hrl_comfort.humans.playback import playback, read_motion
-from hrl_comfort.humans.random_walk import random_walk
-from hrl_comfort.humans.still import still
+from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, bounds, free, motion
+from hrl_comfort.humans.motions.live import pose_source
+from hrl_comfort.humans.motions.none import none
+from hrl_comfort.humans.motions.recorded import pose_at
+from hrl_comfort.humans.steering import POSTURE
 from hrl_comfort.humans.walk import (
+    MEMORY,
     NOISE,
     SPEED_SMOOTHING,
+    TRAITS,
+    ArmSource,
     Array,
     KeepOut,
-    Motion,
+    Stride,
+    Surroundings,
     Walk,
     facing_base,
     gait,
     length,
     outside,
 )
-from hrl_comfort.humans.work import work
 
-MOTIONS: dict[str, Motion] = {
-    "none": none,
-    "still": still,
-    "random_walk": random_walk,
-    "arc": arc,
-    "approach": approach,
-    "playback": playback,
-    "work": work,
-    "patrol": patrol,
-    "live": live,
-}
 MAX_SPAWN_DRAWS = 1000
-UNBOUNDED = ("none", "playback", "live")
-"""Motions to which `bound_m` and `keep_out_m` do not apply."""
 
 
-def motion(name: str) -> Motion:
-    """Return the motion `name`: one of MOTIONS, an entry point, or `package.module:name`.
+def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Walk:
+    """Return n humans at `spawn` (n, 2) m, facing the robot; `traits` (n, TRAITS) are 0 by default.
 
-    Raises:
-      ConfigError: there is none.
-    """
-    return part("human.motion", name, MOTIONS)
-
-
-def begin(config: HumanConfig, spawn: Array) -> Walk:
-    """Return n humans at `spawn` (n, 2) m, facing the robot.
-
-    Motion `none` puts them far away, `playback` at the start of its file.
+    Motion `none` puts them far away, `recorded` where its file says.
     """
     n = len(spawn)
-    position, yaw = spawn.copy(), facing_base(spawn)
-    if motion(config.motion) is none:
-        position, yaw = np.tile([FAR_AWAY_M, 0.0], (n, 1)), np.zeros(n)
-    elif config.motion == "playback":
-        assert config.file is not None
-        time, poses = read_motion(config.file)
-        x, y, facing = (np.interp(0.0, time, column) for column in poses.T)
-        position, yaw = np.tile([x, y], (n, 1)), np.full(n, facing)
-    elif config.motion == "live":
-        pose_source(config.file)  # a source that cannot be opened is refused before the first step
-    return Walk(position, yaw, spawn.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64))
+    traits = np.zeros((n, TRAITS)) if traits is None else traits
+    position, yaw, limbs = spawn.copy(), facing_base(spawn), np.full((n, 6, 3), np.nan)
+    for rows, member in _members(config, traits):
+        if member.motion == "recorded":
+            stride = pose_at(member, spawn[rows], traits[rows], np.zeros(len(rows), dtype=np.int64))
+            position[rows], yaw[rows], limbs[rows] = stride.position, stride.yaw, stride.limbs
+        elif member.motion == "live":
+            pose_source(member.file)  # a source that cannot be opened is refused before the first step
+        elif member.motion in CARRIERS and member.acceleration_m_s2 is not None:
+            limbs[rows] = POSTURE
+        elif motion(member.motion) is none:
+            position[rows], yaw[rows] = (FAR_AWAY_M, 0.0), 0.0
+    still, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
+    memory = np.zeros((n, MEMORY))
+    return Walk(position, yaw, spawn.copy(), still, still, steps, np.zeros((n, 3)), limbs, memory, traits.copy())
 
 
-def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut) -> Walk:
+def _members(config: HumanConfig, traits: Array) -> list[tuple[NDArray[np.int64], HumanConfig]]:
+    """Return the rows of each motion of a mixture and its configuration; of another motion all rows."""
+    if not config.mixture:
+        return [(np.arange(len(traits)), config)]
+    chosen = (traits[:, 0] * len(config.people)).astype(np.int64)
+    found = [(np.flatnonzero(chosen == index), member) for index, member in enumerate(config.people)]
+    return [(rows, member) for rows, member in found if len(rows)]
+
+
+def advance(
+    config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut, arm: ArmSource | None = None
+) -> Walk:
     """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1), tcp (n, 2) m.
 
-    A step beyond `bound_m` from the spawn ends at that distance. A step into a keep-out disc slides along
-    its rim. The human stays in place if the slide ends in another disc or beyond `bound_m`.
+    `arm` is that of `Surroundings`; without it the arm is its tool, at rest. A step beyond `bound_m` from the spawn
+    ends at that distance. A step into a keep-out disc slides along its rim. The human stays in place if the slide
+    ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
     """
-    position, yaw = motion(config.motion)(config, walk, noise, tcp)
-    if config.motion not in UNBOUNDED:
+    seen = Surroundings(tcp, keep_out, arm or partial(_tool, tcp))
+    parts = _members(config, walk.traits)
+    if len(parts) == 1:
+        return _advance(parts[0][1], walk, noise, seen)
+    for rows, member in parts:
+        walk = walk.put(rows, _advance(member, walk.rows(rows), noise[rows], seen.rows(rows)))
+    return walk
+
+
+def _tool(tcp: Array) -> tuple[Array, Array]:
+    point = np.concatenate([tcp, np.zeros((len(tcp), 1))], axis=1)[:, None]
+    return point, np.zeros_like(point)
+
+
+def _advance(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Walk:
+    proposed = motion(config.motion)(config, walk, noise, around)
+    stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
+    position, yaw, keep_out = stride.position, stride.yaw, around.keep_out
+    if not free(config):
         offset = position - walk.spawn
         shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
         position = walk.spawn + offset * shrink[:, None]
@@ -92,9 +104,22 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out:
             too_far = length(slid - walk.spawn.take(blocked, axis=0)) > config.bound_m + 1e-9
             stays = discs.entered(slid) | too_far
             position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
-    walked = length(position - walk.position)
+    moved = position - walk.position
+    walked = length(moved)
     speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
-    return Walk(position, yaw, walk.spawn, walk.walked_m + walked, speed, walk.step + 1)
+    turned = (yaw - walk.yaw + np.pi) % (2 * np.pi) - np.pi
+    return Walk(
+        position,
+        yaw,
+        walk.spawn,
+        walk.walked_m + walked,
+        speed,
+        walk.step + 1,
+        np.concatenate([moved, turned[:, None]], axis=1) / CONTROL_STEP_S,
+        walk.limbs if stride.limbs is None else stride.limbs,
+        walk.memory if stride.memory is None else stride.memory,
+        walk.traits,
+    )
 
 
 def moved_spawns(config: HumanConfig, goals: Array) -> Array:
@@ -171,7 +196,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 
 __all__ = [
-    "MOTIONS", "MOTION_STREAM", "NOISE", "UNBOUNDED", "EvaluationSet", "KeepOut", "Walk", "advance", "around", "begin",
-    "gait", "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position",
-    "split_set", "training_spawn", "training_spawns", "validation_set",
+    "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
+    "Walk", "advance", "around", "begin", "bounds", "free", "gait", "jittered_spawn", "load_evaluation_set", "motion",
+    "moved_spawns", "outside", "seen_position", "split_set", "training_spawn", "training_spawns", "validation_set",
 ]  # fmt: skip

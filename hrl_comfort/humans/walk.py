@@ -17,6 +17,7 @@ NOISE = 3
 STRIDE_M = 1.4
 """Distance walked in one gait cycle (two steps) of an adult."""
 FULL_SWING_RAD, FULL_SWING_SPEED_M_S = np.radians(25.0), 1.0
+MEMORY, TRAITS = 3, 3
 SPEED_SMOOTHING = 0.05
 """Weight of the latest step in the low-pass filter of the walking speed."""
 MARGIN_M = 1e-6
@@ -35,6 +36,15 @@ class Walk:
     """(n,) low-pass filtered."""
     step: NDArray[np.int64]
     """(n,) control steps since the start."""
+    velocity: Array
+    """(n, 3) in the last control step: x and y (m/s), yaw (rad/s)."""
+    limbs: Array
+    """(n, 6, 3) unit vectors down legs, upper arms and forearms, left first, in the person's frame: x forward, y left,
+    z up. NaN is the direction of the gait."""
+    memory: Array
+    """(n, MEMORY) numbers of the motion's own, 0 at the start."""
+    traits: Array
+    """(n, TRAITS) in [0, 1), of the episode: which motion of a mixture, how fast or which recording, from when."""
 
     def rows(self, index: NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `index`."""
@@ -54,10 +64,6 @@ class Walk:
         """Return K walks of n humans as one walk of n * K rows; the K rows of a human are adjacent."""
         stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
         return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
-
-
-Motion = Callable[[HumanConfig, Walk, Array, Array], tuple[Array, Array]]
-"""(config, walk, noise (n, NOISE), tcp (n, 2) m) -> proposed position (n, 2) m and yaw (n,) rad after one step."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,43 @@ class KeepOut:
         out = offset[nearest]
         span = np.maximum(length(out), 1e-9)[:, None]
         return np.asarray(self.centres[nearest] + out / span * (self.radius_m + 1e-9))
+
+
+ArmSource = Callable[[], tuple[Array, Array]]
+"""Return points of the arm (n, P, 3) m, at least one a link, and their velocities (n, P, 3) m/s."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The robot beside n people, as they see it, and where they must not go."""
+
+    tcp: Array
+    """(n, 2) m, tool centre point."""
+    keep_out: KeepOut
+    arm: ArmSource
+
+    def rows(self, index: NDArray[np.int64]) -> Surroundings:
+        """Return the surroundings of the rows `index`."""
+        discs = KeepOut(self.keep_out.centres[index], self.keep_out.radius_m)
+        return Surroundings(self.tcp[index], discs, lambda: _rows_of(self.arm(), index))
+
+
+def _rows_of(arm: tuple[Array, Array], index: NDArray[np.int64]) -> tuple[Array, Array]:
+    return arm[0][index], arm[1][index]
+
+
+@dataclass(frozen=True)
+class Stride:
+    """Proposal of a motion for the end of a control step; see the fields of Walk. None leaves a field as it is."""
+
+    position: Array
+    yaw: Array
+    limbs: Array | None = None
+    memory: Array | None = None
+
+
+Motion = Callable[[HumanConfig, Walk, Array, Surroundings], Stride | tuple[Array, Array]]
+"""(config, walk, noise (n, NOISE), surroundings) -> stride, or position (n, 2) m and yaw (n,) rad alone."""
 
 
 def length(vectors: Array) -> Array:

@@ -108,7 +108,7 @@ class PotentialField:
         return increment_threshold(level, 1.0, self._comfort)
 
     def _place_person(self, limbs: Array) -> None:
-        """Put the person's limbs (5, 7) into the model."""
+        """Put the person's limbs (7, 7) into the model."""
         data = self._configuration.data
         data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
 

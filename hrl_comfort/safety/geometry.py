@@ -83,6 +83,20 @@ class ArmGeometry:
             rotation[:, :, joint] = turn
         return rotation, anchor, anchor - _turned(rotation, self._anchor.T[..., None])
 
+    def points(self, angles: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return ends and middles of the capsules (N, 3 C, 3) m and their velocities (N, 3 C, 3) m/s.
+
+        `angles` (N, J) rad, `velocity` (N, J) rad/s.
+        """
+        pose = self.pose(angles)
+        first, second = pose.ends[:, :, 0], pose.ends[:, :, 1]
+        points = np.concatenate([first, (first + second) / 2, second], axis=1)
+        turning = np.cumsum(pose.axis * velocity.T, axis=1)
+        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        link = np.tile(self.link, 3)
+        moving = _cross(turning[:, link], points) - shift[:, link]
+        return points.transpose(2, 1, 0), moving.transpose(2, 1, 0)
+
     def point_velocity(self, pose: ArmPose, velocity: Array, part: NDArray[np.int64], point: Array) -> Array:
         """Return the velocity (3, N) m/s of points (3, N) m fixed to the capsules `part` (N,)."""
         rows, link = np.arange(len(part)), self.link[part]

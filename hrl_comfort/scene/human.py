@@ -1,4 +1,4 @@
-"""A walking human of five capsule mocap bodies, posed by position and gait."""
+"""A walking human of seven capsule mocap bodies, posed by position and by gait or the directions of their limbs."""
 
 from __future__ import annotations
 
@@ -6,30 +6,37 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import ArrayLike, NDArray
 
-LIMBS = ("trunk", "left_leg", "right_leg", "left_arm", "right_arm")
+from hrl_comfort.humans.body import (
+    ARM_RADIUS_M,
+    FOREARM_M,
+    HEIGHT_M,
+    HIP_M,
+    SHOULDER_HALF_WIDTH_M,
+    SHOULDER_M,
+    UPPER_ARM_M,
+)
+
+LIMBS = (
+    "trunk", "left_leg", "right_leg", "left_upper_arm", "right_upper_arm", "left_forearm", "right_forearm",
+)  # fmt: skip
 """Names of the mocap bodies, in order of their mocap index."""
 
-# An upright adult of 1.75 m; proportions: middle of the ranges of Drillis and Contini (1966).
-HEIGHT_M = 1.75
-HIP_M = 0.93
-SHOULDER_M = 1.43
 TRUNK_RADIUS_M = 0.13
 HEAD_RADIUS_M = 0.10
 LEG_RADIUS_M = 0.07
-ARM_RADIUS_M = 0.04
-ARM_LENGTH_M = 0.62
 HIP_HALF_WIDTH_M = 0.09
-SHOULDER_HALF_WIDTH_M = 0.18
 
 # Of each limb: lateral offset (left positive) and height of its joint, m, and the sign of its swing. An arm
-# swings opposite to the leg on its side.
-_SIDE = np.array([0.0, HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M, SHOULDER_HALF_WIDTH_M, -SHOULDER_HALF_WIDTH_M])
-_TOP = np.array([HIP_M, HIP_M, HIP_M, SHOULDER_M, SHOULDER_M])
-_SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0])
+# swings opposite to the leg on its side. The elbows of `_ELBOWS` hang below the shoulders of `_SHOULDERS`.
+_SHOULDERS, _ELBOWS = slice(3, 5), slice(5, 7)
+_HIPS, _SIDES = (HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M), (SHOULDER_HALF_WIDTH_M, -SHOULDER_HALF_WIDTH_M)
+_SIDE = np.array([0.0, *_HIPS, *_SIDES, *_SIDES])
+_TOP = np.array([HIP_M] * 3 + [SHOULDER_M] * 4)
+_SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
 
 
 def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
-    """Add the limbs to a worldbody at initial `poses` (5, 7), as of `limb_poses`.
+    """Add the limbs to a worldbody at initial `poses` (7, 7), as of `limb_poses`.
 
     A body's origin is the joint of its limb. Limbs collide with the robot, not with each other or the cell.
     """
@@ -37,7 +44,8 @@ def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
     shapes = {
         "trunk": ((0, 0, 0.05, 0, 0, SHOULDER_M - HIP_M - 0.06), TRUNK_RADIUS_M, cloth),
         "leg": ((0, 0, 0, 0, 0, LEG_RADIUS_M - HIP_M), LEG_RADIUS_M, trousers),
-        "arm": ((0, 0, 0, 0, 0, ARM_RADIUS_M - ARM_LENGTH_M), ARM_RADIUS_M, skin),
+        "arm": ((0, 0, 0, 0, 0, -UPPER_ARM_M), ARM_RADIUS_M, skin),
+        "forearm": ((0, 0, 0, 0, 0, -FOREARM_M), ARM_RADIUS_M, skin),
     }
     for limb, pose in zip(LIMBS, poses, strict=True):
         body = world.add("body", name=limb, mocap=True, pos=pose[:3], quat=pose[3:])
@@ -50,17 +58,27 @@ def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
 
 
 def limb_poses(
-    x: ArrayLike, y: ArrayLike, yaw: ArrayLike, phase: ArrayLike, swing_rad: ArrayLike, floor_z: ArrayLike
+    x: ArrayLike,
+    y: ArrayLike,
+    yaw: ArrayLike,
+    phase: ArrayLike,
+    swing_rad: ArrayLike,
+    floor_z: ArrayLike,
+    directions: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Return the pose (..., 5, 7) of each limb: position (m), quaternion (w, x, y, z), cell frame.
+    """Return the pose (..., 7, 7) of each limb: position (m), quaternion (w, x, y, z), cell frame.
 
     x, y, yaw: vertical axis and heading (m, m, rad). Limbs swing by swing_rad * sin(phase), left and right
     opposite; zero swing is standing. The body sinks as the legs swing, so the feet stay on the floor.
+    `directions` (..., 6, 3) are unit vectors down all limbs but the trunk, in the person's frame: x forward, y left,
+    z up. NaN is the direction of the gait.
     """
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
     angle = swing_rad * np.sin(phase)
+    if directions is not None:  # legs that are given do not walk
+        angle = np.where(np.isnan(directions[..., 0, :1]), angle, 0.0)
     swung = angle / 2
     sink = (HIP_M - LEG_RADIUS_M) * (1 - np.cos(angle))
     half = yaw / 2
@@ -74,4 +92,24 @@ def limb_poses(
     poses[..., 4] = -sin_half * leaning
     poses[..., 5] = cos_half * leaning
     poses[..., 6] = sin_half * upright
+    forward = -UPPER_ARM_M * np.sin(angle * _SWING[_SHOULDERS])
+    poses[..., _ELBOWS, 0] += np.cos(yaw) * forward
+    poses[..., _ELBOWS, 1] += np.sin(yaw) * forward
+    poses[..., _ELBOWS, 2] -= UPPER_ARM_M * np.cos(angle)
+    if directions is not None and not np.isnan(directions).all():
+        _direct(poses, yaw, directions)
     return poses
+
+
+def _direct(poses: NDArray[np.float64], yaw: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
+    """Turn the limbs of standing or walking `poses` (..., 7, 7) to their `directions` (..., 6, 3)."""
+    (x, y, z), cos, sin = np.moveaxis(directions, -1, 0), np.cos(yaw), np.sin(yaw)
+    given = np.isfinite(directions)
+    # The shortest rotation of -z to the direction; straight up it is half a turn about x.
+    quaternion = np.stack([1 - z, sin * x + cos * y, sin * y - cos * x, 0 * z], axis=-1)
+    size = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion = np.where(size > 1e-6, quaternion / np.maximum(size, 1e-12), [0.0, 1.0, 0.0, 0.0])
+    poses[..., 1:, 3:] = np.where(given[..., :1], quaternion, poses[..., 1:, 3:])
+    upper = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)[..., 2:4, :]
+    elbows = poses[..., _SHOULDERS, :3] + UPPER_ARM_M * upper
+    poses[..., _ELBOWS, :3] = np.where(given[..., 2:4, :], elbows, poses[..., _ELBOWS, :3])

@@ -37,7 +37,7 @@ class Scene:
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
     """Slices of sensordata: joint_pos (J) rad, joint_vel (J) rad/s, tcp_pos (3) m; numbers of contacts with
-    the robot: human (5, by LIMBS), table (5, by OBSTACLES), self (1)."""
+    the robot: human (7, by LIMBS), table (5, by OBSTACLES), self (1)."""
     home: NDArray[np.float64]
     """(J,) rad."""
     joint_range: NDArray[np.float64]

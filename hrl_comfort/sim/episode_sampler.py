@@ -23,8 +23,8 @@ TABLE_CLEARANCE_M = 0.25
 ATTEMPTS = 200
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
-LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM = 1, 2, 3, 4
-"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls and disturbances: with or
+LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM = 1, 2, 3, 4, 5
+"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls, disturbances and traits: with or
 without any of them, the rest of an episode is the same."""
 
 
@@ -41,6 +41,8 @@ class Draw:
     """(B,) 0 orange, 1 pink."""
     noise: Array
     """(horizon, NOISE) in [0, 1), for the walk at each control step."""
+    traits: Array
+    """(humans.TRAITS,) in [0, 1), of the human."""
     level: Array
     """(comfort.sources.DRAWS,) in [0, 1), for the source of comfort levels."""
     motion_id: NDArray[np.int64]
@@ -90,6 +92,7 @@ class EpisodeSampler:
             balls=np.zeros((rows, balls, 3)),
             colours=np.zeros((rows, balls), dtype=np.int64),
             noise=np.zeros((rows, self.horizon, humans.NOISE)),
+            traits=np.zeros((rows, humans.TRAITS)),
             level=np.zeros((rows, DRAWS)),
             motion_id=np.zeros(rows, dtype=np.int64),
             spawn_id=np.zeros(rows, dtype=np.int64),
@@ -117,6 +120,7 @@ class EpisodeSampler:
             noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
+        traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
         balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = (
@@ -132,7 +136,7 @@ class EpisodeSampler:
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(balls, colours, noise, told, *ids, spawn, start[: self._arm], points)
+            yield Draw(balls, colours, noise, traits, told, *ids, spawn, start[: self._arm], points)
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.

@@ -7,6 +7,7 @@ episode; every random number of it comes from (seed, row, episode).
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache, partial
 from typing import Any
 
 import mujoco
@@ -90,6 +91,8 @@ class Episodes:
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
         self._walks = self.walk
+        self._arm: humans.ArmSource | None = None
+        """What the human sees of the arm while a decision lasts: the arm at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
@@ -119,7 +122,7 @@ class Episodes:
                 self._disturb(int(row))
             self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
-            fresh = humans.begin(self.config.human, self.draw.spawn[pending])
+            fresh = humans.begin(self.config.human, self.draw.spawn[pending], self.draw.traits[pending])
             self.walk = self.walk.put(pending, fresh)
             begun = self.draw.start[pending]
             targets, limbs = begun[:, moving:], limbs_of(self.scene, fresh)
@@ -181,6 +184,8 @@ class Episodes:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         joints = joint_target.shape[1]
+        seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
+        self._arm = cache(partial(self._separation.arm.points, *seen))
         if self._drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
@@ -280,7 +285,7 @@ class Episodes:
         assert self.state is not None
         keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
-        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out)
+        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out, self._arm)
         standing = np.flatnonzero(self._disturbance.stands(times))
         walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
         return stop_at_contact(self.scene, self._separation, angles, before, walk) if self._people_stop else walk

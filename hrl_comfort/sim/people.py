@@ -33,4 +33,4 @@ def stop_at_contact(
     stops = np.flatnonzero((gap < room) & (share < 1.0))
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
-    return walk.put(at, replace(stood, position=place))
+    return walk.put(at, replace(stood, position=place, velocity=np.zeros_like(stood.velocity)))

@@ -21,10 +21,10 @@ MEASURED = ("joint_pos", "joint_vel", "tcp_pos")
 
 
 def limbs_of(scene: Scene, walk: humans.Walk) -> Array:
-    """Return the limb poses (n, 5, 7) of n people."""
+    """Return the limb poses (n, 7, 7) of n people."""
     phase, swing = humans.gait(walk)
     x, y = walk.position.T
-    return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z)
+    return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z, walk.limbs)
 
 
 def pack_controls(
@@ -32,7 +32,7 @@ def pack_controls(
 ) -> Array:
     """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-    targets (n, K * s, J) rad, s to a control step; limbs (n * K, 5, 7) stay put over a control step; balls
+    targets (n, K * s, J) rad, s to a control step; limbs (n * K, 7, 7) stay put over a control step; balls
     (n, B, 3) m, of colours (n, B), and points (n, P, 3) m over all of them. Balls are absent if there are points.
     """
     n, steps, joints = len(targets), len(limbs) // len(targets), targets.shape[-1]

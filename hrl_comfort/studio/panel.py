@@ -17,7 +17,7 @@ from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.session import Session, Step
 
 BY_HAND = "by hand"
-MOTIONS = tuple(name for name in humans.MOTIONS if name not in ("live", "playback"))
+MOTIONS = tuple(name for name in humans.MOTIONS if name not in ("live", "recorded"))
 """Motions that can be chosen on the page."""
 TOUCH = {"↑ ahead": "w", "↓ back": "s", "← left": "a", "right →": "d", "⟲ turn left": "q", "turn right ⟳": "e"}
 HOLD_HZ = 5.0

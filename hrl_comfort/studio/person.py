@@ -12,7 +12,7 @@ import numpy as np
 from hrl_comfort import humans
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.config.compose import compose
-from hrl_comfort.humans.live import HELD
+from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.studio.session import Session
 
 KEYS = {"w": (1.0, 0.0), "s": (-1.0, 0.0), "a": (0.0, 1.0), "d": (0.0, -1.0)}
@@ -79,7 +79,7 @@ class Person:
         """Let the person go on as `human` says (default: as before), once they are out of its keep-out discs."""
         self.human = human or self.human
         self.taken, self._keys = False, frozenset()
-        if self.human.motion in humans.UNBOUNDED:
+        if humans.free(self.human):
             self._leaving = False
             self._set_motion(self.human)
         else:

@@ -18,7 +18,7 @@ from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.hierarchy.executor import ExecutedStep
 from hrl_comfort.humans import validation_set
-from hrl_comfort.humans.playback import HEADER
+from hrl_comfort.humans.recordings import HEADER
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.sim.step_result import StepResult

@@ -16,6 +16,7 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigErr
 from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
 from hrl_comfort.files.tables import column
 from hrl_comfort.plots.video import gait
+from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene, build_scene
 from hrl_comfort.studio.clip import Array, Clip
 from hrl_comfort.studio.loop import Loop
@@ -109,9 +110,9 @@ def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour
     there = np.isfinite(x)
     x, y, yaw = np.where(there, x, FAR_AWAY_M), np.where(there, y, 0.0), np.where(np.isfinite(yaw), yaw, 0.0)
     steps = column(path, "step")
-    props = np.full((len(path), len(scene.mocap) - 5, 3), np.nan)
+    props = np.full((len(path), len(scene.mocap) - len(LIMBS), 3), np.nan)
     if balls:
-        index = scene.mocap.index(f"{colour}_ball") - 5
+        index = scene.mocap.index(f"{colour}_ball") - len(LIMBS)
         goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
         tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
         for row, stage in enumerate(column(path, "stage")):

@@ -58,7 +58,7 @@ def tables(header: str) -> st.SearchStrategy[bytes]:
 
 def stroll(file: Path) -> list[np.ndarray]:
     """Return the positions of a human with this motion file in the first steps."""
-    config = replace(HUMAN, motion="playback", file=str(file))
+    config = replace(HUMAN, motion="recorded", file=str(file))
     walk, places = humans.begin(config, np.zeros((2, 2))), []
     discs = humans.around(np.zeros((1, 2)), 0.1, 2)
     for _ in range(3):

@@ -17,7 +17,7 @@ OWN = {
     "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
 }
 """Required overrides of commands."""
-NEEDED = {"playback": ["human.file=walk.csv"]}
+NEEDED = {"recorded": ["human.file=walk.csv"]}
 """Required overrides of choices."""
 CHOICES = [
     (root, group, name)

@@ -43,7 +43,7 @@ def test_every_controller_of_the_configuration_exists() -> None:
 
 
 def test_a_part_that_is_named_by_a_file_of_its_group_exists() -> None:
-    for group, registry in {"task": SUBTASKS, "human": MOTIONS, "robot": ROBOTS}.items():
+    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture"}, "robot": ROBOTS}.items():
         assert set(choices(group)) == set(registry), group
 
 

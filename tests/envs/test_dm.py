@@ -24,7 +24,7 @@ def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def loaded(task: str, human: str, motion_file: Path, seed: int = 0) -> Environment:
-    choices = {"human.file": str(motion_file)} if human == "playback" else {}
+    choices = {"human.file": str(motion_file)} if human == "recorded" else {}
     return hrl_comfort.load(task, seed=seed, human=human, **choices)
 
 
@@ -100,7 +100,7 @@ def test_a_viewer_can_read_and_reset_the_physics() -> None:
     env.step(np.zeros(6))
     with env.physics.reset_context():
         pass
-    assert env.physics.model.nmocap == 9
+    assert env.physics.model.nmocap == 11
     assert env.reset().first()
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
+from hrl_comfort.humans import body
 from hrl_comfort.humans.evaluation import COLUMNS, FIRST_SEED, parse_evaluation_set
 from hrl_comfort.humans.make_evaluation_set import default_choices, evaluation_set
 
@@ -26,13 +27,15 @@ HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
-    file=None, clipping="off", masked=False, stations_m=STATIONS, stay_s=4.0,
+    acceleration_m_s2=None, curiosity=0.5, mixture={}, file=None, clipping="off", masked=False, stations_m=STATIONS,
+    stay_s=4.0,
 )  # fmt: skip
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
     ball_radius_m=0.03, table_half_width_m=0.08, base_height_m=0.75,
 )  # fmt: skip
-TARGET_DISTANCE = ("still", "random_walk", "arc", "approach", "work", "patrol")
+PAPER = ("still", "random_walk", "arc", "approach", "patrol")
+"""Motions that jump: they stay within `bound_m` of the spawn and are cut at keep-out discs."""
 
 
 def human(motion: str, **changes: object) -> HumanConfig:
@@ -71,12 +74,12 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def test_an_unknown_motion_is_refused_with_the_list_of_motions() -> None:
-    with pytest.raises(ConfigError, match=r"human\.motion='dance'.*random_walk.*playback"):
+    with pytest.raises(ConfigError, match=r"human\.motion='dance'.*random_walk.*recorded"):
         humans.begin(human("dance"), np.zeros((1, 2)))
-    assert set(humans.MOTIONS) == {*TARGET_DISTANCE, "none", "playback", "live"}
+    assert set(humans.MOTIONS) == {*PAPER, "none", "worker", "reactive", "adversary", "recorded", "live"}
 
 
-@pytest.mark.parametrize("motion", TARGET_DISTANCE)
+@pytest.mark.parametrize("motion", PAPER)
 def test_humans_stay_near_their_spawn_and_out_of_the_discs_and_never_jump(motion: str) -> None:
     walks = stroll(human(motion), free_spawns(200), 500)
     position = np.stack([w.position for w in walks])
@@ -87,7 +90,7 @@ def test_humans_stay_near_their_spawn_and_out_of_the_discs_and_never_jump(motion
     assert np.linalg.norm(np.diff(position, axis=0), axis=-1).max() < 0.05
 
 
-@pytest.mark.parametrize("motion", TARGET_DISTANCE)
+@pytest.mark.parametrize("motion", PAPER)
 def test_rows_do_not_influence_each_other(motion: str) -> None:
     spawns, noise = free_spawns(19), np.random.default_rng(3).random((60, 19, humans.NOISE))
     tcp = np.random.default_rng(4).uniform(-0.4, 0.4, (19, 2))
@@ -99,16 +102,8 @@ def test_rows_do_not_influence_each_other(motion: str) -> None:
         np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
 
 
-def test_work_walks_to_the_nearest_station_and_stays_there() -> None:
-    config = human("work", bound_m=5.0, jitter_m=0.005)
-    spawns = np.array([[-0.9, -0.6], [0.9, 0.3], [0.0, 1.0]])
-    walks = stroll(config, spawns, 400)
-    after = np.stack([walk.position for walk in walks[200:]])
-    assert np.linalg.norm(after - np.array(STATIONS), axis=-1).max() < 0.02
-
-
-@pytest.mark.parametrize("motion", ["work", "patrol"])
-def test_work_and_patrol_need_a_station(motion: str) -> None:
+@pytest.mark.parametrize("motion", ["worker", "reactive", "patrol"])
+def test_people_who_walk_between_tables_need_a_station(motion: str) -> None:
     with pytest.raises(ConfigError, match=rf"human\.stations_m=\[\].*motion={motion} needs at least one place"):
         human(motion, stations_m=[])
 
@@ -208,13 +203,13 @@ def test_put_changes_the_given_rows_only() -> None:
     assert old.step.tolist() == [30] * 4
 
 
-# ---- playback --------------------------------------------------------------------------------------------
+# ---- recorded --------------------------------------------------------------------------------------------
 
 
-def test_playback_interpolates_the_shorter_turn_and_holds_its_end(tmp_path: Path) -> None:
+def test_recorded_interpolates_the_shorter_turn_and_holds_its_end(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text("t,x,y,yaw\n0,1,0,3.1\n0.04,2,0,-3.1\n0.08,2,4,-3.1\n")
-    walks = stroll(human("playback", file=str(file)), np.array([[0.0, 0.0]]), 6)
+    walks = stroll(human("recorded", file=str(file)), np.array([[0.0, 0.0]]), 6)
     expected = [[1, 0], [1.5, 0], [2, 0], [2, 2], [2, 4], [2, 4], [2, 4]]
     np.testing.assert_allclose(np.concatenate([w.position for w in walks]), expected, atol=1e-12)
     assert angle_between(walks[1].yaw, np.array([np.pi])) < 1e-9
@@ -238,19 +233,72 @@ def test_a_bad_motion_file_is_refused_and_its_line_named(tmp_path: Path, text: s
     file = tmp_path / "bad.csv"
     file.write_text(text)
     with pytest.raises(ConfigError, match=says):
-        humans.begin(human("playback", file=str(file)), np.zeros((1, 2)))
+        humans.begin(human("recorded", file=str(file)), np.zeros((1, 2)))
 
 
 def test_a_motion_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text("t,x,y,yaw\n0,1,2,0\n", encoding="utf-8-sig")
-    walk = humans.begin(human("playback", file=str(file)), np.zeros((1, 2)))
+    walk = humans.begin(human("recorded", file=str(file)), np.zeros((1, 2)))
     assert walk.position.tolist() == [[1.0, 2.0]]
 
 
 def test_a_missing_motion_file_is_named() -> None:
     with pytest.raises(ConfigError, match=r"human\.file='nowhere\.csv'"):
-        humans.begin(human("playback", file="nowhere.csv"), np.zeros((1, 2)))
+        humans.begin(human("recorded", file="nowhere.csv"), np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(
+    "names", [("LeftArm", "LeftForeArm", "LeftHand"), ("left_upper_arm", "left_forearm", "left_hand")]
+)
+def test_a_person_of_a_bvh_file_stands_at_the_spawn_faces_the_robot_and_reaches(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    text = (REPOSITORY / "tests" / "humans" / "reach.bvh").read_text()
+    for side in ("Left", "Right"):
+        for old, new in zip(("Arm", "ForeArm", "Hand"), names, strict=True):
+            new = new.replace("Left", side).replace("left", side.lower())
+            text = text.replace(f"JOINT {side}{old}\n", f"JOINT {new}\n")
+    file = tmp_path / "reach.bvh"
+    file.write_text(text)
+    spawn = np.array([[1.0, 1.0], [-1.2, 0.0]])
+    config = human("recorded", file=str(file))
+    walks = [humans.begin(config, spawn)]
+    for _ in range(120):
+        walks.append(humans.advance(config, walks[-1], np.zeros((2, 3)), np.zeros((2, 2)), no_discs(2)))
+    position, yaw, limbs = (np.stack([getattr(walk, name) for walk in walks]) for name in ("position", "yaw", "limbs"))
+    np.testing.assert_allclose(np.median(position[:101], axis=0), spawn, atol=0.01)
+    np.testing.assert_allclose(angle_between(yaw, humans.facing_base(spawn)), 0.0, atol=1e-9)
+    # The recorded person steps 0.2 m ahead and raises the right arm forwards by 80 degrees.
+    away = spawn / np.linalg.norm(spawn, axis=1, keepdims=True)
+    np.testing.assert_allclose(position[-1] - position[0], -0.2 * away, atol=1e-6)
+    left, right = limbs[:, 0, 2], limbs[:, 0, 3]
+    np.testing.assert_allclose(left, np.tile([0.0, 0.0, -1.0], (121, 1)), atol=0.4)
+    raised = np.degrees(np.arctan2(right[:, 0], -right[:, 2]))
+    assert raised[50] == pytest.approx(80.0, abs=0.5) and raised[-1] == pytest.approx(0.0, abs=0.5)
+    np.testing.assert_allclose(np.linalg.norm(limbs[:, :, 2:], axis=-1), 1.0, atol=1e-9)
+
+
+def test_a_folder_of_recordings_gives_each_its_share_and_hands_of_a_csv_are_reached(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x,y,yaw\n0,1,0,0\n")
+    hands = "left_x,left_y,left_z,right_x,right_y,right_z"
+    (tmp_path / "b.csv").write_text(f"t,x,y,yaw,{hands}\n0,2,0,0,2.4,0.2,1.2,2.4,-0.2,1.2\n")
+    config, traits = human("recorded", file=str(tmp_path)), np.array([[0, 0.2, 0], [0, 0.7, 0]])
+    walk = humans.begin(config, np.zeros((2, 2)), traits)
+    assert walk.position[:, 0].tolist() == [1.0, 2.0]
+    assert np.isnan(walk.limbs[0]).all()
+    hand = body.SHOULDERS + body.UPPER_ARM_M * walk.limbs[1, 2:4] + body.FOREARM_M * walk.limbs[1, 4:]
+    np.testing.assert_allclose(hand, [[0.4, 0.2, 1.2], [0.4, -0.2, 1.2]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("Frame Time: 0.04", "Frame Time: x"), ("RightHand", "RightToe"), ("Frames: 51", "Frames: 52")]
+)
+def test_a_damaged_bvh_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str) -> None:
+    file = tmp_path / "bad.bvh"
+    file.write_text((REPOSITORY / "tests" / "humans" / "reach.bvh").read_text().replace(old, new))
+    with pytest.raises(ConfigError, match=r"bad\.bvh' is not a BVH file of whole frames"):
+        humans.begin(human("recorded", file=str(file)), np.zeros((1, 2)))
 
 
 # ---- spawns ----------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
-from hrl_comfort.humans.live import HELD, LslPoses, UdpPoses, pose_source
+from hrl_comfort.humans.motions.live import HELD, LslPoses, UdpPoses, pose_source
 from tests.humans.test_humans import HUMAN, no_discs
 
 LIVE = replace(HUMAN, motion="live", speed_m_s=1.6)

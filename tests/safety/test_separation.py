@@ -36,7 +36,7 @@ def test_arm_distance_is_mujocos_over_every_pair_of_parts(robot: str) -> None:
     moved = {model.body(body).name for body in range(model.nbody) if model.body_dofnum[body] > 0}
     assert {model.body(model.geom_bodyid[g]).name for g in person} == set(LIMBS), "a limb without a shape"
     assert {model.body(model.geom_bodyid[g]).name for g in arm} >= moved, "a link without a shape"
-    assert len(person) == 6 and len(arm) >= 10
+    assert len(person) == 8 and len(arm) >= 10
     measured = Separation(scene).gap(joints, poses)
     for case in range(40):
         data.qpos[:] = joints[case]

@@ -6,43 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort import humans
-from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.sim.engine import Engine
 
 ROWS, DECISIONS = 64, 320
-SPEED_M_S, ACCELERATION_M_S2 = 1.6, 3.0
-"""Of the person: the bounds that conf/safety has."""
 WORLD = (
-    "task=pick_place", "human=approach", "human.keep_out_m=0", "human.bound_m=10", "human.spawn=anywhere",
+    "task=pick_place", "human=adversary", "human.keep_out_m=0", "human.spawn=anywhere",
     "human.spawn_radius_m=[0.8,1.8]", "robot.rating=collaborative",
 )  # fmt: skip
 
 
-class Adversary:
-    """Someone who heads for the tool and draws back at times, within the bounds of speed and acceleration."""
-
-    def __init__(self) -> None:
-        self._velocity = np.zeros((ROWS, 2))
-
-    def __call__(
-        self, config: HumanConfig, walk: humans.Walk, noise: np.ndarray, tcp: np.ndarray, keep_out: humans.KeepOut
-    ) -> humans.Walk:
-        self._velocity[walk.step == 0] = 0.0
-        towards = tcp - walk.position
-        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-        away = (walk.step // 80 + np.arange(ROWS)) % 3 == 0
-        change = np.where(away[:, None], -towards, towards) * SPEED_M_S - self._velocity
-        most = ACCELERATION_M_S2 * CONTROL_STEP_S / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-9)
-        self._velocity = self._velocity + change * np.minimum(1.0, most)
-        there = walk.position + self._velocity * CONTROL_STEP_S
-        return humans.Walk(there, walk.yaw, walk.spawn, walk.walked_m, walk.speed_m_s, walk.step + 1)
-
-
-def contacts(monkeypatch: pytest.MonkeyPatch, decisions: int, *overrides: str) -> tuple[int, int]:
+def contacts(decisions: int, *overrides: str) -> tuple[int, int]:
     """Return the numbers of episodes that end in a contact, and in an unsafe one, under random actions."""
-    monkeypatch.setattr(humans, "advance", Adversary())
     engine = Engine(environment(compose("train", [*WORLD, *overrides])), ROWS, 0)
     rng, found = np.random.default_rng(0), np.zeros(2, dtype=int)
     engine.reset()
@@ -55,13 +30,13 @@ def contacts(monkeypatch: pytest.MonkeyPatch, decisions: int, *overrides: str) -
 
 
 @pytest.mark.parametrize("bound", ["worst", "observed"])
-def test_behind_the_shield_no_contact_is_fast(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    touched, unsafe = contacts(monkeypatch, DECISIONS // 2, "safety=ssm", f"safety.bound={bound}")
+def test_behind_the_shield_no_contact_is_fast(bound: str) -> None:
+    touched, unsafe = contacts(DECISIONS // 2, "safety=ssm", f"safety.bound={bound}")
     assert touched > 100 and unsafe == 0
 
 
-def test_without_it_contacts_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert contacts(monkeypatch, DECISIONS // 8)[1] >= 5
+def test_without_it_contacts_are() -> None:
+    assert contacts(DECISIONS // 8)[1] >= 5
 
 
 def test_the_shielded_engine_goes_on_bit_for_bit_after_its_state_is_loaded() -> None:

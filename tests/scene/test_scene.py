@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
+from hrl_comfort.humans import body
+from hrl_comfort.humans.body import ARM_LENGTH_M, ARM_RADIUS_M, FOREARM_M, HIP_M, SHOULDER_M, UPPER_ARM_M
 from hrl_comfort.scene import (
     CONTROL_SPEC,
     LIMBS,
@@ -21,7 +23,7 @@ from hrl_comfort.scene import (
     forward_kinematics,
     limb_poses,
 )
-from hrl_comfort.scene.human import ARM_LENGTH_M, ARM_RADIUS_M, HIP_M, LEG_RADIUS_M, SHOULDER_M
+from hrl_comfort.scene.human import LEG_RADIUS_M
 from hrl_comfort.scene.ur import GRIPPER_MASS_KG, JOINTS, LINKS, UR_ARMS
 
 CELL = CellConfig(
@@ -41,11 +43,11 @@ def scene(name: str = "ur3e", substeps: int = 2) -> Scene:
 
 
 def data_at(cell: Scene, joint_pos: np.ndarray, human: np.ndarray | None = None) -> mujoco.MjData:
-    """Return the data at joint_pos (6,) rad with limbs at human (5, 7), or without a human."""
+    """Return the data at joint_pos (6,) rad with limbs at human (7, 7), or without a human."""
     data = mujoco.MjData(cell.model)
     data.qpos[:] = joint_pos
     if human is not None:
-        data.mocap_pos[:5], data.mocap_quat[:5] = human[:, :3], human[:, 3:]
+        data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = human[:, :3], human[:, 3:]
     mujoco.mj_forward(cell.model, data)
     return data
 
@@ -142,7 +144,7 @@ def test_overlap_with_a_limb_is_a_contact_of_that_limb_alone() -> None:
     for limb, name in enumerate(LIMBS):
         # Only this limb overlaps the tool.
         human = standing(cell, FAR_AWAY_M, 0.0)
-        drop = 0.3 if name != "trunk" else -0.2
+        drop = -0.2 if name == "trunk" else 0.2 if "forearm" in name else 0.3
         human[limb, :3] = tool
         human[limb, 2] += drop
         assert touching(cell, data_at(cell, cell.home, human)) == {"human": [limb], "table": [], "self": []}
@@ -221,7 +223,7 @@ def test_mocap_bodies_are_limbs_then_props_in_order_and_start_away() -> None:
     cell = scene()
     for index, name in enumerate(cell.mocap):
         assert cell.model.body(name).mocapid[0] == index
-    assert cell.mocap[:5] == LIMBS
+    assert cell.mocap[: len(LIMBS)] == LIMBS
     assert cell.model.nmocap == len(cell.mocap)
     assert (mujoco.MjData(cell.model).mocap_pos[:, 0] >= FAR_AWAY_M - 1).all()
 
@@ -254,13 +256,13 @@ def test_walking_limbs_keep_unit_quaternions_and_feet_on_the_floor() -> None:
     rng = np.random.default_rng(4)
     x, y, yaw, phase = rng.uniform(-4, 4, (4, 200))
     poses = limb_poses(x, y, yaw, phase, 0.5, -0.75)
-    assert poses.shape == (200, 5, 7)
+    assert poses.shape == (200, len(LIMBS), 7)
     np.testing.assert_allclose(np.linalg.norm(poses[..., 3:], axis=-1), 1.0, atol=1e-12)
     down = np.empty(3)
     for pose, turn in zip(poses, yaw, strict=True):
         ends = []
-        leg_length, arm_length = HIP_M - LEG_RADIUS_M, ARM_LENGTH_M - ARM_RADIUS_M
-        for limb, length in ((1, leg_length), (2, leg_length), (3, arm_length)):
+        leg_length = HIP_M - LEG_RADIUS_M
+        for limb, length in ((1, leg_length), (2, leg_length), (3, UPPER_ARM_M), (5, FOREARM_M)):
             mujoco.mju_rotVecQuat(down, np.array([0.0, 0.0, -length]), pose[limb, 3:])
             ends.append(pose[limb, :3] + down)
         assert ends[0][2] - LEG_RADIUS_M == pytest.approx(-0.75, abs=1e-9)
@@ -269,13 +271,35 @@ def test_walking_limbs_keep_unit_quaternions_and_feet_on_the_floor() -> None:
         forward = np.array([np.cos(turn), np.sin(turn), 0.0])
         leg, arm = (ends[0] - pose[1, :3]) @ forward, (ends[2] - pose[3, :3]) @ forward
         assert leg * arm <= 0
+        # The forearm goes on where the upper arm ends, in its direction.
+        np.testing.assert_allclose(ends[2], pose[5, :3], atol=1e-12)
+        assert np.linalg.norm(ends[3] - pose[3, :3]) == pytest.approx(ARM_LENGTH_M - ARM_RADIUS_M)
 
 
 def test_standing_human_faces_its_yaw_with_the_left_arm_to_the_left() -> None:
     poses = limb_poses(1.0, 2.0, np.pi / 2, 0.3, 0.0, -0.75)
     np.testing.assert_allclose(poses[0, :3], [1.0, 2.0, HIP_M - 0.75])
     np.testing.assert_allclose(poses[3, :3], [1.0 - 0.18, 2.0, SHOULDER_M - 0.75])
-    np.testing.assert_allclose(poses[:, 3:], np.tile([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], (5, 1)), atol=1e-12)
+    np.testing.assert_allclose(poses[:, 3:], np.tile([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], (7, 1)), atol=1e-12)
+
+
+def test_limbs_with_directions_point_along_them_and_hang_together() -> None:
+    rng = np.random.default_rng(5)
+    x, y, yaw = rng.uniform(-2, 2, (3, 50))
+    hands = rng.normal(size=(50, 2, 3))
+    hands = body.SHOULDERS + hands / np.linalg.norm(hands, axis=-1, keepdims=True) * rng.uniform(0.2, 0.55, (50, 2, 1))
+    poses = limb_poses(x, y, yaw, 0.0, 0.0, -0.75, body.reaching(hands))
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    wanted = np.stack([cos * hands[..., 0] - sin * hands[..., 1], sin * hands[..., 0] + cos * hands[..., 1]], axis=-1)
+    down = np.empty(3)
+    for pose, place, hand in zip(poses, np.stack([x, y], axis=-1), wanted, strict=True):
+        for side in range(2):
+            for limb, length in ((3 + side, UPPER_ARM_M), (5 + side, FOREARM_M)):
+                mujoco.mju_rotVecQuat(down, np.array([0.0, 0.0, -length]), pose[limb, 3:])
+                if limb < 5:
+                    np.testing.assert_allclose(pose[limb, :3] + down, pose[limb + 2, :3], atol=1e-9)
+            np.testing.assert_allclose((pose[limb, :3] + down)[:2], place + hand[side], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(poses[..., 3:], axis=-1), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "overshoot_deg"), [("ur3e", 2.5), ("ur5e", 4.0), ("ur10e", 5.0)])

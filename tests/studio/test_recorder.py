@@ -12,8 +12,8 @@ import pytest
 from hrl_comfort.config import ConfigError, ReportConfig, StudioConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.files.run_folder import read_run
-from hrl_comfort.humans.live import HELD
-from hrl_comfort.humans.playback import read_motion
+from hrl_comfort.humans.motions.live import HELD
+from hrl_comfort.humans.recordings import read_recordings
 from hrl_comfort.report.report import report
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.recorder import Recorder
@@ -58,10 +58,10 @@ def test_a_recording_has_the_rows_of_an_evaluation(recorded: Path) -> None:
 
 
 def test_a_recorded_person_is_a_motion_file(recorded: Path) -> None:
-    time, poses = read_motion(str(recorded / "human_1.csv"))
+    (motion,) = read_recordings(str(recorded / "human_1.csv"))
     path = pd.read_csv(recorded / "paths.csv").query("episode == 1")
-    assert time[-1] == pytest.approx(0.4) and np.allclose(poses[:, 0], path["human_x"])
-    assert np.hypot(*(poses[-1, :2] - poses[0, :2])) == pytest.approx(0.64, abs=0.01)
+    assert len(motion.yaw) == 21 and np.allclose(motion.position[:, 0], path["human_x"])
+    assert np.hypot(*(motion.position[-1] - motion.position[0])) == pytest.approx(0.64, abs=0.01)
 
 
 def test_a_recording_has_a_report(recorded: Path) -> None:

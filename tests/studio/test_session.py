@@ -12,7 +12,7 @@ import torch
 
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.config.compose import compose
-from hrl_comfort.humans.live import HELD
+from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
 from hrl_comfort.studio.person import HELD_S, Person, motion_config
 from hrl_comfort.studio.policies import options_in, with_defaults, with_policy

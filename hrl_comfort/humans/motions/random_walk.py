@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from hrl_comfort.config import HumanConfig
-from hrl_comfort.humans.walk import Array, Walk, facing_base
+from hrl_comfort.humans.walk import Array, Surroundings, Walk, facing_base
 
 
-def random_walk(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
+def random_walk(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array]:
     """Move up to `jitter_m` along x and y or, with `forward_probability`, `forward_m` towards the base."""
     jitter = (2 * noise[:, :2] - 1) * config.jitter_m
     yaw = facing_base(walk.position)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
-from hrl_comfort.humans.walk import Array, Walk
+from hrl_comfort.humans.walk import Array, Surroundings, Walk
 
 
-def approach(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
+def approach(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array]:
     """Walk at `speed_m_s` towards the tool centre point and face it."""
-    offset = tcp - walk.position
+    offset = around.tcp - walk.position
     distance = np.linalg.norm(offset, axis=-1, keepdims=True)
     stride = np.minimum(config.speed_m_s * CONTROL_STEP_S, distance)
     position = walk.position + offset / np.maximum(distance, 1e-9) * stride

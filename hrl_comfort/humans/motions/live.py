@@ -15,7 +15,7 @@ import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
 from hrl_comfort.config.checks import FARTHEST
-from hrl_comfort.humans.walk import Array, Walk
+from hrl_comfort.humans.walk import Array, Surroundings, Walk
 
 Pose = tuple[float, float, float | None]
 """x, y (m) and yaw (rad) in the cell frame; without a yaw the person faces where they walk."""
@@ -42,7 +42,7 @@ HELD = HeldPose()
 """The source of `human.file=null`; until a pose is set, the person stands still."""
 
 
-def live(config: HumanConfig, walk: Walk, noise: Array, tcp: Array) -> tuple[Array, Array]:
+def live(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array]:
     """Walk at up to `speed_m_s` to the newest pose of `file`; bound and keep-out do not apply."""
     pose = pose_source(config.file)()
     if pose is None:

@@ -1,0 +1,88 @@
+"""Human motions, one file each, and their bounds."""
+
+from __future__ import annotations
+
+import math
+
+from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
+from hrl_comfort.config.checks import part
+from hrl_comfort.humans.motions.adversary import adversary
+from hrl_comfort.humans.motions.approach import approach
+from hrl_comfort.humans.motions.arc import arc
+from hrl_comfort.humans.motions.live import live
+from hrl_comfort.humans.motions.none import none
+from hrl_comfort.humans.motions.patrol import patrol
+from hrl_comfort.humans.motions.random_walk import random_walk
+from hrl_comfort.humans.motions.reactive import reactive
+from hrl_comfort.humans.motions.recorded import recorded
+from hrl_comfort.humans.motions.still import still
+from hrl_comfort.humans.motions.worker import worker
+from hrl_comfort.humans.recordings import bounds as recorded_bounds
+from hrl_comfort.humans.recordings import read_recordings
+from hrl_comfort.humans.walk import Motion
+
+MOTIONS: dict[str, Motion] = {
+    "none": none,
+    "still": still,
+    "random_walk": random_walk,
+    "arc": arc,
+    "approach": approach,
+    "patrol": patrol,
+    "worker": worker,
+    "reactive": reactive,
+    "adversary": adversary,
+    "recorded": recorded,
+    "live": live,
+}
+CARRIERS = ("patrol", "worker", "reactive")
+"""Motions of people who hold their hands before the body."""
+STEERED = (*CARRIERS, "adversary")
+"""Motions that keep to `acceleration_m_s2` where it is set, and mind keep-out discs themselves."""
+UNBOUNDED = ("none", "recorded", "live")
+"""Further motions to which `bound_m` and `keep_out_m` do not apply."""
+
+
+def motion(name: str) -> Motion:
+    """Return the motion `name`: one of MOTIONS, an entry point, or `package.module:name`.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    return part("human.motion", name, MOTIONS)
+
+
+def free(config: HumanConfig) -> bool:
+    """Return whether `bound_m` and the cut at keep-out discs do not apply to the human of `config`."""
+    return config.motion in UNBOUNDED or (config.motion in STEERED and config.acceleration_m_s2 is not None)
+
+
+def bounds(config: HumanConfig) -> tuple[float, float]:
+    """Return the largest speed (m/s) and acceleration (m/s²) of the person's axis under `config`.
+
+    The motions of the paper jump: their acceleration has no bound. A step that is cut at a disc is at most twice as
+    long as the motion's own. Motions of other packages state no bounds.
+    """
+    if config.mixture:
+        speeds, accelerations = zip(*map(bounds, config.people), strict=True)
+        return max(speeds), max(accelerations)
+    match config.motion:
+        case "none" | "still":
+            return 0.0, 0.0
+        case "random_walk" | "arc":
+            jitter = max(math.sqrt(2) * config.jitter_m, config.forward_m) / CONTROL_STEP_S
+            swing = math.radians(config.arc_deg) / (config.arc_steps * CONTROL_STEP_S) * FARTHEST_ARC_M
+            return 2 * jitter + (swing if config.motion == "arc" else 0.0), math.inf
+        case "recorded":
+            assert config.file is not None
+            return recorded_bounds(read_recordings(config.file))
+        case name if name in STEERED and config.acceleration_m_s2 is not None:
+            return config.speed_m_s, config.acceleration_m_s2
+        case "approach" | "patrol":
+            return 2 * config.speed_m_s, math.inf
+        case "live":
+            return config.speed_m_s, math.inf
+    return math.inf, math.inf
+
+
+FARTHEST_ARC_M = 2.0
+"""Distance from the base within which the bound of `arc` holds."""
