@@ -237,7 +237,11 @@ class ReportConfig(CommandConfig):
     output: str | None
     """HTML file; null is report.html in `run`."""
     video: bool
-    """Include a video of an episode."""
+    """Include videos of the first recorded failure and success."""
+    episode: int | None = None
+    """Recorded episode of the video, in place of both."""
+    speed: Annotated[float, within(0.1, 1.0)] = 1.0
+    """Speed of the video; 0.5 is half."""
 
 
 @dataclass(frozen=True)

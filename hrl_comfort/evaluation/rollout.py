@@ -29,7 +29,7 @@ from hrl_comfort.tasks import State
 
 BATCH = 250
 """Episodes simulated side by side."""
-STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4")
+STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4", "failure.mp4")
 """Files of an earlier evaluation, deleted when a new one is written."""
 MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
 """Configurations by which the folder of an evaluation is known."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
+from itertools import zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,9 +25,13 @@ from hrl_comfort.tasks import Ball, subtask
 
 FRAMES_PER_S = 25
 ELEVATION_DEG, DISTANCE_M = -27.0, 2.9
+ALONE_DEG = 75.0
+"""Azimuth of the camera where nobody is there."""
+APART_M, WITHIN_M = 0.5, 1.1
+"""Person and tool so far apart across the view are seen well; so far to its side is still in the picture."""
 
 
-def resample(path: DataFrame, frames_per_s: int = FRAMES_PER_S) -> dict[str, Floats]:
+def resample(path: DataFrame, frames_per_s: float = FRAMES_PER_S) -> dict[str, Floats]:
     """Return the columns (steps,) of a recorded episode at the times of the video's frames (frames,).
 
     Linear between control steps, yaw without its jumps; a stage is held until the next begins.
@@ -58,18 +63,29 @@ def _with_gait(path: DataFrame) -> DataFrame:
     return path.assign(phase=phase, swing=swing)
 
 
-def _azimuth_deg(path: DataFrame) -> float:
-    """Return where the camera looks: past the robot towards the person, a little from the side."""
-    x, y = (float(np.median(path[name])) for name in ("human_x", "human_y"))
-    if not math.hypot(x, y) < FAR_AWAY_M / 2:  # nobody there
-        return 75.0
-    return math.degrees(math.atan2(y, x)) + 25.0
+def azimuth_deg(path: DataFrame) -> float:
+    """Return where the camera looks: person and tool beside each other, the person not in front of the robot."""
+    person, tool = (path[names].to_numpy(dtype=float) for names in (["human_x", "human_y"], ["tcp_x", "tcp_y"]))
+    if not np.abs(person).max() < FAR_AWAY_M / 2:  # nobody there
+        return ALONE_DEG
+    angles = np.radians(np.arange(0.0, 360.0, 15.0))
+    ahead, right = np.stack([np.cos(angles), np.sin(angles)]), np.stack([np.sin(angles), -np.cos(angles)])
+    apart = np.minimum(np.abs((person - tool) @ right), APART_M).mean(axis=0)
+    hidden = np.maximum(-(person @ ahead), 0.0).mean(axis=0)
+    outside = np.maximum(np.abs(person @ right) - WITHIN_M, 0.0).mean(axis=0)
+    return float(np.degrees(angles[np.argmax(apart - hidden - outside)]))
 
 
 def frames(
-    path: DataFrame, robot: RobotConfig, cell: CellConfig, task: str, colour: str
+    path: DataFrame,
+    robot: RobotConfig,
+    cell: CellConfig,
+    task: str,
+    colour: str,
+    speed: float = 1.0,
+    view_deg: float | None = None,
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of one episode, FRAMES_PER_S a second of its time.
+    """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of one episode, FRAMES_PER_S / `speed` a second of its time.
 
     Args:
       path: the episode's rows of paths.csv.
@@ -77,19 +93,22 @@ def frames(
       cell: the cell.
       task: the subtask; it says what the stages are, and so where the ball is.
       colour: orange or pink.
+      speed: 0.5 for a video at half speed.
+      view_deg: azimuth of the camera; None is `azimuth_deg`.
 
     Raises:
       PicturesUnavailableError: there is no off-screen OpenGL.
     """
     scene = build_scene(robot, cell, substeps=2)
     model, data = scene.model, mujoco.MjData(scene.model)
-    shown = resample(_with_gait(path))
+    shown = resample(_with_gait(path), FRAMES_PER_S / speed)
     x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
     limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
     goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
     joints = [model.joint(name).qposadr[0] for name in scene.joints]
     ball = scene.mocap.index(f"{colour}_ball")
-    with closing(Camera(model, _azimuth_deg(path), ELEVATION_DEG, DISTANCE_M)) as camera:
+    view_deg = azimuth_deg(path) if view_deg is None else view_deg
+    with closing(Camera(model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
         for i in range(len(shown["step"])):
             data.qpos[joints] = [shown[f"q{j}"][i] for j in range(len(joints))]
             data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
@@ -99,6 +118,14 @@ def frames(
                 data.mocap_pos[ball] = goals.get(where, tool)
             mujoco.mj_forward(model, data)
             yield camera.picture(data)
+
+
+def beside(episodes: Sequence[Iterator[NDArray[np.uint8]]]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures of several episodes beside each other; one that has ended stays on its last."""
+    last: list[NDArray[np.uint8] | None] = [None] * len(episodes)
+    for pictures in zip_longest(*episodes):
+        last = [before if now is None else now for before, now in zip(last, pictures, strict=True)]
+        yield np.concatenate([each for each in last if each is not None], axis=1)
 
 
 def write_video(file: Path, pictures: Iterator[NDArray[np.uint8]]) -> Path:

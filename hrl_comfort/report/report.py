@@ -7,7 +7,6 @@ needs no other file.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from hrl_comfort.analysis.episodes import TERMINATIONS, terminations
 from hrl_comfort.analysis.learning_curve import POLICY, curve_of
 from hrl_comfort.analysis.summary import KEYS
 from hrl_comfort.analysis.tables import HEADLINE, cell, cells, of_groups
-from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
+from hrl_comfort.config import ReportConfig
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
@@ -27,9 +26,9 @@ from hrl_comfort.plots import hierarchy, training
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.plots.style import data_uri
 from hrl_comfort.report.sweeps import render, sweep_report
+from hrl_comfort.report.videos import videos
 
 SHOWN_PATHS = 4
-SEARCHED_PATHS = 20
 SHOWN_FAILURES = 40
 FAILURE = ["run", "episode", "colour", "spawn_id", "motion_id", "seen", "steps", "ended"]
 """Columns of the table of failures."""
@@ -108,54 +107,6 @@ def _counts(groups: Series, values: Series, kinds: Sequence[str]) -> list[list[s
     return [[str(group), *map(str, line)] for group, line in zip(counts.index, counts.to_numpy(), strict=True)]
 
 
-def _video(runs: Sequence[Run], draw: bool) -> tuple[str | None, str]:
-    """Return the video as a data URI, drawn anew or found in the folder, and its caption or why there is none."""
-    for run in reversed(runs):  # the cycle, where there is one
-        file = (run.paths.parent if run.paths else run.folder / "eval") / "video.mp4"
-        caption = f"{run.name}: a recorded episode, real time."
-        if draw and run.paths is not None and {"robot", "cell", "task"} <= run.config.keys():
-            from hrl_comfort.scene.camera import PicturesUnavailableError  # mujoco takes its time
-
-            try:
-                caption = _draw(run, file)
-            except PicturesUnavailableError as error:
-                return None, str(error)
-        if file.is_file():
-            data = base64.b64encode(file.read_bytes()).decode("ascii")
-            return f"data:video/mp4;base64,{data}", caption
-    if not draw:
-        return None, "No video: video=false, and none was drawn before."
-    return None, "No video: it needs eval/paths.csv (evaluate with record=true) and the run's config.yaml."
-
-
-def _draw(run: Run, file: Path) -> str:
-    """Draw the first recorded success to `file` and return its caption.
-
-    Raises:
-      PicturesUnavailableError: there is no off-screen OpenGL, or the run does not say what was where.
-    """
-    from hrl_comfort.plots.video import frames, write_video  # seconds, for torch
-    from hrl_comfort.scene.camera import PicturesUnavailableError
-
-    task = run.config["task"]
-    if task.get("balls", 1) > 1 or task.get("ball_jitter_m", 0.0) > 0:
-        raise PicturesUnavailableError(f"No video: {run.name} has its balls in other places than the picture knows of.")
-    recorded = recorded_paths(run, SEARCHED_PATHS)
-    successes = [key for key, ended in _ends(run, recorded).items() if ended == "success"]
-    episode = (successes or list(recorded))[0]
-    row = row_of(run, episode) or {}
-    try:
-        robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
-    except (TypeError, ConfigError) as error:
-        why = f"No video: {run.name}/config.yaml does not fit this version ({error})"
-        raise PicturesUnavailableError(why) from None
-    pictures = frames(recorded[episode], robot, cell, row.get("task") or task["name"], row.get("colour") or "orange")
-    write_video(file, pictures)
-    which = "the first recorded success" if successes else "a recorded episode"
-    at_level = "" if episode[1] is None else f" at level {episode[1]}"
-    return f"{run.name}, episode {episode[0]}{at_level}, {which}; drawn from its joint angles, real time."
-
-
 def report(config: ReportConfig) -> Path:
     """Write the page about `config.run` to `config.output` (report.html in the run), and return its path.
 
@@ -166,15 +117,15 @@ def report(config: ReportConfig) -> Path:
     if not (folder.is_dir() and sweep_report(folder, output)):
         runs = find_runs(folder)
         with output_file(output):
-            _write_page(runs, folder.resolve().name, output, config.video)
+            _write_page(runs, folder.resolve().name, output, config)
         if groups := [{"run": run.name, **group} for run in runs for group in run.groups or []]:
             Console().print(of_groups(groups))
     print(output)
     return output
 
 
-def _write_page(runs: list[Run], title: str, output: Path, draw: bool) -> None:
-    video, about_video = _video(runs, draw)
+def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig) -> None:
+    found, no_video = videos(runs, config)
     tables = [
         run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
     ]
@@ -194,7 +145,7 @@ def _write_page(runs: list[Run], title: str, output: Path, draw: bool) -> None:
         failures=failed.head(SHOWN_FAILURES).astype("str").mask(failed.isna(), "–").to_numpy().tolist(),
         failed=len(failed),
         shown_timelines=hierarchy.SHOWN_TIMELINES,
-        video=video,
-        about_video=about_video,
+        videos=found,
+        no_video=no_video,
     )
     write_text(output, page)

@@ -1,11 +1,14 @@
+import ast
 import base64
 import csv
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from pandas import DataFrame
 
@@ -20,6 +23,8 @@ from hrl_comfort.files.tables import records_of
 from hrl_comfort.plots import training, video
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
+from hrl_comfort.report import videos as module
+from hrl_comfort.report.videos import videos
 from hrl_comfort.scene.camera import PicturesUnavailableError
 
 CONFIG = """\
@@ -313,9 +318,66 @@ def test_boundaries_of_curriculum_stages_are_drawn_and_named():
 def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
-    picture, why = report._video(run_folder.find_runs(demo), draw=True)
-    assert picture is None
+    config = ReportConfig(run=str(demo), output=None, video=True)
+    found, why = videos(run_folder.find_runs(demo), config)
+    assert not found
     assert "libegl1 libegl-mesa0 libgl1-mesa-dri" in why
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Write a video as the azimuth and the length of each of its episodes, and the speed; draw nothing."""
+    monkeypatch.setattr(video, "frames", lambda path, *words: (len(path), words[-2:]))
+    monkeypatch.setattr(video, "beside", list)
+    monkeypatch.setattr(video, "write_video", lambda file, episodes: file.write_text(repr(episodes)))
+
+
+def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(demo, undrawn):
+    runs = run_folder.find_runs(demo)
+    found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True))
+    assert [caption.split(";")[0] for _, caption in found] == [
+        "cycle, episode 3, unsafe contact", "cycle, episode 0, success",
+    ]  # fmt: skip
+    found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True, episode=2, speed=0.5))
+    assert [caption for _, caption in found] == ["cycle, episode 2, success; drawn from its joint angles, half speed."]
+    assert "(0.5," in (demo / "cycle" / "eval" / "video.mp4").read_text()
+    kept, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=False))
+    assert len(kept) == 2, "those of before"
+    with pytest.raises(ConfigError, match="episode=20 is not recorded"):
+        videos(runs, ReportConfig(run=str(demo), output=None, video=True, episode=20))
+    for name in module.FILES.values():
+        (demo / "cycle" / "eval" / name).unlink()
+
+
+def test_the_first_and_the_last_level_are_drawn_beside_each_other_from_one_side(demo, tmp_path, undrawn):
+    folder = tmp_path / "pick"
+    shutil.copytree(demo / "pick", folder)
+    for name in ("paths", "episodes"):
+        table = pd.read_csv(folder / "eval" / f"{name}.csv").drop(columns="comfort_level", errors="ignore")
+        key = "level" if name == "paths" else "comfort_level"
+        pd.concat([table.assign(**{key: level}) for level in (1, 4, 10)]).to_csv(
+            folder / "eval" / f"{name}.csv", index=False
+        )
+    found, _ = videos(run_folder.find_runs(folder), ReportConfig(run=str(folder), output=None, video=True, episode=1))
+    assert "episode 1, left: level 1, success, right: level 10, success" in found[0][1]
+    (one, here), (other, there) = ast.literal_eval((folder / "eval" / "video.mp4").read_text())
+    assert one == other and here == there
+
+
+def test_pictures_beside_each_other_last_as_long_as_the_longest():
+    short, long = (iter([np.full((2, 3, 3), k) for k in range(n)]) for n in (1, 3))
+    pictures = list(video.beside([short, long]))
+    assert [each.shape for each in pictures] == [(2, 6, 3)] * 3 and pictures[2][0, :, 0].tolist() == [0] * 3 + [2] * 3
+
+
+@pytest.mark.parametrize("angle", np.arange(0, 360, 20))
+def test_the_camera_sees_person_and_tool_beside_each_other(angle):
+    x, y = 0.7 * np.cos(np.radians(angle)), 0.7 * np.sin(np.radians(angle))
+    path = DataFrame({"human_x": [x] * 5, "human_y": y, "tcp_x": 0.0, "tcp_y": 0.0})
+    view = np.radians(video.azimuth_deg(path))
+    across, ahead = x * np.sin(view) - y * np.cos(view), x * np.cos(view) + y * np.sin(view)
+    assert 0.5 < abs(across) < 1.1 and ahead > -0.2
+    assert video.azimuth_deg(path.assign(human_x=50.0)) == video.ALONE_DEG
 
 
 def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
