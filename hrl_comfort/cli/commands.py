@@ -74,6 +74,12 @@ COMMANDS = {
         "write trained policies as ONNX files for other programs",
         "policy=runs/pick output=exported",
     ),
+    "dataset": Command(
+        "evaluate",
+        "hrl_comfort.deploy.dataset:dataset",
+        "write the episodes of a policy or a chain as a Minari data set",
+        "policy=runs/pick split=validation episodes=1000 output=runs/dataset",
+    ),
     "bench env": Command(
         "train", "hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"
     ),

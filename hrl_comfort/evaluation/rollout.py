@@ -19,7 +19,7 @@ from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import ExecutedStep, OptionRun, execute
+from hrl_comfort.hierarchy.executor import OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, split_set
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
@@ -108,7 +108,7 @@ class EvaluationBatch:
         before = [episode.success for episode in self.recorder.result.episodes]
         self.recorder.begin(self.engine.reset())
         for executed in execute(self.engine, self.executor, self.choose):
-            self.recorder.add(executed)
+            self.recorder.add(executed.result, executed.active, executed.ended, executed.runs)
             ended = [*before, *self.recorder.outcomes]
             show(len(ended), success_of(ended))
         self.engine.close()
@@ -143,12 +143,12 @@ class EpisodeRecorder:
         if self.config.record:
             self._record(state, torch.ones(rows, dtype=torch.bool))
 
-    def add(self, executed: ExecutedStep) -> None:
-        """Add a decision."""
-        self._add(executed.result, executed.active)
-        for row in torch.nonzero(executed.ended).squeeze(-1).tolist():
-            self._found[row] = self._episode(row, executed.result)
-        self._runs += executed.runs
+    def add(self, result: StepResult, active: torch.Tensor, ended: torch.Tensor, runs: list[OptionRun]) -> None:
+        """Add a decision: rows (N,) bool that took part, and whose episode ended with it, and options that ended."""
+        self._add(result, active)
+        for row in torch.nonzero(ended).squeeze(-1).tolist():
+            self._found[row] = self._episode(row, result)
+        self._runs += runs
 
     @property
     def outcomes(self) -> list[bool]:

@@ -197,6 +197,10 @@ class ExecutedStep:
     """One decision of N cells, in some of which the episode had ended before; those rows are void."""
 
     result: StepResult
+    action: Tensor
+    """(N, A) in [-1, 1]."""
+    option: Tensor
+    """(N,) int64: option that chose it."""
     active: Tensor
     """(N,) bool: rows whose episode was going on when the decision began."""
     ended: Tensor
@@ -218,11 +222,12 @@ def execute(engine: Engine, executor: OptionExecutor, choose: Choose) -> Iterato
         if bool(deciding.any()):
             chosen = torch.where(deciding, choose(executor.decision(state)), executor.option)
             state = executor.begin(deciding, chosen)
-        result = engine.step(executor.act(state, active).numpy(), np.flatnonzero(active.numpy()))
+        action, option = executor.act(state, active), executor.option
+        result = engine.step(action.numpy(), np.flatnonzero(active.numpy()))
         options, state = executor.ended(result), result.state
         rows = torch.nonzero(options.rows & active).squeeze(-1).tolist()
         runs = [executor.run_of(row, options, int(state.steps[row])) for row in rows]
         ended = active & (result.done | options.given_up)
-        yield ExecutedStep(result, active, ended, runs)
+        yield ExecutedStep(result, action, option, active, ended, runs)
         active = active & ~ended
         deciding = options.rows & active

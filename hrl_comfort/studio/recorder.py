@@ -16,7 +16,6 @@ from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import read_table, write_table
-from hrl_comfort.hierarchy.executor import ExecutedStep
 from hrl_comfort.humans import validation_set
 from hrl_comfort.humans.recordings import HEADER
 from hrl_comfort.plots.video import frames, write_video
@@ -73,7 +72,7 @@ class Recorder:
             return
         self._levels.add(float(step.result.level))
         self._by_hand |= self._session.engine.episodes.config.human.motion == LIVE
-        self._recorder.add(ExecutedStep(step.result, ROW, torch.tensor([step.over]), step.runs))
+        self._recorder.add(step.result, ROW, torch.tensor([step.over]), step.runs)
         self._last = step
         if step.over:
             self._finish()
@@ -85,7 +84,7 @@ class Recorder:
           ConfigError: no decision was recorded, or the folder is taken by now.
         """
         if self._recorder is not None and self._levels:
-            self._recorder.add(ExecutedStep(void(self._last), ~ROW, ROW, []))
+            self._recorder.add(void(self._last), ~ROW, ROW, [])
             self._finish()
         if not self.episodes:
             raise ConfigError("nothing was recorded: let it run for a decision before you stop")

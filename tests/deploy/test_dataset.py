@@ -1,0 +1,98 @@
+"""Data sets are read by Minari, tell what the episodes did, and teach an offline learner."""
+
+import json
+
+import minari
+import numpy as np
+import pytest
+import torch
+
+import hrl_comfort
+from hrl_comfort.config import VALIDATION_SEED, ConfigError
+from hrl_comfort.config.compose import compose
+from hrl_comfort.deploy.dataset import dataset
+
+CONDITIONED = "comfort=conditioned"
+
+
+def written(output, *overrides):
+    return dataset(compose("evaluate", [*overrides, "split=validation", f"output={output}"]))
+
+
+@pytest.fixture(scope="module")
+def pick(tmp_path_factory):
+    output = tmp_path_factory.mktemp("dataset") / "data"
+    folder = written(output, "policy=runs/reference/pick", "episodes=600", CONDITIONED)
+    assert folder == output / "hrl_comfort" / "pick-v0"
+    return output
+
+
+def test_minari_loads_the_data_set_by_its_name(pick, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(pick))
+    loaded = minari.load_dataset("hrl_comfort/pick-v0")
+    assert loaded.total_episodes == 600
+    assert json.loads(loaded.storage.metadata["environment"])["task"]["name"] == "pick"
+    episode = next(loaded.iterate_episodes())
+    assert episode.observations.shape == (len(episode) + 1, *loaded.observation_space.shape)
+    assert loaded.action_space.contains(episode.actions[0])
+    assert set(episode.infos) == {
+        "comfort_level",
+        "stage",
+        "option",
+        "contact",
+        "unsafe_contact",
+        "success",
+        "control_steps",
+    }
+
+
+def test_every_episode_ends_once_and_says_how(pick):
+    for episode in minari.MinariDataset(pick / "hrl_comfort" / "pick-v0" / "data").iterate_episodes():
+        ends = episode.terminations | episode.truncations
+        assert ends[-1] and not ends[:-1].any()
+        assert len(episode.infos["success"]) == len(episode) + 1
+        assert episode.infos["option"][0] == -1 and (episode.infos["option"][1:] == 0).all()
+        assert 1 <= episode.infos["comfort_level"][-1] <= 10
+
+
+def test_behaviour_cloning_from_the_data_set_picks(pick):
+    """At least 80 % on episodes that the data do not hold."""
+    episodes = [*minari.MinariDataset(pick / "hrl_comfort" / "pick-v0" / "data").iterate_episodes()]
+    won = [each for each in episodes if each.infos["success"][-1]]
+    seen = torch.from_numpy(np.concatenate([each.observations[:-1] for each in won]))
+    done = torch.from_numpy(np.concatenate([each.actions for each in won]))
+    mean, std = seen.mean(0), seen.std(0).clamp_min(1e-3)
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(
+        torch.nn.Linear(seen.shape[1], 256), torch.nn.ReLU(),
+        torch.nn.Linear(256, 256), torch.nn.ReLU(), torch.nn.Linear(256, done.shape[1]), torch.nn.Tanh(),
+    )  # fmt: skip
+    optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
+    for _ in range(2000):
+        rows = torch.randint(len(seen), (256,))
+        loss = (network((seen[rows] - mean) / std) - done[rows]).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+
+    @torch.no_grad()
+    def policy(observation):
+        return network((torch.from_numpy(observation) - mean) / std).numpy()
+
+    later = {"split": "validation", "episode_seed": VALIDATION_SEED + 600, "comfort": "conditioned"}
+    assert hrl_comfort.evaluate(policy, "pick", 100, **later)["success"].mean() >= 0.8
+
+
+def test_a_chain_tells_its_options(tmp_path):
+    policies = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    folder = written(tmp_path / "data", "task=cycle", "meta_controller=scripted", "episodes=3", *policies)
+    loaded = minari.MinariDataset(folder / "data")
+    assert loaded.storage.metadata["options"] == ["pick", "place", "return"]
+    assert set(next(loaded.iterate_episodes()).infos["option"][1:]) == {0, 1, 2}
+
+
+def test_a_folder_with_files_is_refused(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="holds other files"):
+        written(tmp_path, "policy=expert", "episodes=1")
+    assert [each.name for each in tmp_path.iterdir()] == ["mine.txt"]
