@@ -14,10 +14,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from hrl_comfort.analysis import comparison, handover
 from hrl_comfort.analysis.episodes import success
+from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import cell, levels, markdown, series
 from hrl_comfort.benchmarks import env, train, update
 from hrl_comfort.files.tables import read_table
@@ -66,6 +68,26 @@ def of_rows(table: Callable[[pd.DataFrame], str]) -> Callable[[str], str]:
     return lambda name: table(read_table(REFERENCE / name))
 
 
+def curricula(rows: pd.DataFrame) -> str:
+    """Return the table of precision curricula: rows of metrics.csv with reward, target_m, curriculum and train_seed."""
+    lines = []
+    for (reward, target_m, kind), runs in rows.groupby(["reward", "target_m", "curriculum"], sort=False):
+        there = runs[np.isclose(runs["precision_m"], target_m)]
+        first = there[there["success"] >= 0.95].groupby("train_seed")["policy_steps"].min()
+        seeds = Clusters.of_runs(runs["train_seed"].nunique())
+        shares = []
+        for end in (40_000, 100_000, 150_000):
+            lap = runs[runs["policy_steps"] <= end].groupby("train_seed").last()
+            success = cell(seeds.estimate(lap["success"].to_numpy(), bounds=SHARE), 100)
+            precision = lap["precision_m"].mean()
+            shares.append(success if np.isclose(precision, target_m) else f"{success}, at {100 * precision:.0f} cm")
+        whole = seeds.estimate(first.to_numpy(float)) if len(first) == len(seeds.seed) else None
+        steps = cell(whole, digits=0) if whole else f"{len(first)} of {len(seeds.seed)} runs"
+        lines.append([f"{100 * target_m:.0f} cm, {reward}", str(kind), *shares, steps])
+    return markdown(("target, reward", "curriculum", *(f"{n}, %" for n in ("40,000", "100,000", "150,000")),
+                     "steps to 95 %"), lines)  # fmt: skip
+
+
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
@@ -73,6 +95,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "controllers": of_json(comparison.table),
     "divisions": of_json(comparison.table),
     "handover": of_json(handover.table),
+    "curricula": of_rows(curricula),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),
