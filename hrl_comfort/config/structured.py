@@ -22,8 +22,13 @@ def freeze(cls: type[T], node: Any) -> T:
     missing = sorted(OmegaConf.missing_keys(node))
     if missing:
         raise ConfigError(f"{missing[0]} must be set")
+    return section(cls, OmegaConf.to_container(node, resolve=True))
+
+
+def section(cls: type[T], values: Any) -> T:
+    """Return the dataclass `cls` for plain `values`; raise ConfigError if one is missing or not allowed."""
     # As JSON, for pydantic's strict mode takes a dict for a dataclass only from there.
-    text = json.dumps(_whole(OmegaConf.to_container(node, resolve=True)), default=repr)
+    text = json.dumps(_whole(values), default=repr)
     try:
         frozen: T = adapter(cls).validate_json(text, strict=True)  # type: ignore[arg-type]
     except ValidationError as error:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveInt, TypeAdapter, ValidationError
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from hrl_comfort.config.checks import ConfigError, first_error
+from hrl_comfort.config.checks import XYZ, ConfigError, first_error
 
 MOST_BYTES = 10**6
 """Largest YAML file; those of a run are of some kB."""
@@ -37,6 +38,52 @@ class Summary(BaseModel):
     """The content of summary.json."""
 
     groups: list[Group]
+
+
+class CellSection(TypedDict, total=False):
+    """What pictures need of the section `cell`."""
+
+    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+
+    ball_m: XYZ
+    orange_drop_m: XYZ
+    pink_drop_m: XYZ
+    table_half_width_m: FiniteFloat
+
+
+class TaskSection(TypedDict, total=False):
+    """What reports need of the section `task`."""
+
+    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+
+    name: str
+    balls: int
+    ball_jitter_m: FiniteFloat
+    max_episode_steps: PositiveInt
+
+
+class ComfortSection(TypedDict, total=False):
+    """What reports need of the section `comfort`."""
+
+    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+
+    levels: PositiveInt
+    beta: FiniteFloat
+
+
+class RunConfig(TypedDict, total=False):
+    """What reports need of a config.yaml, of other versions too; `load_config` reads one of this version alone."""
+
+    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+
+    robot: dict[str, Any]
+    cell: CellSection
+    task: TaskSection
+    comfort: ComfortSection
+    reward: dict[str, FiniteFloat]
+    policy: str | None
+    policies: dict[str, str | None] | None
+    levels: list[int]
 
 
 def damaged(path: Path, reason: object) -> ConfigError:
@@ -70,6 +117,19 @@ def yaml_text(path: Path) -> str:
     if aliases:
         raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")
     return text
+
+
+def read_config(path: Path) -> tuple[str, dict[str, Any]]:
+    """Return the text of a config.yaml and its content, checked as far as `RunConfig` names it.
+
+    Raises:
+      ConfigError: it is damaged.
+    """
+    text, content = read_yaml(path)
+    try:
+        return text, dict(TypeAdapter(RunConfig).validate_python(content))
+    except ValidationError as error:
+        raise damaged(path, first_error(error)) from None
 
 
 def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:

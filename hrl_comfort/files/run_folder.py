@@ -11,7 +11,7 @@ from typing import Any
 from pandas import DataFrame
 
 from hrl_comfort.config.checks import ConfigError
-from hrl_comfort.files.documents import Summary, read_json, read_yaml
+from hrl_comfort.files.documents import Summary, read_config, read_json
 from hrl_comfort.files.provenance import Provenance, read_provenance
 from hrl_comfort.files.tables import read_table
 
@@ -58,7 +58,7 @@ def read_run(folder: Path) -> Run:
     files = {"training": folder / "config.yaml", "evaluation": evaluation / "config.yaml"}
     if evaluation == folder:
         del files["training" if episodes is not None else "evaluation"]
-    configs = {name: read_yaml(file) for name, file in files.items() if file.is_file()}
+    configs = {name: read_config(file) for name, file in files.items() if file.is_file()}
     provenance = read_provenance(folder) if (folder / "provenance.json").is_file() else None
     summary = evaluation / "summary.json"
     paths = evaluation / "paths.csv"

@@ -10,6 +10,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
+from hrl_comfort.config.structured import section
 from hrl_comfort.files.run_folder import Recorded, Run, recorded_paths, row_of
 from hrl_comfort.files.tables import column
 
@@ -97,8 +98,8 @@ def _draw(run: Run, key: Recorded, file: Path, speed: float) -> str:
     ends = [next(iter(recorded)), list(recorded)[-1]]
     shown = ends if len(recorded) > 1 and key in ends else [key]
     try:
-        robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
-    except (TypeError, ConfigError) as error:
+        robot, cell = section(RobotConfig, run.config["robot"]), section(CellConfig, run.config["cell"])
+    except ConfigError as error:
         why = f"No video: {run.name}/config.yaml does not fit this version ({error})"
         raise PicturesUnavailableError(why) from None
     row = row_of(run, key) or {}

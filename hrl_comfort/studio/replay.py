@@ -13,6 +13,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig, StudioConfig
+from hrl_comfort.config.structured import section
 from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
 from hrl_comfort.files.tables import column
 from hrl_comfort.plots.video import gait
@@ -74,7 +75,11 @@ class Tape:
             raise ConfigError(f"replay={str(folder)!r} has no paths.csv; evaluate with record=true")
         if not {"robot", "cell", "task"} <= self._run.config.keys():
             raise ConfigError(f"replay={str(folder)!r} has no config.yaml, which says what robot and cell it was")
-        robot, self._cell = RobotConfig(**self._run.config["robot"]), CellConfig(**self._run.config["cell"])
+        sections = self._run.config
+        try:
+            robot, self._cell = section(RobotConfig, sections["robot"]), section(CellConfig, sections["cell"])
+        except ConfigError as error:
+            raise ConfigError(f"replay={str(folder)!r} has another config.yaml: {error}") from None
         self.scene = build_scene(robot, self._cell, substeps=2)
         found: dict[int, list[Take]] = {}
         for (episode, level), path in paths.items():
