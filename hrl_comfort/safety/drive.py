@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry
 from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.safety.shield import Shield
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.workcell import Scene
@@ -46,16 +46,16 @@ class SetPoints:
 class Drive:
     """Set-points of N arms, one control step at a time."""
 
-    def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
+    def __init__(self, scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> None:
         rated = RATINGS[config.robot.name][config.robot.rating]
         self._rating = Rating(
             np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
         )
-        self.arm, self.person = ArmGeometry(scene), PersonGeometry(scene)
+        self.arm = separation.arm
         self._low, self._high = scene.joint_range.T
         self._shield = None
         if config.safety.kind == "ssm":
-            self._shield = Shield(self.arm, self.person, self._rating, config.safety, rows)
+            self._shield = Shield(separation, self._rating, config.safety, rows)
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
@@ -77,19 +77,19 @@ class Drive:
         if self._shield is not None:
             self._shield.end_decision(last)
 
-    def step(self, before: SetPoints, asked: Array, limbs: Array) -> SetPoints:
+    def step(self, before: SetPoints, asked: Array, now: Encounter) -> SetPoints:
         """Return the set-points of the next control step.
 
-        `asked` (N, J) rad/s is the motion that the policy wants, `limbs` (N, L, 7) the person now.
+        `asked` (N, J) rad/s is the motion that the policy wants, `now` the arms at the set-points
+        `before` beside the people.
         """
         angles, velocity = before.angles, before.velocity
-        pose = self.arm.pose(angles)
-        limited = self._rating.limited(self.arm, pose, asked)
+        limited = self._rating.limited(self.arm, now.pose, asked)
         limited = self._rating.within(self._low, self._high, angles, limited)
         wanted = self._rating.follow(velocity, limited)
         braking = np.zeros(len(wanted), dtype=bool)
         if self._shield is not None:
-            wanted, passed = self._shield.step(pose, velocity, wanted, limbs)
+            wanted, passed = self._shield.step(now, velocity, wanted)
             braking = passed == 0.0
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
@@ -106,7 +106,7 @@ class Drive:
             self._shield.load_state_dict(saved)
 
 
-def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:
+def make_drive(scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> Drive | None:
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
     Raises:
@@ -120,7 +120,7 @@ def make_drive(scene: Scene, config: EnvConfig, rows: int) -> Drive | None:
             f"{', '.join(RATINGS)}; choose robot.rating=paper safety.kind=none"
         )
     if robot.rating != "paper":
-        return Drive(scene, config, rows)
+        return Drive(scene, separation, config, rows)
     if kind != "none":
         raise ConfigError(
             f"safety.kind={kind} needs an arm that brakes within its rating; "

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, closest_points, gaps, norm
+from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, gaps, norm
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -16,19 +18,34 @@ of the tool; ISO 10218-2:2025, 5.5.6.1, of all accessible parts). Touches below 
 allows once the protective distance is used up."""
 
 
+@dataclass(frozen=True)
+class Encounter:
+    """Arms and people of N cells at one instant."""
+
+    pose: ArmPose
+    person: Array
+    """(3, P, 2, N) m, ends of the axes of the person's capsules."""
+    apart: Array
+    """(C, N) m, distance of each of the arm's capsules from the person, negative in overlap."""
+
+
 class Separation:
     """Distances and speeds between the capsules of arm and person, for N cells at once."""
 
     def __init__(self, scene: Scene) -> None:
         self.arm, self.person = ArmGeometry(scene), PersonGeometry(scene)
 
+    def encounter(self, angles: Array, limbs: Array) -> Encounter:
+        """Return arms at `angles` (N, J) rad beside people at `limbs` (N, L, 7)."""
+        pose, person = self.arm.pose(angles), self.person.ends(limbs)
+        return Encounter(pose, person, gaps(self.arm, pose.ends, self.person, person))
+
     def gap(self, angles: Array, limbs: Array) -> Array:
         """Return the distance (N,) m of arms at `angles` (N, J) rad from people at `limbs` (N, L, 7).
 
         Negative in overlap.
         """
-        apart = gaps(self.arm, self.arm.pose(angles).ends, self.person, self.person.ends(limbs))
-        return np.asarray(apart.min(axis=0))
+        return np.asarray(self.encounter(angles, limbs).apart.min(axis=0))
 
     def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
         """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it.

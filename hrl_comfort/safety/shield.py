@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
-from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, gaps, norm
+from hrl_comfort.safety.geometry import norm
 from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.servos import SERVO_LAG_S
 
 Array = NDArray[np.float64]
-SHARES = np.linspace(0.0, 1.0, 9)
-"""Shares that are tried."""
+SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
+"""Shares that are tried where all is not safe; nothing else than the brake is share 0."""
 LAGS = 3.0
 """Servo lags until the arm's speed has followed its set-points."""
 SERVO_SHARE = 0.7
@@ -52,10 +53,9 @@ class PersonBound:
 class Shield:
     """The shield of N cells. Call `begin` for the rows whose episodes begin, then `step` once a control step."""
 
-    def __init__(
-        self, arm: ArmGeometry, person: PersonGeometry, rating: Rating, config: SafetyConfig, rows: int
-    ) -> None:
-        self.arm, self._person, self._rating, self._config = arm, person, rating, config
+    def __init__(self, separation: Separation, rating: Rating, config: SafetyConfig, rows: int) -> None:
+        self.arm, self._person = separation.arm, separation.person
+        self._rating, self._config = rating, config
         self._bound = PersonBound(config)
         parts = len(self._person.radius)
         self._seen = np.zeros((3, parts, 2, rows))
@@ -90,34 +90,36 @@ class Shield:
         """Continue from `state_dict`."""
         self._seen, self._trail = saved["seen"].numpy().copy(), saved["trail"].numpy().copy()
 
-    def step(self, pose: ArmPose, before: Array, wanted: Array, limbs: Array) -> tuple[Array, Array]:
+    def step(self, now: Encounter, before: Array, wanted: Array) -> tuple[Array, Array]:
         """Return the velocity (N, J) rad/s that may be run in this control step, and the share (N,) passed.
 
-        `pose` is that of the set-points, `before` (N, J) rad/s their velocity, `wanted` (N, J) what the rating
-        would pass, `limbs` (N, L, 7) the person now.
+        `now` are the arms at their set-points and the people, `before` (N, J) rad/s the velocity of the set-points,
+        `wanted` (N, J) what the rating would pass.
         """
-        person = self._person.ends(limbs)
-        pace = norm(person - self._seen).max(axis=(0, 1)) / CONTROL_STEP_S
-        self._seen = person
-        apart = gaps(self.arm, pose.ends, self._person, person)
+        pace = norm(now.person - self._seen).max(axis=(0, 1)) / CONTROL_STEP_S
+        self._seen = now.person
 
         brake = self._rating.brake(before)
-        slow, fast = self.arm.speeds(pose, brake), self.arm.speeds(pose, wanted)
-        share = np.zeros(len(before))
-        for tried in SHARES[1:]:
-            velocity = brake + tried * (wanted - brake)
-            speeds = slow + tried * (fast - slow)  # convex in the velocity, so not below the true ones
-            share = np.where(self._safe(velocity, speeds, apart, pace), tried, share)
+        slow, fast = self.arm.speeds(now.pose, brake), self.arm.speeds(now.pose, wanted)
+        share = self._safe(wanted, fast, now.apart, self._trail, pace).astype(float)
+        rows = np.flatnonzero(share == 0.0)
+        if len(rows):
+            # All shares of all such rows at once, those of a share together.
+            tried, at = np.repeat(SHARES, len(rows)), np.tile(rows, len(SHARES))
+            velocity = brake[at] + tried[:, None] * (wanted[at] - brake[at])
+            speeds = slow[:, at] + tried * (fast[:, at] - slow[:, at])  # convex in it, so not below the true ones
+            safe = self._safe(velocity, speeds, now.apart[:, at], self._trail[:, at], pace[at])
+            share[rows] = np.where(safe, tried, 0.0).reshape(len(SHARES), -1).max(axis=0)
         velocity = brake + share[:, None] * (wanted - brake)
         self._trail = np.maximum(slow + share * (fast - slow), self._trail * np.exp(-CONTROL_STEP_S / SERVO_LAG_S))
         self._decision.append((self._seen, self._trail))
         return velocity, share
 
-    def _safe(self, velocity: Array, speeds: Array, apart: Array, pace: Array) -> NDArray[np.bool_]:
+    def _safe(self, velocity: Array, speeds: Array, apart: Array, trail: Array, pace: Array) -> NDArray[np.bool_]:
         """Return (N,) whether running `velocity` (N, J) for a control step and braking then is safe.
 
         `speeds` (C, N) m/s are those of the arm's capsules now, `apart` (C, N) m their distances from the
-        person, `pace` (N,) m/s the speed of the person's fastest part.
+        person, `trail` (C, N) m/s speeds that they may still have, `pace` (N,) m/s that of the person's fastest part.
         """
         config = self._config
         braking = self._rating.stopping_time(velocity)
@@ -127,7 +129,7 @@ class Shield:
         left = np.minimum(SERVO_SHARE * config.safe_speed_m_s / np.maximum(fastest, 1e-9), 1.0)
         until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + LAGS * SERVO_LAG_S, 0.0)
         travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
-        behind = np.maximum(self._trail, fastest) * SERVO_LAG_S
+        behind = np.maximum(trail, fastest) * SERVO_LAG_S
         reach = self._bound.distance(until, pace)
         clear = (until == 0.0) | (apart > travel + behind + reach + config.margin_m)
         return np.asarray(clear.all(axis=0))

@@ -84,8 +84,8 @@ class Episodes:
         paid = config.comfort.distance == "arm" and config.comfort.source != "none"
         self._separation = Separation(scene)
         self._sensors = Sensors(scene, self._separation, measure_arm or paid)
-        self._drive = make_drive(scene, config, rows)
-        self._people_stop = self._drive is not None or config.task.terminate_on == "unsafe_contact"
+        self._drive = make_drive(scene, self._separation, config, rows)
+        self._people_stop = config.task.terminate_on == "unsafe_contact"
         self._disturbance = Disturbance(disturbance, rows)
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
@@ -214,15 +214,18 @@ class Episodes:
         names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
+        now = self._separation.encounter(points[0].angles, limbs[0])
         self._drive.begin_decision()
         for k in range(times.shape[1]):
-            points.append(self._drive.step(points[-1], asked, limbs[-1]))
-            walks.append(self._walk_on(walks[-1], times[:, k], points[-1].angles))
-            limbs.append(limbs_of(self.scene, walks[-1]))
+            points.append(self._drive.step(points[-1], asked, now))
+            walk = self._walk_on(walks[-1], times[:, k])
+            walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
+            walks.append(walk)
+            limbs.append(poses)
         self._walks = humans.Walk.along(walks[1:])
-        n, poses = times.size, np.stack(limbs[1:], axis=1)
+        n, beside = times.size, np.stack(limbs[1:], axis=1)
         joined = (np.stack([getattr(point, name) for point in points[1:]], axis=1) for name in vars(points[0]))
-        return SetPoints(*(each.reshape(n, *each.shape[2:]) for each in joined)), poses.reshape(n, *poses.shape[2:])
+        return SetPoints(*(each.reshape(n, *each.shape[2:]) for each in joined)), beside.reshape(n, *beside.shape[2:])
 
     def _plan(
         self, walk: humans.Walk, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
@@ -274,21 +277,22 @@ class Episodes:
         self.state = target_ball(self.state, rows, ball, self.subtask)
 
     def _walking(self, times: NDArray[np.int64], angles: Array) -> Iterator[humans.Walk]:
-        """Yield the K walks over the control steps that begin at `times` (N, K); see `_walk_on`."""
+        """Yield the K walks over the control steps that begin at `times` (N, K) and take the arms to (N, K, J) rad."""
         walk = self.walk
         for k in range(times.shape[1]):
-            walk = self._walk_on(walk, times[:, k], angles[:, k])
+            before, walk = walk, self._walk_on(walk, times[:, k])
+            if self._people_stop:
+                walk, *_ = stop_at_contact(self.scene, self._separation, angles[:, k], before, walk)
             yield walk
 
-    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], angles: Array) -> humans.Walk:
-        """Return `walk` after the control step that begins at `times` (N,) and takes the arm to `angles` (N, J) rad."""
+    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
+        """Return `walk` after the control step that begins at `times` (N,)."""
         assert self.state is not None
         keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
         before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out, self._arm)
         standing = np.flatnonzero(self._disturbance.stands(times))
-        walk = walk.put(standing, before.rows(standing)) if len(standing) else walk
-        return stop_at_contact(self.scene, self._separation, angles, before, walk) if self._people_stop else walk
+        return walk.put(standing, before.rows(standing)) if len(standing) else walk
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""

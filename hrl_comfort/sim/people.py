@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
-from hrl_comfort.safety.separation import Separation
+from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
 
@@ -18,19 +18,24 @@ OVERLAP_M = 1e-3
 
 def stop_at_contact(
     scene: Scene, separation: Separation, angles: NDArray[np.float64], before: humans.Walk, walk: humans.Walk
-) -> humans.Walk:
+) -> tuple[humans.Walk, NDArray[np.float64], Encounter]:
     """Return `walk` with those who would walk into arms at `angles` (n, J) rad held at OVERLAP_M; they may leave.
 
-    `before` and `walk` are the n people before and after a control step.
+    Return their limbs (n, L, 7) and the encounters too. `before` and `walk` are the n people before and after a
+    control step.
     """
-    gap = separation.gap(angles, limbs_of(scene, walk))
+    limbs = limbs_of(scene, walk)
+    now = separation.encounter(angles, limbs)
+    gap = now.apart.min(axis=0)
     touched = np.flatnonzero(gap <= 0.0)
     if not len(touched):
-        return walk
+        return walk, limbs, now
     stood = before.rows(touched)
     room, gap = separation.gap(angles[touched], limbs_of(scene, stood)), gap[touched]
     share = np.clip((room + OVERLAP_M) / np.maximum(room - gap, 1e-9), 0.0, 1.0)
     stops = np.flatnonzero((gap < room) & (share < 1.0))
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
-    return walk.put(at, replace(stood, position=place, velocity=np.zeros_like(stood.velocity)))
+    walk = walk.put(at, replace(stood, position=place, velocity=np.zeros_like(stood.velocity)))
+    limbs = limbs_of(scene, walk)
+    return walk, limbs, separation.encounter(angles, limbs)

@@ -8,6 +8,7 @@ import pytest
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.config.compose import compose
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.workcell import build_scene
@@ -20,7 +21,8 @@ ROWS, STEPS = 64, 300
 def test_set_points_keep_to_speed_acceleration_tool_speed_and_range(robot: str, rating: str) -> None:
     config = compose("train", [f"robot={robot}", f"robot.rating={rating}"])
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
-    drive, rated, rng = Drive(scene, config, ROWS), RATINGS[robot][rating], np.random.default_rng(0)
+    separation, rated, rng = Separation(scene), RATINGS[robot][rating], np.random.default_rng(0)
+    drive = Drive(scene, separation, config, ROWS)
     limbs = limb_poses(np.full(ROWS, 50.0), 0.0, 0.0, 0.0, 0.0, scene.floor_z)
     low, high = scene.joint_range.T
     home = np.tile(scene.home, (ROWS, 1))
@@ -29,7 +31,7 @@ def test_set_points_keep_to_speed_acceleration_tool_speed_and_range(robot: str, 
     for step in range(STEPS):
         if step % 10 == 0:
             asked = rng.uniform(-1.0, 1.0, (ROWS, 6)) * rng.choice([0.1, 1.0, 8.0], (ROWS, 1))
-        point = drive.step(before, asked, limbs)
+        point = drive.step(before, asked, separation.encounter(before.angles, limbs))
         assert (np.abs(point.velocity) <= np.radians(rated.speed_deg_s) + 1e-9).all()
         change = np.abs(point.velocity - before.velocity) / CONTROL_STEP_S
         assert (change <= np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).all()
@@ -43,7 +45,7 @@ def test_a_shield_needs_a_brake() -> None:
     config = compose("train", ["safety=ssm"])
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
     with pytest.raises(ConfigError, match=r"safety.kind=ssm needs an arm that brakes .* robot.rating=collaborative"):
-        make_drive(scene, config, 1)
+        make_drive(scene, Separation(scene), config, 1)
 
 
 @pytest.mark.parametrize("asked", ["robot.rating=full", "safety=ssm"])
@@ -51,4 +53,4 @@ def test_an_arm_without_a_known_rating_is_refused(asked: str) -> None:
     config = compose("train", ["robot=jaco", asked])
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
     with pytest.raises(ConfigError, match=r"robot.name=jaco has no rating: .* are for ur3e, ur5e, ur10e; choose"):
-        make_drive(scene, config, 1)
+        make_drive(scene, Separation(scene), config, 1)

@@ -54,13 +54,14 @@ def test_the_shielded_engine_goes_on_bit_for_bit_after_its_state_is_loaded() -> 
 
 
 def test_policies_see_the_shields_last_share_and_its_stops_are_counted() -> None:
-    config = environment(compose("train", [*WORLD, "human.speed_m_s=1.0", "safety=ssm"]))
-    engine = Engine(config, 8, 0)
+    overrides = ("human=approach", "safety=ssm", "task.terminate_on=unsafe_contact")
+    config = environment(compose("train", [*WORLD, *overrides]))
+    engine, rng = Engine(config, 8, 0), np.random.default_rng(0)
     engine.reset()
     sums, stops = np.zeros(8), np.zeros(8, dtype=int)
     braking, least, most = np.zeros(8, dtype=bool), 1.0, 0
-    for decision in range(40):
-        result = engine.step(np.full((8, 6), 1.0 - 2 * (decision // 8 % 2)))
+    for _ in range(60):
+        result = engine.step(rng.choice([-1.0, 1.0], (8, 6)))
         for state, valid in zip(result.steps, result.valid.numpy().T, strict=True):
             sums += np.where(valid, state.share.numpy(), 0.0)
             stops += valid & state.braking.numpy() & ~braking
