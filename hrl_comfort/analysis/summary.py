@@ -43,6 +43,23 @@ def summarise(episodes: DataFrame, group_by: Sequence[str], max_episode_steps: i
     return {"groups": groups}
 
 
+def with_totals(groups: Sequence[dict[str, Any]], episodes: DataFrame | None) -> list[dict[str, Any]]:
+    """Return groups of a summary; those of seen and unseen spawns are followed by their total, of which `seen` is all.
+
+    Args:
+      groups: of a summary.json.
+      episodes: those that were summarised; without them there are no totals.
+    """
+    if episodes is None or not groups or "seen" not in groups[0]:
+        return list(groups)
+    labels = [name for name in groups[0] if name not in ("episodes", "metrics", "seen")]
+    found: list[dict[str, Any]] = []
+    for total in summarise(episodes, [name for name in labels if name not in KEYS], 1)["groups"]:
+        parts = [group for group in groups if all(group.get(name) == total.get(name) for name in labels)]
+        found += [*parts, {**total, "seen": "all"}] if len(parts) > 1 else parts
+    return [*found, *(group for group in groups if group not in found)]
+
+
 def _label(cell: Any) -> str | float | int | bool | None:
     """Return a group's label as JSON holds it."""
     return None if pd.isna(cell) else cell.item() if isinstance(cell, np.generic) else cell

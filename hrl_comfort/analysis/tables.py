@@ -43,6 +43,8 @@ HEADLINE = {
     "other_collision": Quantity("other collisions (%)", 100, 1),
 }
 """Metrics of a group of episodes that every table of evaluations shows."""
+SPAWNS = {"True": "seen", "False": "unseen"}
+"""Values of `seen` as text, in words; the third is all."""
 SHOWN = {"comfort_level": "level", "seen": "spawns"}
 """Heads of the labels of groups that are not their names."""
 ALWAYS = ("comfort_level", "split")
@@ -94,7 +96,7 @@ def of_groups(groups: Sequence[Mapping[str, Any]]) -> Table:
     A label is shown where the groups differ in it; the level and the split always. The success alone has an interval.
     """
     found = DataFrame(groups, dtype=object).drop(columns=["policy", "episodes", "metrics"])
-    told = found.where(found.notna(), "-").replace({"seen": {True: "seen", False: "unseen"}}).astype(str)
+    told = found.where(found.notna(), "-").astype(str).replace({"seen": SPAWNS})
     shown = [name for name in told if told[name].nunique() > 1 or (name in ALWAYS and told[name].iloc[0] != "-")]
     lines = []
     for group, line in zip(groups, told[shown].to_numpy(), strict=True):

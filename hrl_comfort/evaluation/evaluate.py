@@ -12,6 +12,7 @@ from rich.console import Console
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.analysis.episodes import success
+from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell, in_terminal, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
@@ -46,8 +47,8 @@ def evaluate(config: EvaluateConfig) -> Path:
             output = evaluate_checkpoints(config)
         else:
             result = rollout(config)
-            result.write(output, config)
-            Console().print(of_groups(result.summary(config)["groups"]))
+            summary = result.write(output, config)
+            Console().print(of_groups(with_totals(summary["groups"], result.table)))
     print(output)
     return output
 

@@ -58,8 +58,9 @@ class Result:
         limits = [episode.max_episode_steps for episode in self.episodes]
         return summarise(self.table, config.group_by, limits)
 
-    def write(self, output: Path, config: EvaluateConfig) -> None:
-        """Write the tables, config.yaml and summary.json in place of those of an earlier evaluation."""
+    def write(self, output: Path, config: EvaluateConfig) -> dict[str, Any]:
+        """Write the tables, config.yaml and summary.json in place of earlier ones; return the last."""
+        summary = self.summary(config)
         with all_or_none(*(output / name for name in STALE)):
             save_config(config, output / "config.yaml")
             write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
@@ -67,7 +68,8 @@ class Result:
                 write_table(output / "options.csv", list(self.options[0]), (row.values() for row in self.options))
             if self.paths:
                 write_table(output / "paths.csv", path_columns(len(self.paths[0])), self.paths)
-            write_json(output / "summary.json", self.summary(config))
+            write_json(output / "summary.json", summary)
+        return summary
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:

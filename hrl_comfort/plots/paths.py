@@ -70,13 +70,19 @@ def _walk(path: DataFrame) -> Floats:
     return walk if there else np.zeros((0, 2))
 
 
-def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, str], cell: Mapping[str, Any]) -> Figure:
+def overview(
+    episodes: Mapping[Recorded, DataFrame],
+    ended: Mapping[Recorded, str],
+    cell: Mapping[str, Any],
+    precision: Mapping[str, float],
+) -> Figure:
     """Draw tool and human from above and from the side, and their horizontal distance over time.
 
     Args:
       episodes: episode to its rows of paths.csv.
       ended: episode to how it ended; anything but "success" is marked with a cross.
       cell: `cell` of the run's configuration; empty when it is not known, then no goal is drawn.
+      precision: `task.precision` of the run's configuration; empty when it is not known, then no tolerance is drawn.
     """
     tracks = [
         Track(str(key), colour, path, {"success": ended.get(key, "success") == "success"})
@@ -87,7 +93,7 @@ def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, st
         grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), height_ratios=(1.3, 1.0))
         top = figure.add_subplot(grid[:, 0])
         side, gap = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        _from_above(top, tracks, cell)
+        _from_above(top, tracks, cell, precision)
         for track in tracks:
             _tool(side, track, "tcp_z")
             if len(walk := _walk(track.path)):
@@ -96,6 +102,7 @@ def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, st
         for key, (_, colour) in GOALS.items():
             if key in cell:
                 side.plot(cell[key][0], cell[key][2], "D", color=colour, markersize=6, markeredgecolor="white")
+                _tolerance(side, (cell[key][0], cell[key][2]), key, precision)
         side.plot(0, 0, "s", color=GREY, markersize=9)
         for axis in (top, side):
             axis.set_aspect("equal", adjustable="datalim", anchor="W")
@@ -107,7 +114,7 @@ def overview(episodes: Mapping[Recorded, DataFrame], ended: Mapping[Recorded, st
         gap.set_ylim(bottom=0)
         if not gap.lines:
             gap.text(0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666")
-        _legend(figure, columns=8)
+        _legend(figure, columns=9)
         return figure
 
 
@@ -184,7 +191,8 @@ def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
 def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figure:
     """Draw a panel for each of the episodes, with a path for each evaluation in its colour."""
     chosen = _chosen(found, episodes)
-    cell = next(iter(found.values()))[0].config.get("cell", {})
+    config = next(iter(found.values()))[0].config
+    cell, precision = config.get("cell", {}), config.get("task", {}).get("precision", {})
     with styled():
         figure = Figure()
         axes = figure.subplots(1, len(chosen), squeeze=False, sharex=True, sharey=True)[0]
@@ -193,13 +201,13 @@ def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figur
                 _track(name, colour, run, rows.loc[episode].to_dict())
                 for (name, (run, rows)), colour in zip(found.items(), colours, strict=True)
             ]
-            _panel(axis, tracks, cell)
+            _panel(axis, tracks, cell, precision)
             axis.set_aspect("equal", adjustable="box")
         axes[0].set_ylabel("y (m)")
         (left, right), (low, high) = axes[0].get_xlim(), axes[0].get_ylim()
         height = min(PANEL_IN * (high - low) / (right - left), 2 * PANEL_IN)  # both axes have one scale
         figure.set_size_inches(0.5 + PANEL_IN * len(chosen), height + 1.7 + 0.17 * -(-len(found) // 2))
-        _legend(figure, columns=4 * len(chosen))
+        _legend(figure, columns=5 * len(chosen))
         return figure
 
 
@@ -213,6 +221,7 @@ def _legend(figure: Figure, columns: int) -> None:
         Line2D([], [], marker="o", markersize=5, label="success", **tool),
         Line2D([], [], marker="X", markersize=7, label="failure", **tool),
         Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", **tool),
+        Line2D([], [], color=BLACK, linewidth=0.9, linestyle=":", label="tolerance"),
         Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
         Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
         Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
@@ -221,9 +230,15 @@ def _legend(figure: Figure, columns: int) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, **spaces)
 
 
-def _from_above(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], ball: str | None = None) -> None:
+def _from_above(
+    axis: Axes,
+    tracks: Sequence[Track],
+    cell: Mapping[str, Any],
+    precision: Mapping[str, float],
+    ball: str | None = None,
+) -> None:
     """Draw the cell, with a ball of this colour, tools and walks from above, m in the cell's frame."""
-    _draw_cell(axis, cell, ball)
+    _draw_cell(axis, cell, precision, ball)
     for track in tracks:
         _tool(axis, track, "tcp_y")
     for colour, walk in _walks(tracks):
@@ -234,10 +249,10 @@ def _from_above(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], ba
     axis.yaxis.set_major_locator(MultipleLocator(0.4))
 
 
-def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any]) -> None:
+def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precision: Mapping[str, float]) -> None:
     """Draw one episode's paths from above, and what each came to."""
     first = tracks[0].row
-    _from_above(axis, tracks, cell, first["colour"])
+    _from_above(axis, tracks, cell, precision, first["colour"])
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
     title = f"{first['colour'].capitalize()} ball, episode {first['episode']} ({spawn} spawn)"
     axis.set(title=title, xlabel="x (m)")
@@ -273,17 +288,30 @@ def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
     return [(GREY, longest)] if same else walks
 
 
-def _draw_cell(axis: Axes, cell: Mapping[str, Any], ball: str | None) -> None:
-    """Draw base, tables, ball in its colour and drop points with their names."""
+def _draw_cell(axis: Axes, cell: Mapping[str, Any], precision: Mapping[str, float], ball: str | None) -> None:
+    """Draw base, tables, ball in its colour and drop points with their names and tolerances."""
     half = cell.get("table_half_width_m", 0.0)
     _square(axis, (0.0, 0.0), BASE_M / 2, "#d9d9d9", "base", (0.0, 0.0))
     for key, (label, colour) in GOALS.items():
         if key in cell:
             x, y, _ = cell[key]
             # Paths to and from a place run on the robot's side of it.
-            _square(axis, (x, y), half, "#f0f0f0", label, (x, y + (half + LABEL_M) * (1 if y > 0 else -1)))
+            away = max(half, _radius(key, precision) or 0.0) + LABEL_M
+            _square(axis, (x, y), half, "#f0f0f0", label, (x, y + away * (1 if y > 0 else -1)))
             own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" and ball else colour
             axis.plot(x, y, "o" if key == "ball_m" else "D", color=own, markersize=7, markeredgecolor="white", zorder=5)
+            _tolerance(axis, (x, y), key, precision)
+
+
+def _tolerance(axis: Axes, at: Point, goal: str, precision: Mapping[str, float]) -> None:
+    """Draw the distance from a goal at which the tool has arrived."""
+    if (radius := _radius(goal, precision)) is not None:
+        look: dict[str, Any] = {"edgecolor": GOALS[goal][1], "linestyle": ":", "linewidth": 0.9, "zorder": 2}
+        axis.add_patch(Circle(at, radius, fill=False, **look))
+
+
+def _radius(goal: str, precision: Mapping[str, float]) -> float | None:
+    return precision.get("grasp_tolerance_m" if goal == "ball_m" else "place_tolerance_m")
 
 
 def _square(axis: Axes, at: Point, half: float, colour: str, label: str, label_at: Point) -> None:

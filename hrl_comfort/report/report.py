@@ -10,20 +10,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from pandas import DataFrame, Series
 from rich.console import Console
 
 from hrl_comfort.analysis.episodes import TERMINATIONS, terminations
 from hrl_comfort.analysis.learning_curve import POLICY, curve_of
-from hrl_comfort.analysis.summary import KEYS
-from hrl_comfort.analysis.tables import HEADLINE, cell, cells, of_groups
+from hrl_comfort.analysis.summary import KEYS, with_totals
+from hrl_comfort.analysis.tables import HEADLINE, SHOWN, SPAWNS, cell, cells, of_groups
 from hrl_comfort.config import ReportConfig
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
 from hrl_comfort.plots import hierarchy, training
-from hrl_comfort.plots.paths import overview
+from hrl_comfort.plots.paths import at_levels, overview
 from hrl_comfort.plots.style import data_uri
 from hrl_comfort.report.sweeps import render, sweep_report
 from hrl_comfort.report.videos import videos
@@ -37,10 +38,10 @@ OPTION_ENDS = ["success", "failure", "preempted"]
 
 
 def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """Return the rows of the main table, one a group of each summary.json: heading with unit to text."""
+    """Return the rows of the main table, one a group of each summary.json and a total: heading with unit to text."""
     rows = []
     for run in runs:
-        for group in run.groups or []:
+        for group in with_totals(run.groups or [], run.episodes):
             precision = group.get("precision_m")
             rows.append(
                 {
@@ -49,7 +50,11 @@ def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
                     "human": str(group["human"]),
                     "comfort level": str(group.get("comfort_level") or "off"),
                     "precision (cm)": "–" if precision is None else f"{100 * precision:g}",
-                    **{key: str(group[key]) for key in group if key not in (*KEYS, "episodes", "metrics")},
+                    **{
+                        SHOWN.get(key, key): SPAWNS.get(str(group[key]), str(group[key]))
+                        for key in group
+                        if key not in (*KEYS, "episodes", "metrics")
+                    },
                     "episodes": str(group["episodes"]),
                     **dict(zip(HEADS, cells(group["metrics"], HEADLINE), strict=True)),
                     "training (min)": cell(run.minutes),
@@ -58,12 +63,27 @@ def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
     return rows
 
 
+def levels(runs: Sequence[Run]) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Return, for each run evaluated at several levels, its name and a table with a column a level."""
+    found = []
+    for run in runs:
+        groups = [each for each in with_totals(run.groups or [], run.episodes) if each.get("seen") in (None, "all")]
+        at = [str(group.get("comfort_level")) for group in groups]
+        if 1 < len(at) == len(set(at)):
+            columns = [cells(group["metrics"], HEADLINE) for group in groups]
+            lines = [[head, *line] for head, line in zip(HEADS, zip(*columns, strict=True), strict=True)]
+            found.append((run.name, ["", *(f"level {level}" for level in at)], lines))
+    return found
+
+
 def _curves(runs: Sequence[Run]) -> dict[str, str]:
     """Return the figures of training that the runs have data for, as data URIs."""
-    logs = {run.name: run.metrics for run in runs if run.metrics is not None}
+    logs = {run.name: run.metrics for run in runs if run.metrics is not None and len(run.metrics) > 1}
     policies = {name: log for name, log in logs.items() if curve_of(log) is POLICY}
     controllers = {name: log for name, log in logs.items() if name not in policies}
-    checkpoints = {run.name: run.checkpoints for run in runs if run.checkpoints is not None}
+    checkpoints = {
+        run.name: run.checkpoints for run in runs if run.checkpoints is not None and len(run.checkpoints) > 1
+    }
     figures = {}
     if policies:
         figures["learning"] = training.learning_curves(policies)
@@ -86,8 +106,24 @@ def _paths(runs: Sequence[Run]) -> list[tuple[str, Run, int]]:
     found = []
     for run in runs:
         if recorded := recorded_paths(run, SHOWN_PATHS):
-            picture = overview(recorded, _ends(run, recorded), run.config.get("cell", {}))
+            precision = run.config.get("task", {}).get("precision", {})
+            picture = overview(recorded, _ends(run, recorded), run.config.get("cell", {}), precision)
             found.append((data_uri(picture), run, len(recorded)))
+    return found
+
+
+def _level_paths(runs: Sequence[Run]) -> list[tuple[str, Run]]:
+    """Return, for each run recorded at several levels, a figure of two episodes at up to four of the levels."""
+    found = []
+    for run in runs:
+        keys = list(recorded_paths(run))
+        there = sorted({level for _, level in keys if level is not None})
+        if run.episodes is None or len(there) < 2:
+            continue
+        shown = [there[round(k)] for k in np.linspace(0, len(there) - 1, min(len(there), SHOWN_PATHS))]
+        both = [index for index, level in keys if level == there[0] and all((index, each) in keys for each in shown)]
+        if both:
+            found.append((data_uri(at_levels([run], shown, both[:2])), run))
     return found
 
 
@@ -118,7 +154,8 @@ def report(config: ReportConfig) -> Path:
         runs = find_runs(folder)
         with output_file(output):
             _write_page(runs, folder.resolve().name, output, config)
-        if groups := [{"run": run.name, **group} for run in runs for group in run.groups or []]:
+        totals = {run.name: with_totals(run.groups or [], run.episodes) for run in runs}
+        if groups := [{"run": name, **group} for name, each in totals.items() for group in each]:
             Console().print(of_groups(groups))
     print(output)
     return output
@@ -138,7 +175,9 @@ def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig)
         runs=runs,
         headline=headline(runs),
         curves=_curves(runs),
+        levels=levels(runs),
         paths=_paths(runs),
+        level_paths=_level_paths(runs),
         timelines=_timelines(runs),
         kinds=kinds,
         terminations=_counts(episodes["run"], episodes["ended"], kinds),

@@ -107,13 +107,15 @@ def _draw(run: Run, key: Recorded, file: Path, speed: float) -> str:
     view = azimuth_deg(recorded[key])
     write_video(file, beside([frames(recorded[each], robot, cell, task, colour, speed, view) for each in shown]))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
-    said = ", ".join(_said(run, each, side) for each, side in zip(shown, ("left: ", "right: "), strict=False))
-    said = said if len(shown) > 1 else said.removeprefix("left: ")
-    return f"{run.name}, episode {key[0]}, {said}; drawn from its joint angles, {pace}."
+    if len(shown) > 1:
+        sides = zip(shown, ("left", "right"), strict=True)
+        how = " and".join(f" at level {each[1]} ({side}: {_ended(run, each)})" for each, side in sides)
+    else:
+        how = ("" if key[1] is None else f" at level {key[1]}") + f", {_ended(run, key)}"
+    return f"{run.name}, episode {key[0]}{how}; drawn from its joint angles, {pace}."
 
 
-def _said(run: Run, key: Recorded, side: str) -> str:
-    """Return the level of a recorded episode and how it ended, in words."""
+def _ended(run: Run, key: Recorded) -> str:
+    """Return how a recorded episode ended, in words."""
     row = row_of(run, key)
-    ended = "" if row is None else terminations(DataFrame([row])).iloc[0]
-    return side + " ".join(filter(None, ("" if key[1] is None else f"level {key[1]},", ended or "recorded")))
+    return "end unknown" if row is None else str(terminations(DataFrame([row])).iloc[0])

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfi
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
-from hrl_comfort.files.tables import records_of
+from hrl_comfort.files.tables import read_table, records_of
 from hrl_comfort.plots import training, video
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
@@ -231,7 +232,7 @@ def test_text_of_a_run_is_escaped(tmp_path):
 def test_paths_without_a_human_or_a_cell_are_drawn(demo):
     path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)[0, None]
     alone = path.assign(human_x=50.0, human_distance_m=np.nan)
-    figure = overview({(0, None): alone}, {}, {})
+    figure = overview({(0, None): alone}, {}, {}, {})
     assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "Top view",
         "Side view",
@@ -305,6 +306,46 @@ def test_the_gait_is_the_one_that_was_simulated():
     assert 0 < swing.max() <= np.radians(25)
 
 
+def test_goals_have_circles_of_the_tolerance_in_both_views(demo):
+    run = run_folder.find_runs(demo)[0]
+    precision = {"grasp_tolerance_m": 0.1, "place_tolerance_m": 0.02}
+    figure = overview(run_folder.recorded_paths(run, 2), {}, run.config["cell"], precision)
+    for axis in figure.axes[:2]:
+        dotted = [patch for patch in axis.patches if patch.get_linestyle() == ":"]
+        assert sorted(patch.radius for patch in dotted) == [0.02, 0.02, 0.1]
+
+
+def test_nothing_is_drawn_with_a_single_dot(demo):
+    runs = run_folder.find_runs(demo)
+    assert {"learning", "checkpoints"} <= report._curves(runs).keys()
+    cut = [replace(each, metrics=each.metrics[:1], checkpoints=each.checkpoints[:1]) for each in runs[:3]]
+    assert not report._curves(cut)
+
+
+def levels_of(demo, folder):
+    shutil.copytree(demo / "pick", folder)
+    for name, key in (("paths", "level"), ("episodes", "comfort_level")):
+        table = pd.read_csv(folder / "eval" / f"{name}.csv")
+        levels = [table.assign(**{key: level}) for level in (1, 4, 10)]
+        pd.concat(levels).to_csv(folder / "eval" / f"{name}.csv", index=False)
+    summary = summarise(read_table(folder / "eval" / "episodes.csv"), ["seen"], 500)
+    write_json(folder / "eval" / "summary.json", summary)
+    return run_folder.find_runs(folder)
+
+
+def test_levels_stand_beside_each_other_with_totals_beside_seen_and_unseen(demo, tmp_path):
+    runs = levels_of(demo, tmp_path / "pick")
+    rows = report.headline(runs)
+    assert [(row["comfort level"], row["spawns"], row["episodes"]) for row in rows] == [
+        (level, *of) for level in ("1", "4", "10") for of in (("unseen", "11"), ("seen", "10"), ("all", "21"))
+    ]
+    ((name, heads, lines),) = report.levels(runs)
+    assert (name, heads) == ("pick", ["", "level 1", "level 4", "level 10"])
+    assert lines[0] == ["success (%)", *[rows[2]["success (%)"]] * 3]
+    assert [len(report._level_paths(each)) for each in (runs, run_folder.find_runs(demo))] == [1, 0]
+    assert not report.levels(run_folder.find_runs(demo))
+
+
 def test_boundaries_of_curriculum_stages_are_drawn_and_named():
     table = DataFrame({"policy_steps": np.arange(1, 31) * 1000, "episodes": np.arange(30), "success": 0.5})
     plain = training.learning_curves({"pick": table})
@@ -351,15 +392,8 @@ def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(d
 
 def test_the_first_and_the_last_level_are_drawn_beside_each_other_from_one_side(demo, tmp_path, undrawn):
     folder = tmp_path / "pick"
-    shutil.copytree(demo / "pick", folder)
-    for name in ("paths", "episodes"):
-        table = pd.read_csv(folder / "eval" / f"{name}.csv").drop(columns="comfort_level", errors="ignore")
-        key = "level" if name == "paths" else "comfort_level"
-        pd.concat([table.assign(**{key: level}) for level in (1, 4, 10)]).to_csv(
-            folder / "eval" / f"{name}.csv", index=False
-        )
-    found, _ = videos(run_folder.find_runs(folder), ReportConfig(run=str(folder), output=None, video=True, episode=1))
-    assert "episode 1, left: level 1, success, right: level 10, success" in found[0][1]
+    found, _ = videos(levels_of(demo, folder), ReportConfig(run=str(folder), output=None, video=True, episode=1))
+    assert "episode 1 at level 1 (left: success) and at level 10 (right: success);" in found[0][1]
     (one, here), (other, there) = ast.literal_eval((folder / "eval" / "video.mp4").read_text())
     assert one == other and here == there
 
