@@ -10,7 +10,14 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import EVALUATION_EPISODES, FIRST_SEED, TERMINAL_STATES_SEED, VALIDATION_SEED
+from hrl_comfort.config.constants import (
+    EVALUATION_EPISODES,
+    FIRST_SEED,
+    TERMINAL_STATES_SEED,
+    TEST_SEED,
+    TRAIN_SEED,
+    VALIDATION_SEED,
+)
 from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
@@ -21,10 +28,12 @@ DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
 PICK_AND_PLACE = ("pick_place", "cycle", "sort")
 """Tasks that pick a ball and then place it."""
-VALIDATION_EPISODES = 10_000
+DRAWN_EPISODES = 10_000
 SPLITS = {
     "paper": (FIRST_SEED, 2**31, EVALUATION_EPISODES),
-    "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - VALIDATION_EPISODES, VALIDATION_EPISODES),
+    "train": (TRAIN_SEED, TEST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
+    "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
+    "test": (TEST_SEED, FIRST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
 }
 """Smallest and largest seed of the first episode, and the largest number of episodes, by split."""
 FIGURES = (
@@ -144,7 +153,8 @@ class EvaluateConfig(EnvConfig):
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
-    """The committed evaluation set (`paper`), or episodes drawn as in training (`validation`)."""
+    """The committed evaluation set (`paper`), or episodes drawn as in training (`train`, `validation`) or from a part
+    of the world that no training with `human.partitioned` sees (`test`, which the ledger records)."""
     episodes: int
     """Number of episodes (at each level)."""
     episode_seed: int | None
@@ -177,6 +187,8 @@ class EvaluateConfig(EnvConfig):
             raise ConfigError(
                 "checkpoints=all goes with meta_controller=none, record=false and without terminal_states="
             )
+        if self.checkpoints == "all" and self.split == "test":
+            raise ConfigError("checkpoints=all chooses among checkpoints, which split=test is not for; use validation")
         if self.levels:
             self._check_levels()
         first, last, most = SPLITS[self.split]

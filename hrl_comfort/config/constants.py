@@ -20,6 +20,8 @@ VALIDATION_SEED = 850_000
 """First episode seed of the validation split; training uses the seeds below it."""
 TERMINAL_STATES_SEED = 900_000
 """First episode seed of recorded terminal states."""
+TRAIN_SEED, TEST_SEED = 920_000, 950_000
+"""First episode seeds of the splits `train` and `test`."""
 FIRST_SEED = 1_000_000
 """First episode seed of the evaluation set."""
 EVALUATION_EPISODES = 1000

@@ -53,6 +53,9 @@ class HumanConfig:
     """`reactive`: 0 is afraid of the moving arm, 0.5 yields to it as to a person, 1 goes to look at the tool."""
     mixture: dict[str, dict[str, Any]]
     """`mixture`: motions, one of which is drawn an episode, and for each the values of this section that it changes."""
+    partitioned: bool
+    """Keep sectors around the robot, traits of people, recordings and arm starts of the splits `train`, `validation`
+    and `test` apart; training sees those of `train`."""
     file: str | None
     """`recorded`: CSV of t, x, y, yaw in s, m, m, rad, BVH file, or folder of such files. `live`: udp://HOST:PORT,
     lsl:NAME or package.module:callable; null is the person of `hrl-comfort studio`."""

@@ -16,6 +16,7 @@ from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
+from hrl_comfort.evaluation.ledger import record
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.tables import Floats, records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -73,13 +74,18 @@ class Result:
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
-    """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
+    """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's.
+
+    The ledger gets a line of each rollout on `split=test`.
+    """
     entries = split(config)
     result = Result([], [], [])
     with progress(f"evaluate {config.task.name}", config.episodes * max(1, len(config.levels))) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
                 EvaluationBatch(at_level, policy, entries.part(start, start + BATCH), result).run(show)
+    if config.split == "test":
+        record(config, policy, result.table)
     return result
 
 

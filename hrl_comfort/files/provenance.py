@@ -49,7 +49,7 @@ def write_provenance(folder: Path, config: TrainingConfig, finished: bool, secon
         **progress,
         "wall_seconds": round(seconds, 1),
         "seeds": {"train_seed": config.train_seed, "episode_seed": config.episode_seed},
-        "commit": _commit(),
+        "commit": commit(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in PACKAGES},
         "machine": machine,
@@ -57,7 +57,7 @@ def write_provenance(folder: Path, config: TrainingConfig, finished: bool, secon
     write_json(folder / "provenance.json", content)
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
     """Return the commit of the package's checkout, with `+` if files differ; None in a wheel."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists() or shutil.which("git") is None:

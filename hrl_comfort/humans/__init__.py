@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
-from hrl_comfort.humans.evaluation import MOTION_STREAM, EvaluationSet, load_evaluation_set, split_set, validation_set
+from hrl_comfort.humans.evaluation import (
+    MOTION_STREAM,
+    SHARES,
+    EvaluationSet,
+    drawn_set,
+    in_sector,
+    load_evaluation_set,
+    share_of,
+    split_set,
+)
 from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, bounds, free, motion
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
@@ -148,11 +157,16 @@ def jittered_spawn(config: HumanConfig, spawn: Array, uniform: Array) -> Array:
 
 
 def training_spawn(
-    config: HumanConfig, spawns: Array, keep_out: KeepOut, rng: np.random.Generator
+    config: HumanConfig,
+    spawns: Array,
+    keep_out: KeepOut,
+    rng: np.random.Generator,
+    share: tuple[float, float] = SHARES["all"],
 ) -> tuple[int, Array]:
     """Draw a training spawn as `config.spawn` says: index into `spawns` (-1: anywhere) and position (2,) m.
 
-    The position lies outside the keep-out discs and at least `spawn_margin_m` from held-out `spawns` (s, 2) m.
+    The position lies in the sector of `share`, outside the keep-out discs and at least `spawn_margin_m` from held-out
+    `spawns` (s, 2) m.
 
     Raises:
       ConfigError: no free position in MAX_SPAWN_DRAWS draws.
@@ -169,6 +183,7 @@ def training_spawn(
             radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
             place = radius * np.array([np.cos(bearing), np.sin(bearing)])
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
+        clear &= in_sector(place[None], share)[0]
         if clear and not keep_out.entered(place[None])[0]:
             return index, place
     raise ConfigError(
@@ -197,6 +212,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
-    "Walk", "advance", "around", "begin", "bounds", "free", "gait", "jittered_spawn", "load_evaluation_set", "motion",
-    "moved_spawns", "outside", "seen_position", "split_set", "training_spawn", "training_spawns", "validation_set",
+    "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector", "jittered_spawn",
+    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "split_set",
+    "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Evaluation splits: the committed set of 1,000 spawns, motion seeds and episode seeds, and validation draws."""
+"""Evaluation splits: the committed set of 1,000 spawns, motion and episode seeds, and draws in parts of the world."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ from hrl_comfort.config import FIRST_SEED, SPLITS, ConfigError
 
 FILE = "humans/evaluation_set.csv"
 COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
+SHARES = {"all": (0.0, 1.0), "train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
+"""Share of everything that is parted that belongs to a split: of the full turn around the robot, of the traits of
+people, of recordings, of arm starts."""
+FIRST_BEARING_RAD = np.radians(31.0)
+"""Bearing at which the sector of `train` begins: it holds two tables, that of `test` the third, `validation` none."""
 MOTION_STREAM = 7
 """Second word of the random key of a motion; it keeps motions and episodes on separate streams."""
 
@@ -31,6 +36,8 @@ class EvaluationSet:
     position: NDArray[np.float64]
     motion_id: NDArray[np.int64]
     seen: NDArray[np.bool_]
+    split: NDArray[np.str_]
+    """Name of the split, one of SPLITS."""
 
     def part(self, start: int, stop: int) -> EvaluationSet:
         """Return the entries from `start` to `stop`, exclusive."""
@@ -53,17 +60,30 @@ class EvaluationSet:
 def split_set(split: str, episodes: int, first_seed: int | None = None) -> EvaluationSet:
     """Return the first `episodes` of a split, one of SPLITS, the first from `first_seed`, by default the split's."""
     seed = SPLITS[split][0] if first_seed is None else first_seed
-    if split == "validation":
-        return validation_set(seed, episodes)
+    if split != "paper":
+        return drawn_set(split, seed, episodes)
     return load_evaluation_set().reseeded(seed).part(0, episodes)
 
 
-def validation_set(seed: int, episodes: int) -> EvaluationSet:
+def share_of(split: str | None, partitioned: bool) -> tuple[float, float]:
+    """Return the share of the world that a split draws from; None is training. `test` always keeps to its own."""
+    parted = split == "test" or (partitioned and split != "paper")
+    return SHARES[(split or "train") if parted else "all"]
+
+
+def in_sector(position: NDArray[np.float64], share: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return whether positions (n, 2) m lie in the sector around the robot that is this share of the full turn."""
+    bearing = np.arctan2(position[:, 1], position[:, 0]) - FIRST_BEARING_RAD
+    turn = np.minimum(bearing / (2 * np.pi) % 1.0, 1.0 - 1e-9)
+    return np.asarray((share[0] <= turn) & (turn < share[1]))
+
+
+def drawn_set(split: str, seed: int, episodes: int) -> EvaluationSet:
     """Return episodes drawn as in training, each from an episode seed of its own, the first from `seed`."""
     seeds = np.arange(seed, seed + episodes)
     drawn = np.full(episodes, -1)
     nowhere, unknown = np.full((episodes, 2), np.nan), np.zeros(episodes, dtype=bool)
-    return EvaluationSet(seeds - seed, seeds, drawn, nowhere, seeds, unknown)
+    return EvaluationSet(seeds - seed, seeds, drawn, nowhere, seeds, unknown, np.full(episodes, split))
 
 
 @lru_cache(maxsize=1)
@@ -97,7 +117,7 @@ def parse_evaluation_set(text: str) -> EvaluationSet:
                 f"a seed from {FIRST_SEED}, a spawn from 0, finite x and y (m), a motion, seen True or False"
             )
         rows.append((*whole[:3], place, whole[3], seen))
-    entries = EvaluationSet(*map(np.array, zip(*rows, strict=True)))
+    entries = EvaluationSet(*map(np.array, [*zip(*rows, strict=True), ["paper"] * len(rows)]))
     for column in vars(entries).values():
         column.setflags(write=False)
     return entries

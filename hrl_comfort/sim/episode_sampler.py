@@ -120,18 +120,22 @@ class EpisodeSampler:
             noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
+        low, high = share = self._share(row)
         traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
+        traits[1:] = low + (high - low) * traits[1:]
         balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = (
                 self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
             )
             bank = banks[colour % len(banks)]
+            if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
+                bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
-            spawn_id, spawn, points = self._spawn_and_points(row, rng)
+            spawn_id, spawn, points = self._spawn_and_points(row, rng, share)
             told = level.copy()
-            if kept and len(start) > self._arm and self._drawn:
-                person = start[None, self._arm : self._arm + 2]
+            person = start[None, self._arm : self._arm + 2]
+            if kept and len(start) > self._arm and self._drawn and humans.in_sector(person, share)[0]:
                 spawn_id, spawn = -1, humans.outside(person, self.keep_out(points[None]))[0]
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
@@ -183,7 +187,14 @@ class EpisodeSampler:
             key[0] = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
         return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
 
-    def _spawn_and_points(self, row: int, rng: np.random.Generator) -> tuple[int, Array, Array]:
+    def _share(self, row: int) -> tuple[float, float]:
+        """Return the share of the world that the episodes of `row` draw from."""
+        split = None if self._evaluation is None else str(self._evaluation.split.take(row, mode="wrap"))
+        return humans.share_of(split, self._config.human.partitioned)
+
+    def _spawn_and_points(
+        self, row: int, rng: np.random.Generator, share: tuple[float, float]
+    ) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task
         points = np.array([task.point_m, task.second_point_m])
         drawn = task.point == "random"
@@ -195,7 +206,7 @@ class EpisodeSampler:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
-            spawn_id, spawn = humans.training_spawn(human, self.spawns, discs, rng)
+            spawn_id, spawn = humans.training_spawn(human, self.spawns, discs, rng, share)
         spawn = humans.outside(spawn[None], discs)[0]
         return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
 

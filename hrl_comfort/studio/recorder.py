@@ -16,7 +16,7 @@ from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.tables import read_table, write_table
-from hrl_comfort.humans import validation_set
+from hrl_comfort.humans import drawn_set
 from hrl_comfort.humans.recordings import HEADER
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
@@ -58,7 +58,7 @@ class Recorder:
     def begin(self) -> None:
         """Begin with the first state of an episode; one that has not ended is dropped."""
         session = self._session
-        entries = validation_set(session.config.first_seed, 1)
+        entries = drawn_set("validation", session.config.first_seed, 1)
         entries = replace(entries, episode=np.array([self.episodes]))
         config = replace(session.config, record=True)
         self._recorder = EpisodeRecorder(config, None, session.engine, entries, self._result)

@@ -201,7 +201,7 @@ def test_a_validation_episode_is_the_same_however_many_are_run(tmp_path: Path) -
     assert fresh == [{**row, "episode": ""} for row in whole[3:5]]
 
 
-@pytest.mark.parametrize("wrong", ["split=test", "episode_seed=1000000", "episodes=10001"])
+@pytest.mark.parametrize("wrong", ["split=spare", "episode_seed=1000000", "episodes=10001"])
 def test_validation_keeps_to_its_own_seeds(tmp_path: Path, wrong: str) -> None:
     with pytest.raises(ConfigError, match=wrong.split("=")[0]):
         run(tmp_path, "split=validation", wrong)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import HumanConfig
+from hrl_comfort.config import ConfigError, HumanConfig
 from hrl_comfort.humans.recordings import Recording, read_recordings
 from hrl_comfort.humans.walk import Array, Stride, Surroundings, Walk, facing_base
 
@@ -27,6 +27,8 @@ def pose_at(config: HumanConfig, spawn: Array, traits: Array, step: NDArray[np.i
     assert config.file is not None
     recordings = read_recordings(config.file)
     count = len(recordings)
+    if config.partitioned and count % 5:
+        raise ConfigError(f"human.file={config.file!r} holds {count} recordings; human.partitioned needs 5, 10, 15, …")
     chosen = np.minimum((traits[:, 1] * count).astype(np.int64), count - 1)
     position, yaw, limbs = np.empty((len(step), 2)), np.empty(len(step)), np.empty((len(step), 6, 3))
     for index in np.unique(chosen):

@@ -1,0 +1,124 @@
+"""The splits: parts of the world that share no sector, trait, arm start or seed, and the ledger of `test`."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hrl_comfort import humans
+from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
+from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.envs.inputs import replayed
+from hrl_comfort.evaluation import ledger
+from hrl_comfort.evaluation.evaluate import evaluate, evaluate_policy
+from hrl_comfort.humans.evaluation import SHARES
+from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
+from hrl_comfort.tasks import subtask
+
+PARTS = ("train", "validation", "test")
+EPISODES = 120
+
+
+def draws(split: str | None, *overrides: str) -> list[Draw]:
+    """Return the first draw of EPISODES episodes of a split; None is training."""
+    config = environment(compose("train", ["task=place", "human=mixture", *overrides]))
+    entries = None if split is None else humans.split_set(split, EPISODES)
+    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    sampler = EpisodeSampler(scene, config, subtask("place", "default", 1), 0, entries)
+    return [next(sampler.attempts(row, 0)) for row in range(EPISODES)]
+
+
+def test_sectors_cover_the_turn_and_do_not_overlap() -> None:
+    bearing = np.linspace(-np.pi, np.pi, 3601)
+    place = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    inside = {name: humans.in_sector(place, SHARES[name]) for name in SHARES}
+    assert inside["all"].all()
+    assert (sum(inside[name].astype(int) for name in PARTS) == 1).all()
+    for name, share in zip(PARTS, (0.6, 0.2, 0.2), strict=True):
+        assert inside[name].mean() == pytest.approx(share, abs=1e-3)
+        assert np.count_nonzero(np.diff(inside[name].astype(int))) <= 2, "one sector each"
+
+
+def test_the_parts_share_no_sector_trait_start_or_seed() -> None:
+    seen = {name: draws(name) for name in PARTS}
+    for name, found in seen.items():
+        assert humans.in_sector(np.stack([draw.spawn for draw in found]), SHARES[name]).all()
+        traits = np.stack([draw.traits for draw in found])
+        low, high = SHARES[name]
+        assert ((traits[:, 1:] >= low) & (traits[:, 1:] < high)).all()
+        assert np.ptp(traits[:, 0]) > 0.9, "each part has every motion"
+    starts = {name: {draw.start.tobytes() for draw in found} for name, found in seen.items()}
+    assert len(starts["test"]) > 5
+    assert not starts["train"] & starts["test"] and not starts["validation"] & (starts["train"] | starts["test"])
+    seeds = [set(humans.split_set(name, most).episode_seed.tolist()) for name, (*_, most) in SPLITS.items()]
+    assert len(set.union(*seeds)) == sum(map(len, seeds))
+
+
+def test_training_draws_from_the_part_of_train() -> None:
+    spawns = np.stack([draw.spawn for draw in draws(None)])
+    assert humans.in_sector(spawns, SHARES["train"]).all()
+
+
+def test_without_partition_all_but_test_draw_everywhere() -> None:
+    whole = ["human.partitioned=false"]
+    for name in (None, "train", "validation", "paper"):
+        spawns = np.stack([draw.spawn for draw in draws(name, *whole)])
+        assert all(humans.in_sector(spawns, SHARES[part]).any() for part in PARTS)
+    assert humans.in_sector(np.stack([draw.spawn for draw in draws("test", *whole)]), SHARES["test"]).all()
+
+
+def test_recordings_are_split_whole(tmp_path: Path) -> None:
+    for index in range(10):
+        (tmp_path / f"{index}.csv").write_text(f"t,x,y,yaw\n0,{index},0,0\n")
+    config = compose("train", ["human=recorded", f"human.file={tmp_path}", "human.partitioned=true"]).human
+    seen = {}
+    for name in PARTS:
+        low, high = SHARES[name]
+        traits = low + (high - low) * np.random.default_rng(0).random((200, humans.TRAITS))
+        seen[name] = set(humans.begin(config, np.zeros((200, 2)), traits).position[:, 0].tolist())
+    assert seen == {"train": {0, 1, 2, 3, 4, 5}, "validation": {6, 7}, "test": {8, 9}}
+    (tmp_path / "9.csv").unlink()
+    with pytest.raises(ConfigError, match="holds 9 recordings"):
+        humans.begin(
+            compose("train", ["human=recorded", f"human.file={tmp_path}/", "human.partitioned=true"]).human,
+            np.zeros((1, 2)),
+        )
+
+
+def test_each_evaluation_on_test_is_in_the_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger, "FILE", tmp_path / "ledger.csv")
+    words = ["task=reach", "policy=expert", "episodes=3", f"output='{tmp_path / 'eval'}'"]
+    for split in ("validation", "test"):
+        config = compose("evaluate", [*words, f"split={split}"])
+        assert isinstance(config, EvaluateConfig)
+        evaluate(config)
+    evaluate_policy("random", {"task": "reach", "episodes": 2, "split": "test"})
+    lines = pd.read_csv(tmp_path / "ledger.csv")
+    assert list(lines.columns) == ledger.HEADER
+    assert lines[["policy", "task", "episodes"]].values.tolist() == [["expert", "reach", 3], ["random", "reach", 2]]
+    assert lines["success"].between(0, 1).all() and lines["command"].str.startswith("hrl-comfort").all()
+
+
+def test_the_committed_ledger_has_its_columns() -> None:
+    text = (ledger.ROOT / "docs" / "tables" / "test_ledger.csv").read_text(encoding="utf-8")
+    assert text.splitlines()[0].split(",") == ledger.HEADER
+
+
+def test_the_ledger_tells_a_policy_by_its_bytes(tmp_path: Path) -> None:
+    (tmp_path / "policy.pt").write_bytes(b"weights")
+    digest = hashlib.sha256(b"weights").hexdigest()[:16]
+    assert ledger.hash_of(str(tmp_path)) == f"{tmp_path}@{digest}"
+    assert ledger.hash_of(f"onnx:{tmp_path}/policy.pt") == f"onnx:{tmp_path}/policy.pt@{digest}"
+    assert ledger.hash_of("expert") == "expert"
+
+
+def test_test_is_for_evaluate_alone() -> None:
+    with pytest.raises(ConfigError, match="choose one of paper, train, validation"):
+        replayed({"episode": 0, "split": "test"}, 1)
+    with pytest.raises(ConfigError, match=r"checkpoints=all.*split=test"):
+        compose("evaluate", ["checkpoints=all", "split=test", "policy=runs/pick"])
