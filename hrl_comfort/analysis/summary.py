@@ -52,11 +52,11 @@ def with_totals(groups: Sequence[dict[str, Any]], episodes: DataFrame | None) ->
     """
     if episodes is None or not groups or "seen" not in groups[0]:
         return list(groups)
-    labels = [name for name in groups[0] if name not in ("episodes", "metrics", "seen")]
+    labels = [name for name in groups[0] if name not in ("episodes", "metrics", "seen", "policy")]
     found: list[dict[str, Any]] = []
     for total in summarise(episodes, [name for name in labels if name not in KEYS], 1)["groups"]:
-        parts = [group for group in groups if all(group.get(name) == total.get(name) for name in labels)]
-        found += [*parts, {**total, "seen": "all"}] if len(parts) > 1 else parts
+        parts = [group for group in groups if all(group[name] == total.get(name, group[name]) for name in labels)]
+        found += [*parts, {**parts[0], **total, "seen": "all"}] if len(parts) > 1 else parts
     return [*found, *(group for group in groups if group not in found)]
 
 

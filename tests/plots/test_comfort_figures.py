@@ -79,7 +79,7 @@ def evaluation(
             )
             for k in range(steps + 1):
                 cells = [e, k, 0, "" if level is None else int(in_force[k]), *[0] * 6, *tool[k], *walk[k]]
-                paths.append([*cells, 0, gap[k]])
+                paths.append([*cells, 0, gap[k], 0, 0])
     folder.mkdir(parents=True)
     (folder / "config.yaml").write_text(CONFIG)
     with (folder / "episodes.csv").open("w", newline="") as out:
@@ -88,7 +88,7 @@ def evaluation(
         writer.writerows(rows)
     if record:
         with (folder / "paths.csv").open("w", newline="") as out:
-            csv.writer(out).writerows([path_columns(17), *paths])
+            csv.writer(out).writerows([path_columns(19), *paths])
     return folder
 
 

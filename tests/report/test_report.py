@@ -15,7 +15,7 @@ from pandas import DataFrame
 
 from hrl_comfort import humans
 from hrl_comfort.analysis.episodes import terminations
-from hrl_comfort.analysis.summary import summarise
+from hrl_comfort.analysis.summary import summarise, with_totals
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files import run_folder
@@ -344,6 +344,16 @@ def test_levels_stand_beside_each_other_with_totals_beside_seen_and_unseen(demo,
     assert lines[0] == ["success (%)", *[rows[2]["success (%)"]] * 3]
     assert [len(report._level_paths(each)) for each in (runs, run_folder.find_runs(demo))] == [1, 0]
     assert not report.levels(run_folder.find_runs(demo))
+
+
+def test_totals_are_found_for_summaries_of_another_folder_and_without_a_split(demo):
+    episodes = run_folder.find_runs(demo)[0].episodes
+    groups = summarise(episodes.assign(policy="elsewhere", split="paper"), ["seen"], 500)["groups"]
+    found = with_totals(groups, episodes)
+    assert [(each["seen"], each["episodes"], each["split"]) for each in found] == [
+        (False, 11, "paper"), (True, 10, "paper"), ("all", 21, "paper"),
+    ]  # fmt: skip
+    assert with_totals(groups, None) == groups and with_totals(groups[:1], episodes) == groups[:1]
 
 
 def test_boundaries_of_curriculum_stages_are_drawn_and_named():
