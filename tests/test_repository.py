@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pandas as pd
@@ -53,3 +54,9 @@ def test_committed_episodes_can_be_read(path: Path) -> None:
     episodes = pd.read_parquet(path)
     assert len(episodes) % 1000 == 0 and episodes["success"].dtype == bool
     assert {"policy_steps", "spawn_id", "train_seed"} <= set(episodes.columns)
+
+
+def test_no_folder_of_the_package_is_crowded_and_no_module_long() -> None:
+    modules = [*(ROOT / "hrl_comfort").rglob("*.py")]
+    assert {each.name for each in modules if len(each.read_text(encoding="utf-8").splitlines()) > 350} == set()
+    assert {folder for folder, count in Counter(each.parent for each in modules).items() if count > 15} == set()

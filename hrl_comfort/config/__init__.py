@@ -20,6 +20,7 @@ from hrl_comfort.config.commands import (
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ReportConfig,
+    StudioConfig,
     TrainConfig,
     TrainingConfig,
 )
@@ -37,7 +38,6 @@ from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentCon
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.studio import StudioConfig
 from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [

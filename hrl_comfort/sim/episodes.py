@@ -30,6 +30,7 @@ from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
+from hrl_comfort.sim.state_fields import first_fields, planned_fields
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.tasks import State, Subtask, subtask
 from hrl_comfort.tasks.observations import share
@@ -133,7 +134,13 @@ class Episodes:
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
             sensed = probe(self.draw.start[pending, :moving], control)
-            state = self._first_state(pending, self._sensors.read_first(sensed, planned))
+            state = State(
+                **self._sensors.read_first(sensed, planned),
+                **first_fields(
+                    self.draw, pending, self._drops, self.config.task.precision, self.precision_m,
+                    level=self.source.level[pending], tcp_home=self._tcp_home, joint_home=self.scene.home,
+                ),
+            )  # fmt: skip
             if self.state is not None:
                 self.state = self.state.put(torch.from_numpy(pending), state)
             elif len(pending) == self.rows:
@@ -227,24 +234,6 @@ class Episodes:
         joined = (np.stack([getattr(point, name) for point in points[1:]], axis=1) for name in vars(points[0]))
         return SetPoints(*(each.reshape(n, *each.shape[2:]) for each in joined)), beside.reshape(n, *beside.shape[2:])
 
-    def _plan(
-        self, walk: humans.Walk, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
-    ) -> dict[str, NDArray[Any]]:
-        """Return the fields of State (n, ...) that are known before the physics runs, and the `limbs`."""
-        return {
-            "joint_target": points.angles,
-            "target_vel": points.velocity,
-            "share": points.share,
-            "share_sum": points.share_sum,
-            "braking": points.braking,
-            "protective_stops": points.protective_stops,
-            "human_pos": walk.position,
-            "human_yaw": walk.yaw,
-            "human_seen": humans.seen_position(self.config.human, walk.position, self.sampler.spawns),
-            "steps": steps,
-            "limbs": limbs,
-        }
-
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Return the result of a decision from its sensor readings (N, K * substeps, nsensor).
 
@@ -314,37 +303,11 @@ class Episodes:
             return self.state.level
         return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
-    def _first_state(self, rows: NDArray[np.int64], sensed: dict[str, Tensor]) -> State:
-        """Return the first instant of the episodes of `rows` (r,): the first ball is the target, none is placed.
-
-        `sensed` are the fields that change within an episode. All tolerances scale with `precision_m`.
-        """
-        n, precision = len(rows), self.config.task.precision
-        scale = self.precision_m / precision.grasp_tolerance_m
-        balls, colours = self.draw.balls[rows], self.draw.colours[rows]
-        constant = {
-            "tcp_home": self._tcp_home,
-            "joint_home": self.scene.home,
-            "orange_drop": self._drops[0],
-            "pink_drop": self._drops[1],
-            "target": np.int64(0),
-            "stage": np.int64(0),
-            "grasp_tolerance": self.precision_m,
-            "place_tolerance": scale * precision.place_tolerance_m,
-            "home_tolerance": scale * np.radians(precision.home_tolerance_deg),
-        }
-        fields = {
-            **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
-            "ball_pos": balls[:, 0],
-            "drop_pos": self._drops[colours[:, 0]],
-            "points": self.draw.points[rows],
-            "colour": colours[:, 0],
-            "balls": balls,
-            "colours": colours,
-            "placed": np.zeros(colours.shape, dtype=bool),
-            "level": self.source.level[rows],
-        }
-        return State(**sensed, **{name: torch.from_numpy(value) for name, value in fields.items()})
+    def _plan(
+        self, walk: humans.Walk, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
+        seen = humans.seen_position(self.config.human, walk.position, self.sampler.spawns)
+        return planned_fields(walk, seen, limbs, points, steps)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, as tensors and plain numbers."""

@@ -1,0 +1,74 @@
+"""Fields of `State` that no sensor reads: those planned before the physics runs, and those of an episode's start."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.config import PrecisionConfig
+from hrl_comfort.humans import Walk
+from hrl_comfort.safety.drive import SetPoints
+from hrl_comfort.sim.episode_sampler import Draw
+
+Array = NDArray[np.float64]
+
+
+def planned_fields(
+    walk: Walk, seen: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """Return the fields (n, ...) that are known before the physics runs, and the `limbs` (n, L, 7).
+
+    `seen` (n, 2) m is where the human is seen, `steps` (n,) the control steps of the episode afterwards.
+    """
+    return {
+        "joint_target": points.angles,
+        "target_vel": points.velocity,
+        "share": points.share,
+        "share_sum": points.share_sum,
+        "braking": points.braking,
+        "protective_stops": points.protective_stops,
+        "human_pos": walk.position,
+        "human_yaw": walk.yaw,
+        "human_seen": seen,
+        "steps": steps,
+        "limbs": limbs,
+    }
+
+
+def first_fields(
+    draw: Draw, rows: NDArray[np.int64], drops: Array, precision: PrecisionConfig, precision_m: float, level: Array,
+    tcp_home: Array, joint_home: Array,
+) -> dict[str, Tensor]:  # fmt: skip
+    """Return the fields (r, ...) of `rows` (r,) that stay, or begin, as drawn.
+
+    The first ball is the target, none is placed. All tolerances scale with `precision_m`. `drops` (2, 3) m, by colour.
+    """
+    n, scale = len(rows), precision_m / precision.grasp_tolerance_m
+    balls, colours = draw.balls[rows], draw.colours[rows]
+    constant = {
+        "tcp_home": tcp_home,
+        "joint_home": joint_home,
+        "orange_drop": drops[0],
+        "pink_drop": drops[1],
+        "target": np.int64(0),
+        "stage": np.int64(0),
+        "grasp_tolerance": precision_m,
+        "place_tolerance": scale * precision.place_tolerance_m,
+        "home_tolerance": scale * np.radians(precision.home_tolerance_deg),
+    }
+    fields = {
+        **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
+        "ball_pos": balls[:, 0],
+        "drop_pos": drops[colours[:, 0]],
+        "points": draw.points[rows],
+        "colour": colours[:, 0],
+        "balls": balls,
+        "colours": colours,
+        "placed": np.zeros(colours.shape, dtype=bool),
+        "level": level,
+    }
+    return {name: torch.from_numpy(value) for name, value in fields.items()}
