@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.safety.shield import Shield
@@ -51,7 +52,7 @@ class Drive:
         self._rating = Rating(
             np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
         )
-        self.arm = separation.arm
+        self.arm, self._separation = separation.arm, separation
         self._low, self._high = scene.joint_range.T
         self._shield = None
         if config.safety.kind == "ssm":
@@ -91,10 +92,27 @@ class Drive:
         if self._shield is not None:
             wanted, passed = self._shield.step(now, velocity, wanted)
             braking = passed == 0.0
+        wanted = self._yielding(angles, velocity, wanted, now)
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
         stops = before.protective_stops + (braking & ~before.braking)
         return SetPoints(angles + wanted * CONTROL_STEP_S, wanted, share, before.share_sum + share, braking, stops)
+
+    def _yielding(self, angles: Array, before: Array, wanted: Array, now: Encounter) -> Array:
+        """Return `wanted` (N, J) rad/s, or the rated brake where the arm touches the person and would press on.
+
+        An arm that presses on is pushed away from its set-points, and hits again as it springs back.
+        """
+        gap = now.apart.min(axis=0)
+        touching = np.flatnonzero(gap <= 0.0)
+        if not len(touching):
+            return wanted
+        pose = self.arm.pose(angles[touching] + wanted[touching] * CONTROL_STEP_S)
+        after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., touching]).min(axis=0)
+        pressing = touching[after < gap[touching]]
+        wanted = wanted.copy()
+        wanted[pressing] = self._rating.brake(before[pressing])
+        return wanted
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""

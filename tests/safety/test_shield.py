@@ -74,3 +74,19 @@ def test_policies_see_the_shields_last_share_and_its_stops_are_counted() -> None
         sums[done], stops[done], braking[done] = 0.0, 0, False
         engine.reset(np.flatnonzero(done))
     assert least < 0.5 and most > 0
+
+
+@pytest.mark.parametrize("safety", ["none", "ssm"])
+def test_an_arm_that_touches_somebody_does_not_press_on(safety: str) -> None:
+    overrides = (f"safety={safety}", "task.terminate_on=unsafe_contact")
+    engine = Engine(environment(compose("train", [*WORLD, *overrides])), 32, 0)
+    engine.reset()
+    pressed, touched = 0.0, 0
+    for decision in range(80):
+        result = engine.step(np.tile([0.1 - 0.2 * (decision // 20 % 2), 0, 0, 0, 0, 0], (32, 1)))
+        state = result.state.rows(result.state.touching & ~result.done)
+        touched += len(state.steps)
+        if len(state.steps):
+            pressed = max(pressed, float((state.joint_pos - state.joint_target).abs().max()))
+        engine.reset(np.flatnonzero(result.done.numpy()))
+    assert touched > 50 and pressed < 0.1

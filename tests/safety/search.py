@@ -1,0 +1,108 @@
+"""A search over people and policies that provoke an unsafe contact: `python -m tests.safety.search BOUND TRIALS`.
+
+A trial is a person who walks towards the nearest link, aside or away, beside an arm, both at speeds that change every
+0.4 s. Differential evolution moves them towards the fastest approach of the arm at a touch.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+
+from hrl_comfort import humans
+from hrl_comfort.config import HumanConfig
+from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.humans import steering
+from hrl_comfort.humans.motions.adversary import HANGING
+from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.signals import limbs_of
+
+Array = NDArray[np.float64]
+ROWS, PHASES, DECISIONS, JOINTS = 64, 6, 4, 6
+"""Trials side by side; phases of a trial; decisions of a phase; joints of the arm."""
+NUMBERS = 3 + PHASES * (2 + JOINTS)
+"""Of a trial, in [0, 1]: bearing, distance and arms of the person, then speed, angle and action of each phase."""
+NEAREST_M, FARTHEST_M = 0.6, 1.6
+PER_M = 10.0
+"""Speed (m/s) that a distance of 1 m from a touch counts as."""
+WORLD = (
+    "task=pick_place", "human=adversary", "human.motion=tests.safety.search:searched", "human.bound_m=10",
+    "human.keep_out_m=0", "robot.rating=collaborative", "task.terminate_on=unsafe_contact",
+)  # fmt: skip
+people = np.zeros((ROWS, NUMBERS))
+"""The trials of which `searched` is the motion."""
+
+
+def searched(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
+    """Walk as the row's trial says, within the bounds of `config`."""
+    points = around.arm()[0][..., :2] - walk.position[:, None]
+    nearest = points[np.arange(ROWS), (points * points).sum(axis=-1).argmin(axis=1)]
+    phase = np.minimum(walk.step // (5 * DECISIONS), PHASES - 1)
+    speed, angle = np.moveaxis(people[:, 3:].reshape(ROWS, PHASES, -1)[np.arange(ROWS), phase, :2], -1, 0)
+    angle = (2 * angle - 1) * np.pi
+    ahead = nearest / np.maximum(length(nearest), 1e-9)[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    wanted = (np.cos(angle)[:, None] * ahead + np.sin(angle)[:, None] * aside) * (speed * config.speed_m_s)[:, None]
+    return Stride(steering.step(walk, wanted, config, None), walk.yaw, walk.limbs)
+
+
+def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
+    """Return the fastest approach (ROWS,) m/s of the arm in each of the trials (ROWS, NUMBERS) and the unsafe ones.
+
+    Distance from a touch counts against it.
+    """
+    people[:] = trials
+    episodes, separation = engine.episodes, engine.episodes._separation
+    episodes.rewind()
+    state = engine.reset()
+    bearing, distance = 2 * np.pi * trials[:, 0], NEAREST_M + (FARTHEST_M - NEAREST_M) * trials[:, 1]
+    spawn = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    limbs = np.where(trials[:, 2, None, None] < 0.5, HANGING, steering.POSTURE)
+    walk = humans.begin(engine.episodes.config.human, spawn)
+    episodes.walk = humans.Walk(**{**vars(walk), "limbs": limbs})
+    episodes._drive.begin(np.arange(ROWS), limbs_of(engine.scene, episodes.walk))
+    found, unsafe = np.full(ROWS, -np.inf), np.zeros(ROWS, dtype=bool)
+    going = np.ones(ROWS, dtype=bool)
+    going &= separation.gap(state.joint_pos.numpy(), limbs_of(engine.scene, episodes.walk)) > 0
+    actions = 2 * trials[:, 3:].reshape(ROWS, PHASES, -1)[..., 2:] - 1
+    for phase in np.repeat(np.arange(PHASES), DECISIONS):
+        result = engine.step(actions[:, phase])
+        beside = episodes._planned["limbs"]
+        moving = result.instants.joint_pos.numpy(), result.instants.joint_vel.numpy()
+        speed = separation.closing_speed(*moving, beside) - PER_M * np.maximum(separation.gap(moving[0], beside), 0.0)
+        valid = result.valid.numpy() & going[:, None] & ~result.instants.contact.numpy().reshape(ROWS, -1)
+        found = np.maximum(found, np.where(valid, speed.reshape(ROWS, -1), -np.inf).max(axis=1))
+        unsafe |= going & result.state.unsafe_contact.numpy()
+        going &= ~result.done.numpy()
+    return found, int(unsafe.sum())
+
+
+def search(trials: int, *overrides: str, seed: int = 0) -> tuple[float, int]:
+    """Return the fastest approach at a touch (m/s) and the number of unsafe contacts in `trials` trials."""
+    engine, unsafe = Engine(environment(compose("train", [*WORLD, *overrides])), ROWS, 0), 0
+
+    def cost(given: Array) -> Array:
+        nonlocal unsafe
+        found, bad = fastest(engine, given.T)
+        unsafe += bad
+        return -found
+
+    first = np.random.default_rng(seed).random((ROWS, NUMBERS))
+    result = differential_evolution(
+        cost, [(0.0, 1.0)] * NUMBERS, init=first, maxiter=trials // ROWS - 1, vectorized=True, updating="deferred",
+        polish=False, tol=0.0, mutation=(0.3, 0.9), recombination=0.5, rng=seed,
+    )  # fmt: skip
+    engine.close()
+    return -float(result.fun), unsafe
+
+
+if __name__ == "__main__":
+    for way in (["safety=none"], ["safety=ssm", "safety.bound=observed"], ["safety=ssm", "safety.bound=worst"]):
+        for number in range(int(sys.argv[2])):
+            speed, count = import_module("tests.safety.search").search(int(sys.argv[1]), *way, seed=number)
+            print(*way, f"seed {number}: {count} unsafe of {sys.argv[1]}, fastest {speed:.3f} m/s", flush=True)
