@@ -151,7 +151,7 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
     for section in sections:
         stated = set()
         if section in parsed:
-            files = (config_dir() / section).glob("[!_]*.yaml")
+            files = [file for file in (config_dir() / section).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
         for key, value in flat({section: dataclasses.asdict(getattr(run, section))}):
             if key.split(".")[1] not in stated:

@@ -69,7 +69,7 @@ def test_a_dry_run_prints_the_configuration_that_a_run_would_write(tmp_path, cap
         (["train"], "agent.gam", ["agent.gamma="]),
         (["train", "hierarchy"], "hierarchy.ep", ["hierarchy.episodes="]),
         (["evaluate", "policy=expert"], "hum", ["human="]),
-        (["evaluate"], "human=a", ["human=approach", "human=arc"]),
+        (["evaluate"], "human=ad", ["human=adversary"]),
         (["nothing"], "", []),
     ],
 )
