@@ -28,8 +28,10 @@ test-docs: setup
 	$(BIN)/python -m pytest -n 2 -m docs tests/test_readme.py
 
 # 10,000 generated inputs, drawn anew each time: what is said, files, streams, states. Some minutes.
+# 2,000 damaged artefacts and 300 hostile command lines, each in a process of its own. An hour.
 fuzz: setup
 	HRL_COMFORT_INPUTS=$(or $(INPUTS),11000) $(BIN)/python -m pytest -q tests/*/test_generated_*.py
+	$(BIN)/python -m tests.adversary 2000 300
 
 demo: setup
 	$(BIN)/hrl-comfort train hierarchy agent=quick output=runs/demo

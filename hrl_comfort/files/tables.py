@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from pandas import DataFrame, Series
 from pyarrow.parquet import ParquetFile
 
+from hrl_comfort.config.checks import FARTHEST
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import damaged
 
@@ -116,13 +118,14 @@ def conform(frame: DataFrame, name: str, where: object) -> DataFrame:
         raise damaged(Path(str(where)), f"it lacks the column {missing[0]}")
     kinds = {column: {**known, **needed}.get(column, "float?") for column in frame}
     try:
-        return DataFrame({column: _typed(frame[column], kind) for column, kind in kinds.items()})
+        most = FARTHEST if name == "paths" else math.inf  # coordinates, which are drawn
+        return DataFrame({column: _typed(frame[column], kind, most) for column, kind in kinds.items()})
     except ValueError as error:
         raise damaged(Path(str(where)), error) from None
 
 
-def _typed(values: Series, kind: str) -> Series:
-    """Return a column in the dtype of its kind; raise ValueError that names the first bad cell."""
+def _typed(values: Series, kind: str, most: float) -> Series:
+    """Return a column in the dtype of its kind, fractions within ±`most`; raise ValueError at the first bad cell."""
     there = (values.notna() & (values.astype("str") != "")).to_numpy(dtype=bool)
     if not kind.endswith("?"):
         _refuse(values, ~there, "is missing")
@@ -137,6 +140,8 @@ def _typed(values: Series, kind: str) -> Series:
     _refuse(values, np.isinf(found), "is not finite")
     if kind_of == "bool":
         _refuse(values, there & (found != 0) & (found != 1), "is neither True nor False")
+    if kind_of == "float":
+        _refuse(values, np.abs(found) > most, f"is beyond ±{most:g}")
     if kind_of == "int":
         _refuse(values, there & (found != np.round(found)), "is not a whole number")
     return Series(found, index=values.index, name=values.name).astype(DTYPES[kind])

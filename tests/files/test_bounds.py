@@ -78,6 +78,13 @@ def test_a_cell_of_any_size_is_a_number_or_one_line(tmp_path: Path) -> None:
         read_table(tmp_path / "episodes.csv")
 
 
+def test_a_recorded_coordinate_that_cannot_be_drawn_is_named(tmp_path: Path) -> None:
+    header = "episode,step,tcp_x,tcp_y,tcp_z,human_x,human_y,human_distance_m"
+    (tmp_path / "paths.csv").write_text(f"{header}\n0,0,1e308,0,0,,,\n")
+    with pytest.raises(ConfigError, match=r"paths\.csv is damaged: line 2: tcp_x=1e\+308 is beyond ±1000"):
+        read_table(tmp_path / "paths.csv")
+
+
 @pytest.mark.parametrize("read", [load_config, read_yaml])
 def test_yaml_with_aliases_is_refused(read: Callable[[Path], object], tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(ALIASES)
