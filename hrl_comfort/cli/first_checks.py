@@ -65,6 +65,8 @@ def check(config: Config) -> None:
         and not Path(config.task.start).is_file()
     ):
         raise ConfigError(f"task.start={config.task.start!r} is neither 'ik' nor an existing .npz file")
+    if isinstance(config, TrainConfig) and config.logger == "wandb" and find_spec("wandb") is None:
+        raise ConfigError("logger=wandb needs wandb: pip install 'hrl-comfort[wandb]'")
     match config:
         case StudioConfig():
             _need_viser()

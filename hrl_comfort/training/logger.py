@@ -1,14 +1,18 @@
-"""Rows of metrics.csv, timing.csv and TensorBoard."""
+"""Rows of metrics.csv, timing.csv, TensorBoard and Weights & Biases."""
 
 from __future__ import annotations
 
+import uuid
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
 from hrl_comfort.agents.sac import TERMS
+from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.tables import GrowingTable
+from hrl_comfort.training.wandb_board import WandbBoard
 
 OUTCOMES = (
     *("success", "return", "steps", "contact", "unsafe_contact", "other_collision"),
@@ -18,26 +22,30 @@ TIMING = ("policy_steps", "seconds", "policy_steps_per_s", "updates_per_s")
 
 
 class MetricsLog:
-    """Rows of metrics.csv, timing.csv and TensorBoard; each averages over the time since the one before.
+    """Rows of metrics.csv, timing.csv and the boards; each averages over the time since the one before.
 
     Without an episode or an update in that time, their columns are empty, never zero.
     """
 
-    def __init__(self, folder: Path, reward_names: tuple[str, ...]) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, reward_names: tuple[str, ...], config: TrainConfig) -> None:
+        self._folder, self._config = folder, config
         self._outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
         self.columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *self._outcomes, *TERMS)
         self._metrics = GrowingTable(folder / "metrics.csv", self.columns)
         self._timing = GrowingTable(folder / "timing.csv", TIMING)
         self._sums: dict[str, float] = {}
         self._finished = self._updates = self._episodes = self._rows = 0
-        self._board: SummaryWriter | None = None
+        self._boards: list[SummaryWriter | WandbBoard] = []
+        self._run_id = uuid.uuid4().hex
+        """Of Weights & Biases: a resumed training continues its run there."""
 
     def start(self, policy_steps: int) -> None:
-        """Cut the files back to the rows that this log knows of, and open TensorBoard at `policy_steps`."""
+        """Cut the files back to the rows that this log knows of, and open the boards at `policy_steps`."""
         self._metrics.begin(self._rows)
         self._timing.begin(self._rows)
-        self._board = SummaryWriter(str(self._folder), purge_step=policy_steps)
+        self._boards = [SummaryWriter(str(self._folder), purge_step=policy_steps)]
+        if self._config.logger == "wandb":
+            self._boards.append(WandbBoard(self._folder, self._run_id, asdict(self._config)))
 
     def episode(self, outcome: dict[str, float]) -> None:
         """Count one finished episode."""
@@ -69,23 +77,24 @@ class MetricsLog:
                 row |= {name: self._sums[name] / count for name in names}
         self._metrics.append([stage if name == "stage" else _shown(row.get(name)) for name in self.columns])
         self._timing.append([policy_steps, *map(_shown, timing)])
-        assert self._board is not None
-        for name, value in row.items():
-            if name != "policy_steps":
-                self._board.add_scalar(name, value, policy_steps)
-        self._board.flush()
+        for board in self._boards:
+            for name, value in row.items():
+                if name != "policy_steps":
+                    board.add_scalar(name, value, policy_steps)
+            board.flush()
         self._sums.clear()
         self._finished = self._updates = 0
         self._rows += 1
 
     def close(self) -> None:
-        """Close TensorBoard's file."""
-        if self._board is not None:
-            self._board.close()
+        """Close the boards."""
+        for board in self._boards:
+            board.close()
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue in the middle of a row."""
         return {
+            "run_id": self._run_id,
             "rows": self._rows,
             "episodes": self._episodes,
             "finished": self._finished,
@@ -95,6 +104,7 @@ class MetricsLog:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`; `start` then cuts the files back."""
+        self._run_id = state["run_id"]
         self._rows, self._episodes = state["rows"], state["episodes"]
         self._finished, self._updates = state["finished"], state["updates"]
         self._sums = dict(state["sums"])

@@ -57,7 +57,7 @@ class Training:
         self.learner = SAC(self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
         if config.initial_policy is not None and not resumes:
             load_initial_policy(self.learner, Path(config.initial_policy))
-        self.log = MetricsLog(folder, collector.reward_names)
+        self.log = MetricsLog(folder, collector.reward_names, config)
         self.policy_steps = 0
         self.updates_due = 0.0
         self.seconds = 0.0
