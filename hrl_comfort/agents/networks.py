@@ -123,7 +123,8 @@ class Actor(nn.Module):
 class TwinCritics(nn.Module):
     """Two action values in one pass: weights are stacked (2, in, out) and multiplied as a batch.
 
-    With `layer_norm`, every hidden layer is normalised before its ReLU.
+    With `layer_norm`, every hidden layer is normalised before its ReLU, without a learned scale and shift: with them
+    an update takes 43 % more time than without normalisation, instead of 15.
     """
 
     def __init__(self, observation_dim: int, action_dim: int, hidden: list[int], layer_norm: bool = False) -> None:
@@ -134,21 +135,19 @@ class TwinCritics(nn.Module):
             bound = 1 / math.sqrt(fan_in)  # as nn.Linear starts
             self.weights.append(nn.Parameter(torch.empty(2, fan_in, fan_out).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(2, 1, fan_out).uniform_(-bound, bound)))
-        normed = hidden if layer_norm else []
-        self.norm_weights = nn.ParameterList([nn.Parameter(torch.ones(2, 1, width)) for width in normed])
-        self.norm_biases = nn.ParameterList([nn.Parameter(torch.zeros(2, 1, width)) for width in normed])
+        self.layer_norm = layer_norm
+        if layer_norm:
+            self.register_buffer("layer_norm_mark", torch.ones(()))  # files tell by it which critics they hold
 
     def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
         """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
-        lists = (self.weights, self.biases, self.norm_weights, self.norm_biases)
-        weights, biases, norm_weights, norm_biases = (
-            [each.detach() for each in one] if frozen else [*one] for one in lists
-        )
+        lists = (self.weights, self.biases)
+        weights, biases = ([each.detach() for each in one] if frozen else [*one] for one in lists)
         x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
-        for layer, (weight, bias) in enumerate(zip(weights[:-1], biases[:-1], strict=True)):
+        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             x = torch.baddbmm(bias, x, weight)
-            if norm_weights:
-                x = nn.functional.layer_norm(x, x.shape[-1:]) * norm_weights[layer] + norm_biases[layer]
+            if self.layer_norm:
+                x = nn.functional.layer_norm(x, x.shape[-1:])
             x = x.relu_()
         # A batched product with matrices one column wide is slower.
         return (x * weights[-1].mT).sum(-1) + biases[-1][..., 0]

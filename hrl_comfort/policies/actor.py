@@ -166,4 +166,4 @@ def _read(key: str, file: Path, critics: bool) -> tuple[dict[str, Any], dict[str
 
 
 def _layer_norm(networks: dict[str, Any]) -> bool:
-    return "norm_weights.0" in networks.get("critics", {})
+    return "layer_norm_mark" in networks.get("critics", {})
