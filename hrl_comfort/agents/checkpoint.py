@@ -1,5 +1,6 @@
 """Checkpoint files: careful reads, keeping the newest few."""
 
+import hashlib
 import os
 import re
 import warnings
@@ -84,7 +85,7 @@ def keep_newest(folder: Path, count: int) -> None:
 def save_resumable(folder: Path, state: dict[str, Any]) -> None:
     """Write `latest.pt`, which alone holds the replay buffer; the one before stays as `previous.pt`."""
     latest, new = folder / "latest.pt", folder / "next.pt"
-    save(new, state)
+    save(new, {**state, "digest": _digest(state)})
     if latest.exists():
         os.replace(latest, folder / "previous.pt")
     os.replace(new, latest)
@@ -103,10 +104,27 @@ def load_resumable(folder: Path) -> dict[str, Any]:
     """
     for path in (folder / name for name in RESUMABLE if (folder / name).exists()):
         try:
-            return load(path)
+            state = load(path)
+            digest = state.pop("digest", None)
+            if digest != _digest({name: each for name, each in state.items() if name != "format"}):
+                raise ConfigError(f"{path}: its content was changed")
+            return state
         except ConfigError as error:
             warnings.warn(f"skipped {error}", stacklevel=2)
     raise ConfigError(f"{folder}: no checkpoint to resume from ({', '.join(RESUMABLE)})")
+
+
+def _digest(state: dict[str, Any]) -> str:
+    """Return the hash of all but the numbers in tensors, of which the archive has checksums."""
+
+    def skeleton(value: Any) -> Any:
+        if isinstance(value, torch.Tensor):
+            return str(value.dtype), tuple(value.shape)
+        if isinstance(value, dict):
+            return {key: skeleton(each) for key, each in value.items()}
+        return [skeleton(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+    return hashlib.sha256(repr(skeleton(state)).encode()).hexdigest()
 
 
 def drop_resumable(folder: Path) -> None:

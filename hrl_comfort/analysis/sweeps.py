@@ -137,7 +137,7 @@ def read_sweep(folder: Path) -> Sweep:
 
 
 def _told(overrides: Sequence[str]) -> dict[str, str]:
-    return dict(line.lstrip("+").split("=", 1) for line in overrides)
+    return dict(line.lstrip("+").partition("=")[::2] for line in overrides)
 
 
 def _entry(folder: Path, where: Path, job: Job) -> Entry:

@@ -33,7 +33,7 @@ from hrl_comfort.config.overrides import (
 from hrl_comfort.config.stages import flat, stages_of, with_budget
 from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
-from hrl_comfort.files.documents import yaml_text
+from hrl_comfort.files.documents import read_yaml
 
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
 AS_TRAINED: dict[str, tuple[str, ...]] = {
@@ -118,7 +118,7 @@ def load_config(path: str | Path) -> Config:
     if not file.is_file():
         raise ConfigError(f"{file} does not exist; a run folder holds a config.yaml")
     try:
-        loaded = OmegaConf.create(yaml_text(file))
+        loaded = OmegaConf.create(read_yaml(file)[0])
         for cls in ROOTS.values():
             if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
                 return freeze(cls, loaded)

@@ -17,7 +17,7 @@ from yaml import YAMLError
 
 from hrl_comfort.config.overrides import check_jobs
 from hrl_comfort.files.atomic import write_json
-from hrl_comfort.files.documents import damaged, read_json, yaml_text
+from hrl_comfort.files.documents import damaged, read_json, read_yaml
 
 FILE = "job.json"
 DAMAGED = (
@@ -78,7 +78,7 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
     if not file.is_file():
         return []
     try:
-        asked = [str(line) for line in OmegaConf.create(yaml_text(file)).hydra.overrides.task]
+        asked = [str(line) for line in OmegaConf.create(read_yaml(file)[0]).hydra.overrides.task]
         parsed = OverridesParser.create().parse_overrides(asked)
         check_jobs(parsed)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)

@@ -144,6 +144,15 @@ def test_a_truncated_newest_file_is_named_and_the_one_before_used(tmp_path):
         assert checkpoint.load_resumable(tmp_path)["policy_steps"] == 1
 
 
+@pytest.mark.parametrize("wrong", [{}, {"a": torch.zeros(2, dtype=torch.int8)}, {"a": torch.zeros(3)}, {"a": {"b": 0}}])
+def test_a_content_of_other_keys_types_or_shapes_is_passed_over(wrong, tmp_path):
+    checkpoint.save_resumable(tmp_path, {"a": torch.ones(2)})
+    checkpoint.save_resumable(tmp_path, {"a": torch.zeros(2)})
+    checkpoint.save(tmp_path / "latest.pt", {**checkpoint.load(tmp_path / "latest.pt"), "a": None, **wrong})
+    with pytest.warns(UserWarning, match=r"latest\.pt: its content was changed"):
+        assert checkpoint.load_resumable(tmp_path)["a"].tolist() == [1, 1]
+
+
 def test_nothing_to_resume_from_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match="no checkpoint to resume from"):
         checkpoint.load_resumable(tmp_path)

@@ -85,6 +85,13 @@ def test_a_recorded_coordinate_that_cannot_be_drawn_is_named(tmp_path: Path) -> 
         read_table(tmp_path / "paths.csv")
 
 
+def test_yaml_of_another_kind_than_a_mapping_is_refused(tmp_path: Path) -> None:
+    for text, kind in {"5": "int", "[1]": "list", "null": "NoneType"}.items():
+        (tmp_path / "config.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=f"config.yaml is damaged: it holds a {kind}, not a mapping"):
+            load_config(tmp_path)
+
+
 @pytest.mark.parametrize("read", [load_config, read_yaml])
 def test_yaml_with_aliases_is_refused(read: Callable[[Path], object], tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(ALIASES)
