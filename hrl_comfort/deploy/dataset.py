@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,7 @@ def dataset(config: EvaluateConfig) -> Path:
     with output_folder(output, EvaluateConfig):
         episodes, options, widths = _episodes(config)
         folder = output / identity / "data"
+        shutil.rmtree(folder, ignore_errors=True)  # of an earlier one, with --overwrite
         folder.mkdir(parents=True)
         boxes = [
             gymnasium.spaces.Box(-bound, bound, (width,), np.float32)

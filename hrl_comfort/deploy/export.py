@@ -9,8 +9,9 @@ from pathlib import Path
 from rich.console import Console
 
 from hrl_comfort.config import ConfigError, ExportConfig
-from hrl_comfort.config.compose import environment
-from hrl_comfort.files.atomic import write_json
+from hrl_comfort.config.compose import environment, save_config
+from hrl_comfort.files.atomic import all_or_none, write_json
+from hrl_comfort.files.output import output_folder
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, description, inputs_of, write_onnx
 from hrl_comfort.policies.load import observed_by
@@ -21,39 +22,34 @@ def export(config: ExportConfig) -> Path:
     """Write OPTION.onnx for each policy, with its joint order and limits in policies.json; return the folder.
 
     Raises:
-      ConfigError: a policy is not trained, does not fit its subtask, or moves the tool in Cartesian space.
+      ConfigError: the folder holds other files, or a policy is not trained, does not fit its subtask, or moves the
+        tool in Cartesian space.
     """
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action}: only policies of joint increments can be exported")
     sources: dict[str, str | None] = {**config.policies} or {config.task.name: config.policy}
     output, options = Path(config.output), []
-    for name, source in sources.items():
-        if source is None or not Path(source).exists():
-            raise ConfigError(f"policy={source!r}: export takes a run folder, a checkpoint or a policy.pt")
-        env = environment(replace(config, task=replace(config.task, name=name)))
-        policy = load_policy(source)
-        engine = Engine(env, 2, 0)
-        task = observed_by(policy, source, engine.episodes.subtask, env)
-        state, scene = engine.reset(), engine.scene
-        inputs = inputs_of(task, state)
-        about = description(task, inputs, env, policy.spec)
-        output.mkdir(parents=True, exist_ok=True)
-        write_onnx(
-            PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg)),
-            state,
-            inputs,
-            about,
-            output / f"{name}.onnx",
-        )
-        options.append({"file": f"{name}.onnx", "policy": source, **about})
-    write_json(
-        output / "policies.json",
-        {
+    with output_folder(output, ExportConfig, "config.yaml"), all_or_none():
+        for name, source in sources.items():
+            if source is None or not Path(source).exists():
+                raise ConfigError(f"policy={source!r}: export takes a run folder, a checkpoint or a policy.pt")
+            env = environment(replace(config, task=replace(config.task, name=name)))
+            policy = load_policy(source)
+            engine = Engine(env, 2, 0)
+            task = observed_by(policy, source, engine.episodes.subtask, env)
+            state, scene = engine.reset(), engine.scene
+            inputs = inputs_of(task, state)
+            about = description(task, inputs, env, policy.spec)
+            graph = PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg))
+            write_onnx(graph, state, inputs, about, output / f"{name}.onnx")
+            options.append({"file": f"{name}.onnx", "policy": source, **about})
+        made = {
             "options": options,
             "joint_names": [scene.model.joint(index).name for index in range(len(scene.home))],
             "joint_limits_rad": scene.joint_range.tolist(),
             "home_rad": scene.home.tolist(),
-        },
-    )
+        }
+        write_json(output / "policies.json", made)
+        save_config(config, output / "config.yaml")
     Console().print(f"{output}: {', '.join(option['file'] for option in options)}, policies.json", soft_wrap=True)
     return output

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.tasks import State, Subtask
 
@@ -104,12 +105,12 @@ def write_onnx(graph: PolicyGraph, example: State, inputs: Sequence[str], about:
     Raises:
       ConfigError: the packages of the extra `export` are not installed.
     """
-    onnx = need("onnx")
+    need("onnx")
     need("onnxscript")
     rows = torch.export.Dim("rows", min=1)
     given = arguments(example.rows(torch.tensor([0, 0])), inputs)
     program = torch.export.export(graph.eval(), given, dynamic_shapes=(tuple({0: rows} for _ in given),))
-    torch.export.save(program, path.with_suffix(".pt2"))
+    write_atomically(path.with_suffix(".pt2"), lambda file: torch.export.save(program, file))
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it reports on torchvision, which is not needed
     with warnings.catch_warnings(action="ignore", category=FutureWarning):
         made = torch.onnx.export(program, input_names=list(inputs), output_names=[OUTPUT], verbose=False, dynamo=True)
@@ -117,7 +118,7 @@ def write_onnx(graph: PolicyGraph, example: State, inputs: Sequence[str], about:
     model = made.model_proto
     entry = model.metadata_props.add()
     entry.key, entry.value = "hrl_comfort", json.dumps(about)
-    onnx.save(model, path)
+    write_atomically(path, lambda file: file.write(model.SerializeToString()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(tmp_path_factory.mktemp("export"), *(f"policies.{name}={REFERENCE / name}" for name in CHAIN))
 
 
+def test_an_export_replaces_its_own_files_and_refuses_those_of_others(tmp_path: Path) -> None:
+    word = f"policy={REFERENCE / 'pick'}"
+    for _ in range(2):
+        exported(tmp_path / "own", word)
+    assert {each.name for each in (tmp_path / "own").iterdir()} == {
+        "config.yaml", "pick.onnx", "pick.pt2", "policies.json"
+    }  # fmt: skip
+    (tmp_path / "policies.json").write_text("of somebody else")
+    with pytest.raises(ConfigError, match="holds other files"):
+        exported(tmp_path, word)
+
+
 @pytest.mark.parametrize("option", CHAIN)
 def test_onnx_gives_the_increments_of_torch_in_states_of_real_episodes(folder: Path, option: str) -> None:
     config = evaluated(f"policy={REFERENCE / option}")
