@@ -86,6 +86,9 @@ COMMANDS = {
     "bench update": Command(
         "train", "hrl_comfort.benchmarks.update:bench_update", "measure the speed of updates", "agent=sac"
     ),
+    "bench studio": Command(
+        "studio", "hrl_comfort.studio.measure:bench_studio", "measure the live view", "task=cycle policy=expert"
+    ),
     "bench train": Command(
         "train", "hrl_comfort.benchmarks.train:bench_train", "compare training with Stable-Baselines3", "task=pick"
     ),

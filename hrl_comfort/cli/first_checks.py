@@ -46,7 +46,7 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
     if key is not None and words:
         values = ",".join(override(key, word).partition("=")[2] for word in words)
         overrides = [f"{key}={values}", *(each for each in overrides if each not in words)]
-    if command == "studio":
+    if command in ("studio", "bench studio"):
         return with_defaults(overrides)
     return as_chain(overrides) if key == "policy" else overrides
 

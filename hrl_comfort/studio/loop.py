@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 from typing import Protocol
 
-LATE_S = 0.25
+LATE_S = 1.0
 """Delay after which the loop stops catching up."""
 WINDOW_S = 5.0
 """Wall-clock time over which the rate is measured."""
@@ -45,11 +45,13 @@ class Loop:
         self.speed, self.running = speed, True
         self.rate = 1.0
         """Simulated time per wall-clock time, of what `speed` asks for, over the last WINDOW_S."""
+        self.lost_s = 0.0
+        """Wall-clock time by which the simulation has fallen behind since the start."""
         self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="studio loop", daemon=True)
         self._steps = 0
         self._began, self._lasts = 0.0, 0.0
-        self._window_began, self._window_lost = 0.0, 0.0
+        self._window_began, self._window_lost_s = 0.0, 0.0
 
     def start(self) -> None:
         """Start the thread."""
@@ -117,14 +119,14 @@ class Loop:
 
     def _take_late(self, late_s: float) -> None:
         """Count the time lost where the loop cannot catch up."""
-        self._window_lost += max(0.0, late_s - LATE_S)
+        self.lost_s += max(0.0, late_s - LATE_S)
         passed = time.monotonic() - self._window_began
         if passed >= WINDOW_S:
-            self.rate = max(0.0, 1.0 - self._window_lost / passed)
+            self.rate = max(0.0, 1.0 - (self.lost_s - self._window_lost_s) / passed)
             self._restart_window()
 
     def _restart_window(self) -> None:
-        self._window_began, self._window_lost = time.monotonic(), 0.0
+        self._window_began, self._window_lost_s = time.monotonic(), self.lost_s
 
     def _guard(self, action: Callable[[], None]) -> bool:
         """Return whether `action` went well; otherwise it is said on the page, and the server stands."""

@@ -33,6 +33,8 @@ class LivePlay:
     def __init__(self, sessions: Sequence[Session], views: Sequence[CellView], person: Person) -> None:
         self.sessions, self._views, self.person = list(sessions), list(views), person
         self.watchers: list[Watcher] = []
+        self.hold_s = HOLD_S
+        """Simulated time for which the end of an episode is shown."""
         self.now_s = 0.0
         """Simulated time at which the latest decision began."""
         self._start = [0.0] * len(sessions)
@@ -94,8 +96,8 @@ class LivePlay:
         if self._hold:
             self._clips = [session.still() for session in self.sessions]
             self._start = [ended_s] * len(self.sessions)
-            return HOLD_S
-        self.now_s += HOLD_S
+            return self.hold_s
+        self.now_s += self.hold_s
         self.reset()
         return 0.0
 
