@@ -27,14 +27,14 @@ def need_peers() -> None:
         raise ConfigError("this benchmark needs Stable-Baselines3: pip install 'hrl-comfort[bench]'")
 
 
-def rate(step: Callable[[], object], size: int = 1) -> float:
+def rate(step: Callable[[], object], size: int = 1, clock: Callable[[], float] = time.perf_counter) -> float:
     """Return how often a second `step` does something of which it does `size` a call, over at least SECONDS."""
     step()  # warm up
-    began, count = time.perf_counter(), 0
-    while count == 0 or time.perf_counter() - began < SECONDS:
+    began, count = clock(), 0
+    while count == 0 or clock() - began < SECONDS:
         step()
         count += 1
-    return count * size / (time.perf_counter() - began)
+    return count * size / (clock() - began)
 
 
 def interleaved(

@@ -83,6 +83,12 @@ COMMANDS = {
     "bench env": Command(
         "train", "hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"
     ),
+    "bench safety": Command(
+        "train",
+        "hrl_comfort.benchmarks.safety:bench_safety",
+        "measure what rating and shield cost the environment",
+        "task=pick_place human=mixture",
+    ),
     "bench update": Command(
         "train", "hrl_comfort.benchmarks.update:bench_update", "measure the speed of updates", "agent=sac"
     ),

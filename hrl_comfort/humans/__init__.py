@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,9 +89,15 @@ def advance(
     parts = _members(config, walk.traits)
     if len(parts) == 1:
         return _advance(parts[0][1], walk, noise, seen)
-    for rows, member in parts:
-        walk = walk.put(rows, _advance(member, walk.rows(rows), noise[rows], seen.rows(rows)))
-    return walk
+    # Sorted by motion, each motion's rows are a slice.
+    order = np.concatenate([rows for rows, _ in parts])
+    walk, noise, seen = walk.rows(order), noise[order], seen.part(order)
+    begins = np.cumsum([0, *(len(rows) for rows, _ in parts)])
+    slices = [slice(first, last) for first, last in pairwise(begins)]
+    found = [
+        _advance(member, walk.part(at), noise[at], seen.part(at)) for at, (_, member) in zip(slices, parts, strict=True)
+    ]
+    return Walk.joined(found).rows(np.argsort(order))
 
 
 def _tool(tcp: Array) -> tuple[Array, Array]:

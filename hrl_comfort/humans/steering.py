@@ -66,18 +66,30 @@ def step(walk: Walk, wanted: Array, config: HumanConfig, around: Surroundings | 
 
 def _beside(position: Array, wanted: Array, keep_out: KeepOut, acceleration_m_s2: float) -> Array:
     """Return `wanted` (n, 2) m/s turned along the discs that braking would not keep clear of."""
-    for disc in np.moveaxis(keep_out.centres, 1, 0):
-        offset = position - disc
-        distance = np.maximum(length(offset), 1e-9)
-        out = offset / distance[:, None]
-        gap = distance - keep_out.radius_m - CLEARANCE_M
-        inwards = -(wanted * out).sum(axis=1)
-        allowed = np.sqrt(2 * acceleration_m_s2 * np.maximum(gap, 0.0)) + np.minimum(gap, 0.0) / RETREAT_S
-        excess = np.maximum(inwards - allowed, 0.0)
-        along = np.stack([-out[:, 1], out[:, 0]], axis=-1)
+    offset = position[:, None] - keep_out.centres
+    distance = np.maximum(length(offset), 1e-9)
+    out = offset / distance[..., None]
+    gap = distance - keep_out.radius_m - CLEARANCE_M
+    allowed = np.sqrt(2 * acceleration_m_s2 * np.maximum(gap, 0.0)) + np.minimum(gap, 0.0) / RETREAT_S
+    inwards = -(wanted[:, None] * out).sum(axis=-1)
+    (turned,) = (inwards > allowed).any(axis=1).nonzero()
+    if not len(turned):
+        return wanted
+    wanted = wanted.copy()
+    wanted[turned] = _turned(wanted[turned], out[turned], allowed[turned])
+    return wanted
+
+
+def _turned(wanted: Array, out: Array, allowed: Array) -> Array:
+    """Return `wanted` (n, 2) m/s turned along discs (n, g); `out` (n, g, 2) leads away from them."""
+    for disc in range(out.shape[1]):
+        away = out[:, disc]
+        inwards = -(wanted * away).sum(axis=1)
+        excess = np.maximum(inwards - allowed[:, disc], 0.0)
+        along = np.stack([-away[:, 1], away[:, 0]], axis=-1)
         way = np.where((wanted * along).sum(axis=1) < 0, -1.0, 1.0)
         aside = np.where(inwards > 0, excess, 0.0) * way
-        wanted = wanted + excess[:, None] * out + aside[:, None] * along
+        wanted = wanted + excess[:, None] * away + aside[:, None] * along
     return wanted
 
 

@@ -50,6 +50,10 @@ class Walk:
         """Return the walks of the rows `index`."""
         return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
+    def part(self, at: slice) -> Walk:
+        """Return the walks of the rows `at`, without copying them."""
+        return Walk(**{name: value[at] for name, value in vars(self).items()})
+
     def put(self, index: NDArray[np.int64], other: Walk) -> Walk:
         """Return a copy with the rows at `index` replaced by `other`."""
         replaced = {}
@@ -58,6 +62,11 @@ class Walk:
             value[index] = getattr(other, field.name)
             replaced[field.name] = value
         return Walk(**replaced)
+
+    @classmethod
+    def joined(cls, walks: Sequence[Walk]) -> Walk:
+        """Return the rows of all `walks`, those of one after those of the other."""
+        return cls(**{f.name: np.concatenate([getattr(walk, f.name) for walk in walks]) for f in fields(cls)})
 
     @classmethod
     def along(cls, walks: Sequence[Walk]) -> Walk:
@@ -101,14 +110,14 @@ class Surroundings:
     keep_out: KeepOut
     arm: ArmSource
 
-    def rows(self, index: NDArray[np.int64]) -> Surroundings:
-        """Return the surroundings of the rows `index`."""
-        discs = KeepOut(self.keep_out.centres[index], self.keep_out.radius_m)
-        return Surroundings(self.tcp[index], discs, lambda: _rows_of(self.arm(), index))
+    def part(self, at: slice | NDArray[np.int64]) -> Surroundings:
+        """Return the surroundings of the rows `at`."""
+        discs = KeepOut(self.keep_out.centres[at], self.keep_out.radius_m)
+        return Surroundings(self.tcp[at], discs, lambda: _rows_of(self.arm(), at))
 
 
-def _rows_of(arm: tuple[Array, Array], index: NDArray[np.int64]) -> tuple[Array, Array]:
-    return arm[0][index], arm[1][index]
+def _rows_of(arm: tuple[Array, Array], at: slice | NDArray[np.int64]) -> tuple[Array, Array]:
+    return arm[0][at], arm[1][at]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pandas import DataFrame
 
 from hrl_comfort.benchmarks import env as bench_env
 from hrl_comfort.benchmarks import measure
+from hrl_comfort.benchmarks import safety as bench_safety
 from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.benchmarks.peers import TorchRLSAC
@@ -210,3 +211,22 @@ def test_the_race_is_told_in_times_ours_with_an_interval_and_lower_bounds() -> N
     assert lines[2].startswith("| pick | late | 0 of 3 | ≥ 100 (100 to 100) | ≥ 60.0 (50.0 to 70.0) | ≥ 30.00 [")
     frame["reached"] = frame["learner"] != "hrl-comfort"
     assert bench_train.table(frame).splitlines()[3].endswith("| 6.0 (4.0 to 8.0) | - |"), "nor a ratio"
+
+
+def test_rating_and_shield_are_measured_beside_the_papers_arm(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(bench_safety, "NUM_ENVS", (1, 2))
+    monkeypatch.setattr(measure, "SECONDS", 0.0)
+    monkeypatch.setattr(measure, "ROUNDS", 1)
+    assert main(["bench", "safety", f"output={tmp_path}"]) == 0
+    frame = pd.read_csv(tmp_path / "safety.csv")
+    assert [*zip(frame["num_envs"], frame["loop"], strict=True)] == [
+        (n, w) for n in (1, 2) for w in bench_safety.WORLDS
+    ]
+    assert "shield, worst" in capsys.readouterr().out.splitlines()[-2]
+
+
+def test_what_the_shield_adds_to_a_control_step_is_told_in_ms() -> None:
+    rates = dict(zip(bench_safety.WORLDS, (1000.0, 500.0, 250.0, 200.0), strict=True))
+    frame = DataFrame([(1, name, 0, rate) for name, rate in rates.items()], columns=list(bench_safety.COLUMNS))
+    line = bench_safety.cost(frame, 5)
+    assert "rated arm 0.20 (" in line and "shield, observed 0.40 (" in line and "shield, worst 0.60 (" in line

@@ -215,3 +215,21 @@ def test_a_mixture_runs_in_the_engine_and_goes_on_bit_for_bit() -> None:
         assert (results[0].state.human_pos == results[1].state.human_pos).all()
     for engine in engines:
         engine.close()
+
+
+def test_people_of_a_mixture_walk_as_they_would_alone() -> None:
+    config, rng = human("mixture"), np.random.default_rng(0)
+    keep_out = humans.around(GOALS, config.keep_out_m, PEOPLE)
+    spawn = humans.outside(rng.uniform(-1.5, 1.5, (PEOPLE, 2)), keep_out)
+    walk = humans.begin(config, spawn, rng.random((PEOPLE, humans.TRAITS)))
+    alone = [walk] * len(config.people)
+    chosen = (walk.traits[:, 0] * len(config.people)).astype(int)
+    for step in range(200):
+        noise, arm = rng.random((PEOPLE, humans.NOISE)), waving(step)
+        around = arm()[0][:, -1, :2], keep_out, arm
+        walk = humans.advance(config, walk, noise, *around)
+        alone = [humans.advance(*pair, noise, *around) for pair in zip(config.people, alone, strict=True)]
+        for index, other in enumerate(alone):
+            rows = np.flatnonzero(chosen == index)
+            for name, value in vars(walk.rows(rows)).items():
+                np.testing.assert_array_equal(value, getattr(other.rows(rows), name))

@@ -24,7 +24,7 @@ def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     """
     smooth = config.acceleration_m_s2 is not None
     stations = np.array(config.stations_m, dtype=np.float64)
-    gaps = np.linalg.norm(walk.position[:, None] - stations, axis=-1)
+    gaps = length(walk.position[:, None] - stations)
     away = gaps.min(axis=1) > (5 * NEAR_M if smooth else EPSILON_M)
     bearing = np.arctan2(walk.position[:, 1], walk.position[:, 0])
     way, goal = walk.memory[:, 0], walk.memory[:, 1].astype(np.int64)

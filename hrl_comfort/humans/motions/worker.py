@@ -28,9 +28,9 @@ def worker(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     """
     assert config.acceleration_m_s2 is not None
     stations = np.array(config.stations_m, dtype=np.float64)
-    station = stations[np.linalg.norm(walk.spawn[:, None] - stations, axis=-1).argmin(axis=1)]
+    station = stations[length(walk.spawn[:, None] - stations).argmin(axis=1)]
     offset = station - walk.position
-    there = np.linalg.norm(offset, axis=1) < NEAR_M
+    there = length(offset) < NEAR_M
     speed = steering.pace(config, walk)
     wanted = steering.towards(offset, speed, config.acceleration_m_s2 / 2)
     position = steering.step(walk, wanted, config, around)
