@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -30,7 +31,7 @@ from hrl_comfort.config.overrides import (
     one_line,
     override,
 )
-from hrl_comfort.config.stages import flat, stages_of, with_budget
+from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import read_yaml
@@ -153,10 +154,19 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
         if section in parsed:
             files = [file for file in (config_dir() / section).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
-        for key, value in flat({section: dataclasses.asdict(getattr(run, section))}):
+        for key, value in _fields(section, getattr(run, section)):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))
     return trained
+
+
+def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the fields of nested dataclasses by their dotted keys."""
+    if not dataclasses.is_dataclass(value):
+        yield key, value
+        return
+    for field in dataclasses.fields(value):
+        yield from _fields(f"{key}.{field.name}", getattr(value, field.name))
 
 
 def run_folder(policy: str) -> Path | None:

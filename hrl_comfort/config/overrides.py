@@ -95,8 +95,8 @@ def choices(group: str) -> tuple[str, ...]:
 
 
 def override(key: str, value: object) -> str:
-    """Return `key=value` in Hydra's grammar for a Python value."""
-    return f"{key}={_quoted(value)}"
+    """Return `key=value` in Hydra's grammar for a Python value; a mapping's keys need not be there before."""
+    return f"{'++' if isinstance(value, dict) else ''}{key}={_quoted(value)}"
 
 
 def _quoted(value: object) -> str:
@@ -104,6 +104,10 @@ def _quoted(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, (list, tuple)):
         return f"[{','.join(map(_quoted, value))}]"
+    if isinstance(value, dict):
+        # Hydra's grammar has no quoted keys.
+        pairs = (re.sub(r"([\\()\[\]{}:=,\s])", r"\\\1", str(key)) + f":{_quoted(each)}" for key, each in value.items())
+        return f"{{{','.join(pairs)}}}"
     if isinstance(value, (int, float)) or re.fullmatch(r"[\w.-]*/[\w./-]*", str(value), re.ASCII):
         return str(value)
     # Everything else in quotes, for a text may look like a number.

@@ -78,8 +78,8 @@ def test_the_value_of_a_policy_is_the_lower_critics_at_its_action(tmp_path, laye
 def test_a_training_begins_from_a_policy_of_its_own_kind_of_critics(tmp_path):
     agent, path = compose("train").agent, tmp_path / "policy.pt"
     sizes = {"observation_dim": 40, "action_dim": 6, "hidden": list(agent.hidden)}
-    save_policy(path, SAC(replace(agent, critic_layer_norm=True), 40, 6).policy_state(), {**SPEC, **sizes})
-    with pytest.raises(ConfigError, match="has critic_layer_norm=True, this training False"):
+    save_policy(path, SAC(replace(agent, critic_layer_norm=False), 40, 6).policy_state(), {**SPEC, **sizes})
+    with pytest.raises(ConfigError, match="has critic_layer_norm=False, this training True"):
         load_initial_policy(SAC(agent, 40, 6), path)
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.config.compose import compose
-from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups
+from hrl_comfort.config.compose import compose, save_config
+from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups, override
 
 OWN = {
     "export": ["policy=expert"],
@@ -111,3 +111,12 @@ def test_a_budget_scales_the_refinement_of_a_hierarchy_too():
 def test_splits_are_evaluated_in_folders_of_their_own():
     folders = [compose("evaluate", ["policy=expert", f"split={split}"]).output for split in ("paper", "validation")]
     assert folders == ["runs/evaluate/pick/expert", "runs/evaluate/pick/expert_validation"]
+
+
+@pytest.mark.parametrize("human", ["mixture", "patrol", "recorded"])
+def test_a_policy_is_evaluated_beside_the_people_of_its_training(tmp_path, human):
+    file = tmp_path / "walk.csv"
+    file.write_text("t,x,y,yaw\n0,1,0,0\n1,1,1,0\n")
+    run = compose("train", [f"human={human}", override("human.file", file) if human == "recorded" else "train_seed=1"])
+    save_config(run, tmp_path / "config.yaml")
+    assert compose("evaluate", [override("policy", tmp_path)]).human == run.human
