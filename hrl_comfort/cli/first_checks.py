@@ -93,6 +93,9 @@ def check(config: Config) -> None:
         }.items():
             if live:
                 _need_lsl(key)
+        live = config.comfort.source in ("udp", "lsl") or config.human.motion == "live"
+        if live and isinstance(config, EvaluateConfig) and not config.realtime:
+            warnings.warn("live values come by the wall clock, episodes run faster: add realtime=true", stacklevel=2)
         from hrl_comfort.scene.layout import doubts  # mujoco, once all else is right
 
         for doubt in doubts(config):

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, Udp, read_recording
+from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, read_recording, udp
 from hrl_comfort.config import ComfortConfig
 
 Floats = NDArray[np.float64]
@@ -140,7 +140,7 @@ SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "changing": changing,
     "schedule": lambda config: recorded(Recording(np.array(config.schedule_s), np.array(config.schedule_levels))),
     "file": lambda config: recorded(read_recording(config)),
-    "udp": lambda config: Live(config, Udp(config)),
+    "udp": lambda config: Live(config, udp(config)),
     "lsl": lambda config: Live(config, Lsl(config)),
     "simulated": lambda config: constant(config.levels),
 }

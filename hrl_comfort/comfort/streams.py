@@ -6,10 +6,9 @@ holds. After `stall_s` without a good value, the level is CAUTIOUS. Each fault g
 
 import csv
 import math
-import socket
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -18,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import ComfortConfig, ConfigError
+from hrl_comfort.streams import LslStream, UdpStream
 
 CAUTIOUS = 1
 """The most cautious level."""
-MAX_DATAGRAM_BYTES = 4096
 
 
 class Stream(Protocol):
     """A source of values that is read without blocking."""
 
-    def read(self) -> list[str | float]:
+    def read(self) -> Sequence[str | float]:
         """Return the values since the last call, oldest first; text is parsed as a number."""
 
 
@@ -40,7 +39,7 @@ class Signal:
         self.last_good_s = -math.inf
         self._warned: set[str] = set()
 
-    def level(self, arrived: list[str | float]) -> int:
+    def level(self, arrived: Sequence[str | float]) -> int:
         """Process the new values; return the current level, 1 to N_c."""
         now = self._clock()
         good = [share for raw in arrived if (share := self._share(raw)) is not None]
@@ -85,64 +84,22 @@ class Signal:
             warnings.warn(f"comfort.source={self._name}: {what}", stacklevel=4)
 
 
-class Udp:
-    """UDP datagrams to `stream.host`:`stream.port`, one ASCII number each."""
-
-    def __init__(self, config: ComfortConfig) -> None:
-        stream = config.stream
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((stream.host, stream.port))
-        except (OSError, TypeError, ValueError) as error:  # the last two at an invalid host name
-            self._socket.close()
-            raise ConfigError(
-                f"comfort.stream.port={stream.port} on comfort.stream.host={stream.host!r} cannot be opened: "
-                f"{getattr(error, 'strerror', None) or error}; choose another, or 0 for a free port"
-            ) from error
-        self._socket.setblocking(False)
-
-    @property
-    def port(self) -> int:
-        """UDP port in use."""
-        return int(self._socket.getsockname()[1])
-
-    def read(self) -> list[str | float]:
-        """See `Stream`."""
-        arrived: list[str | float] = []
-        while True:
-            try:
-                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace").strip())
-            except BlockingIOError:
-                return arrived
+def udp(config: ComfortConfig) -> UdpStream:
+    """Return the datagrams to `stream.host`:`stream.port`, one ASCII number each; raise ConfigError at a taken port."""
+    stream = config.stream
+    return UdpStream(stream.host, stream.port, f"comfort.stream.port={stream.port} on host {stream.host!r}")
 
 
 class Lsl:
-    """First channel of the Lab Streaming Layer stream `stream.name` (extra `streams`: pylsl).
-
-    The stream must appear within `stall_s`. A lost stream gives no values until pylsl recovers it.
-    """
+    """Values of the Lab Streaming Layer stream `stream.name`, which must have one channel and appear in `stall_s`."""
 
     def __init__(self, config: ComfortConfig) -> None:
-        try:
-            import pylsl
-        except (ImportError, RuntimeError) as error:
-            raise ConfigError(
-                f"comfort.source=lsl needs pylsl: pip install 'hrl-comfort[streams]' ({error})"
-            ) from error
         name = config.stream.name
-        found = pylsl.resolve_byprop("name", name, timeout=config.stream.stall_s)
-        if not found:
-            raise ConfigError(
-                f"comfort.stream.name={name!r}: no such Lab Streaming Layer stream within {config.stream.stall_s:g} s; "
-                "start its outlet first, or raise comfort.stream.stall_s"
-            )
-        self._inlet = pylsl.StreamInlet(found[0], recover=True)
-        self._inlet.open_stream(timeout=config.stream.stall_s)
+        self._stream = LslStream(name, (1,), config.stream.stall_s, f"comfort.stream.name={name!r}")
 
-    def read(self) -> list[str | float]:
+    def read(self) -> list[float]:
         """See `Stream`."""
-        samples, _ = self._inlet.pull_chunk(timeout=0.0)
-        return [sample[0] for sample in samples]
+        return [value for (value,) in self._stream.read()]
 
 
 @dataclass(frozen=True)

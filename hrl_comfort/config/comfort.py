@@ -34,7 +34,7 @@ class StreamConfig:
     port: Annotated[int, within(0, 65535)]
     """`udp`: port to listen on, for datagrams of one ASCII number each; 0 is a free port."""
     name: str
-    """`lsl`: name of the stream; its first channel is read."""
+    """`lsl`: name of the stream, of one channel of numbers."""
 
     def __post_init__(self) -> None:
         if self.low == self.high:

@@ -167,6 +167,8 @@ class EvaluateConfig(EnvConfig):
     """Further columns of episodes.csv by which summary.json is grouped."""
     record: bool
     """Write paths.csv."""
+    realtime: bool
+    """Pace the episodes by the wall clock, for live levels and people."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
     """Disturbance of each episode, one of DISTURBANCES."""
     terminal_states: str | None

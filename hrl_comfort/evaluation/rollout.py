@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import Trajectory, metrics
-from hrl_comfort.config import COLOURS, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import record
@@ -115,7 +116,12 @@ class EvaluationBatch:
         """Run every row to the end of its episode."""
         before = [episode.success for episode in self.recorder.result.episodes]
         self.recorder.begin(self.engine.reset())
+        due = time.monotonic()
         for executed in execute(self.engine, self.executor, self.choose):
+            if self.recorder.config.realtime:
+                steps = int((executed.result.valid & executed.active[:, None]).sum(dim=1).max())
+                due = max(due + steps * CONTROL_STEP_S, time.monotonic())  # what is late is not made up for
+                time.sleep(max(0.0, due - time.monotonic()))
             self.recorder.add(executed.result, executed.active, executed.ended, executed.runs)
             ended = [*before, *self.recorder.outcomes]
             show(len(ended), success_of(ended))

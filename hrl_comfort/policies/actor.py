@@ -133,7 +133,7 @@ def load_initial_policy(learner: SAC, path: Path) -> None:
             raise ConfigError(f"initial_policy={file} has {key}={theirs[key]}, this training {value}")
     try:
         learner.load_networks(networks)
-    except (KeyError, RuntimeError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ConfigError(f"initial_policy={file} is damaged: {str(error).splitlines()[0]}") from error
 
 

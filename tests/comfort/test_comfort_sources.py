@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort.comfort.sources import DRAWS, SourceInput, make_source
-from hrl_comfort.comfort.streams import Signal, Udp, read_recording
+from hrl_comfort.comfort.streams import Signal, read_recording, udp
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose
 
@@ -204,36 +204,14 @@ def until(source, level: float):
 
 
 def test_a_port_that_is_taken_is_refused_in_one_line() -> None:
-    first = Udp(comfort("comfort.source=udp", "comfort.stream.port=0"))
+    first = udp(comfort("comfort.source=udp", "comfort.stream.port=0"))
     with pytest.raises(ConfigError, match=rf"comfort\.stream\.port={first.port}"):
-        Udp(replace_port(first.port))
+        udp(replace_port(first.port))
 
 
 def replace_port(port: int) -> ComfortConfig:
     config = comfort("comfort.source=udp")
     return replace(config, stream=replace(config.stream, port=port))
-
-
-# ---- lsl -----------------------------------------------------------------------------------------------
-
-
-def test_a_lab_streaming_layer_outlet_sets_the_level() -> None:
-    pylsl = pytest.importorskip(
-        "pylsl", reason="extra `streams` is not installed", exc_type=(ImportError, RuntimeError)
-    )
-    name = f"hrl-comfort-{time.time_ns()}"
-    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(name, "HR", 1, 10.0, "float32", name))
-    config = comfort("comfort.source=lsl", f"comfort.stream.name={name}", "comfort.stream.high=9",
-                     "comfort.stream.smoothing_s=0", "comfort.stream.stall_s=10")  # fmt: skip
-    source = make_source(config, 2)
-    outlet.wait_for_consumers(5.0)
-    outlet.push_sample([4.0])
-    assert (until(source, 5) == 5).all()
-    outlet.push_sample([float("nan")])
-    outlet.push_sample([8.0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert (until(source, 9) == 9).all()
 
 
 # ---- recordings ----------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ import pytest
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
-from hrl_comfort.humans.motions.live import HELD, LslPoses, UdpPoses, pose_source
+from hrl_comfort.humans.motions.live import HELD, CheckedPoses, pose_source
+from hrl_comfort.streams import UdpStream
 from tests.humans.test_humans import HUMAN, no_discs
 
 LIVE = replace(HUMAN, motion="live", speed_m_s=1.6)
@@ -73,10 +74,11 @@ def test_poses_come_from_a_callable_and_bad_ones_are_left_out_with_one_warning()
 
 
 def test_poses_come_by_udp() -> None:
-    poses = UdpPoses("127.0.0.1", 0)
+    stream = UdpStream("127.0.0.1", 0, "human.file")
+    poses = CheckedPoses("udp", stream.read)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for text in (b"0.1 0.2 0.3", b"0.4, -0.6"):
-            sender.sendto(text, ("127.0.0.1", poses.port))
+            sender.sendto(text, ("127.0.0.1", stream.port))
         assert poses() == (0.4, -0.6, None)
 
 
@@ -93,6 +95,6 @@ def test_poses_come_by_udp() -> None:
 def test_a_source_that_cannot_be_opened_is_refused_before_the_first_step(
     file: str, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(LslPoses, "TIMEOUT_S", 0.1)
+    monkeypatch.setitem(pose_source.__wrapped__.__globals__, "APPEAR_S", 0.1)
     with pytest.raises(ConfigError, match=what):
         walked(replace(LIVE, file=file), 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import socket
 import warnings
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -16,13 +15,15 @@ import numpy as np
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
 from hrl_comfort.config.checks import FARTHEST
 from hrl_comfort.humans.walk import Array, Surroundings, Walk
+from hrl_comfort.streams import LslStream, UdpStream
 
 Pose = tuple[float, float, float | None]
 """x, y (m) and yaw (rad) in the cell frame; without a yaw the person faces where they walk."""
 PoseSource = Callable[[], Pose | None]
 """Return the newest pose, None before the first one; it must not block."""
 FORMS = "udp://HOST:PORT, lsl:NAME or package.module:callable"
-MAX_DATAGRAM_BYTES = 4096
+APPEAR_S = 3.0
+"""Time in which a stream of the Lab Streaming Layer must appear."""
 ARRIVED_M = 1e-3
 """Distance below which a person without a given yaw keeps theirs."""
 
@@ -61,15 +62,18 @@ def live(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) ->
 def pose_source(name: str | None) -> PoseSource:
     """Return the source of poses that `human.file` names.
 
+    Datagrams are texts `x y` or `x y yaw`, channels of the Lab Streaming Layer x, y and perhaps yaw, in m, m, rad.
+
     Raises:
       ConfigError: there is no such source, or it cannot be opened.
     """
     if name is None:
         return HELD
+    key = f"human.file={name!r}"
     if found := re.fullmatch(r"udp://(.+):(\d{1,5})", name):
-        return UdpPoses(found[1], int(found[2]))
+        return CheckedPoses(name, UdpStream(found[1], int(found[2]), key).read)
     if name.startswith("lsl:"):
-        return LslPoses(name.removeprefix("lsl:"))
+        return CheckedPoses(name, LslStream(name.removeprefix("lsl:"), (2, 3), APPEAR_S, key).read)
     module, _, attribute = name.partition(":")
     if not attribute:
         raise ConfigError(f"human.file={name!r} is not a source of live poses; give {FORMS}")
@@ -118,56 +122,3 @@ def parse_pose(value: Any) -> Pose:
     if len(numbers) not in (2, 3) or not all(math.isfinite(number) and abs(number) <= FARTHEST for number in numbers):
         raise ValueError(f"{str(value)[:60]!r} is not x, y (m) and perhaps yaw (rad) within ±{FARTHEST:g}")
     return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None
-
-
-class UdpPoses(CheckedPoses):
-    """UDP datagrams of ASCII numbers `x y` or `x y yaw`, in m, m and rad."""
-
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(f"udp://{host}:{port}", self._received)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((host, port))
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            raise ConfigError(
-                f"human.file='udp://{host}:{port}' cannot be opened: {error}; choose another host or port, "
-                "port 0 for a free one"
-            ) from error
-        self._socket.setblocking(False)
-
-    @property
-    def port(self) -> int:
-        """UDP port in use."""
-        return int(self._socket.getsockname()[1])
-
-    def _received(self) -> list[str]:
-        arrived: list[str] = []
-        while True:
-            try:
-                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace"))
-            except BlockingIOError:
-                return arrived
-
-
-class LslPoses(CheckedPoses):
-    """Lab Streaming Layer stream whose channels are x, y and perhaps yaw (extra `streams`: pylsl)."""
-
-    TIMEOUT_S = 3.0
-
-    def __init__(self, name: str) -> None:
-        try:
-            import pylsl
-        except (ImportError, RuntimeError) as error:
-            raise ConfigError(
-                f"human.file='lsl:{name}' needs pylsl: pip install 'hrl-comfort[streams]' ({error})"
-            ) from error
-        found = pylsl.resolve_byprop("name", name, timeout=self.TIMEOUT_S)
-        if not found:
-            raise ConfigError(
-                f"human.file='lsl:{name}': no such Lab Streaming Layer stream within {self.TIMEOUT_S:g} s; "
-                "start its outlet first"
-            )
-        self._inlet = pylsl.StreamInlet(found[0], recover=True)
-        self._inlet.open_stream(timeout=self.TIMEOUT_S)
-        super().__init__(f"lsl:{name}", lambda: self._inlet.pull_chunk(timeout=0.0)[0])

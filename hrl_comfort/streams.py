@@ -1,0 +1,113 @@
+"""Live streams, UDP and Lab Streaming Layer, read without blocking."""
+
+from __future__ import annotations
+
+import socket
+import time
+import warnings
+from typing import Any
+
+from hrl_comfort.config.checks import ConfigError
+
+MAX_DATAGRAM_BYTES = 4096
+MOST_DATAGRAMS = 1000
+"""Datagrams of one reading, so that a flood of them cannot hold up the robot."""
+POLL_S = 0.02
+OPEN_S = 1.0
+"""Longest time for the connection to an outlet that answers."""
+
+
+class UdpStream:
+    """UDP datagrams to a port of this machine.
+
+    Raises:
+      ConfigError: the port cannot be opened; `name` says which one it is.
+    """
+
+    def __init__(self, host: str, port: int, name: str) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except (OSError, OverflowError, TypeError, ValueError) as error:  # the last two at an invalid host name
+            self._socket.close()
+            reason = getattr(error, "strerror", None) or error
+            raise ConfigError(f"{name} cannot be opened: {reason}; choose another, or port 0 for a free one") from error
+        self._socket.setblocking(False)
+
+    @property
+    def port(self) -> int:
+        """UDP port in use."""
+        return int(self._socket.getsockname()[1])
+
+    def read(self) -> list[str]:
+        """Return the texts since the last call, oldest first; the rest of a flood waits or is dropped by the system."""
+        arrived: list[str] = []
+        while len(arrived) < MOST_DATAGRAMS:
+            try:
+                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace").strip())
+            except BlockingIOError:
+                break
+        return arrived
+
+
+class LslStream:
+    """Lab Streaming Layer stream of numbers (extra `streams`); a lost one is read again when it is back.
+
+    Args:
+      name: of the stream.
+      channels: allowed numbers of channels; a stream of other channels, or of text, is not read.
+      wait_s: time within which it must appear.
+      key: configuration key, for messages.
+
+    Raises:
+      ConfigError: pylsl is missing, or no such stream appears.
+    """
+
+    def __init__(self, name: str, channels: tuple[int, ...], wait_s: float, key: str) -> None:
+        try:
+            import pylsl
+        except (ImportError, RuntimeError) as error:  # the second without liblsl
+            raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
+        self._lsl, self._name, self._channels, self._key = pylsl, name, channels, key
+        self._inlet: Any = None
+        self._unfit = ""
+        self._search()
+        deadline = time.monotonic() + wait_s
+        while not self._connected():
+            if time.monotonic() > deadline:
+                remedy = f"within {wait_s:g} s; start its outlet first{self._unfit}"
+                raise ConfigError(f"{key}: no such Lab Streaming Layer stream {remedy}")
+            time.sleep(POLL_S)
+
+    def read(self) -> list[list[float]]:
+        """Return the samples since the last call, oldest first; of more than a second, the newest second."""
+        try:
+            if self._inlet is not None or self._connected():
+                return list(self._inlet.pull_chunk(timeout=0.0)[0])
+        except RuntimeError:  # LostError
+            warnings.warn(f"{self._key}: the stream is lost; it is read again when it is back", stacklevel=2)
+            self._search()
+        return []
+
+    def _search(self) -> None:
+        self._inlet, self._resolver = None, self._lsl.ContinuousResolver(prop="name", value=self._name)
+
+    def _connected(self) -> bool:
+        """Connect to the first stream found that fits; return whether there is one."""
+        for found in self._resolver.results():
+            channels, text = found.channel_count(), found.channel_format() == self._lsl.cf_string
+            if text or channels not in self._channels:
+                wanted = " or ".join(map(str, self._channels))
+                unfit = f"; one has {channels} channel(s) of {'text' if text else 'numbers'}, not {wanted} of numbers"
+                if self._unfit != unfit:
+                    self._unfit = unfit
+                    warnings.warn(f"{self._key}{unfit}: not used", stacklevel=3)
+                continue
+            inlet = self._lsl.StreamInlet(found, max_buflen=1, recover=False)
+            try:
+                inlet.open_stream(timeout=OPEN_S)
+            except RuntimeError:  # it is gone again
+                continue
+            self._inlet, self._resolver = inlet, None
+            return True
+        return False
