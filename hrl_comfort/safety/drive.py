@@ -93,10 +93,13 @@ class Drive:
             wanted, passed = self._shield.step(now, velocity, wanted)
             braking = passed == 0.0
         wanted = self._yielding(angles, velocity, wanted, now)
+        kept = self._rating.keeps(self._low, self._high, angles, wanted)
+        wanted = np.where(kept[:, None], wanted, self._rating.brake(velocity))
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
         stops = before.protective_stops + (braking & ~before.braking)
-        return SetPoints(angles + wanted * CONTROL_STEP_S, wanted, share, before.share_sum + share, braking, stops)
+        angles = np.clip(angles + wanted * CONTROL_STEP_S, self._low, self._high)
+        return SetPoints(angles, wanted, share, before.share_sum + share, braking, stops)
 
     def _yielding(self, angles: Array, before: Array, wanted: Array, now: Encounter) -> Array:
         """Return `wanted` (N, J) rad/s, or the rated brake where the arm touches the person and would press on.

@@ -25,7 +25,9 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-ROWS = 64
+ROWS = 128
+SLOW = ("expert", "potential_field")
+"""Policies that get a quarter of the steps."""
 MOTIONS = {
     "random_walk": (), "arc": (), "approach": ("human.bound_m=5",), "patrol": (), "worker": (), "reactive": (),
     "adversary": ("human.keep_out_m=0", "human.spawn=anywhere", "human.spawn_radius_m=[0.8,1.8]"),
@@ -143,7 +145,7 @@ def main(path: Path, steps: int, recordings: str) -> None:
             if before is not None and before["rounds"] > turn:
                 continue
             counted = Count(**{name: before[name] for name in vars(Count())}) if before else Count()
-            share = steps // 4 if way == "none" else steps
+            share = steps // 4 if way == "none" or policy in SLOW else steps
             counted = counted.plus(run(motion, policy, way, share, 1000 + turn, recordings))
             key = dict(zip(CELL, (motion, policy, way), strict=True))
             rows[motion, policy, way] = {**key, "rounds": turn + 1, **vars(counted)}

@@ -41,6 +41,24 @@ def test_set_points_keep_to_speed_acceleration_tool_speed_and_range(robot: str, 
         before = point
 
 
+def test_joints_that_brake_together_stay_in_their_range() -> None:
+    config = compose("train", ["robot.rating=collaborative"])
+    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    separation, rng = Separation(scene), np.random.default_rng(1)
+    drive = Drive(scene, separation, config, ROWS)
+    limbs = limb_poses(np.full(ROWS, 50.0), 0.0, 0.0, 0.0, 0.0, scene.floor_z)
+    low, high = scene.joint_range.T
+    angles = np.where(rng.random((ROWS, 6)) < 0.5, low, high) + rng.uniform(-0.3, 0.3, (ROWS, 6))
+    before = SetPoints.unshielded(np.clip(angles, low, high), np.zeros((ROWS, 6)), np.zeros(ROWS, dtype=np.int64))
+    for step in range(STEPS):
+        if step % 10 == 0:
+            asked = rng.uniform(-4.0, 4.0, (ROWS, 6))
+        after = drive.step(before, asked, separation.encounter(before.angles, limbs))
+        assert (after.angles >= low).all() and (after.angles <= high).all()
+        np.testing.assert_allclose(after.angles, before.angles + after.velocity * CONTROL_STEP_S, atol=1e-8)
+        before = after
+
+
 def test_a_shield_needs_a_brake() -> None:
     config = compose("train", ["safety=ssm"])
     scene = build_scene(config.robot, config.cell, config.engine.substeps)
