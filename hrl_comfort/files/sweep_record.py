@@ -54,8 +54,11 @@ def read_job(folder: Path) -> Job:
 def find_jobs(folder: Path) -> dict[Path, Job]:
     """Return the jobs of a sweep by their folders: those in `folder`, or one deeper when none is there.
 
-    Deeper only where a sweep was begun in `folder` itself: a folder of runs may hold sweeps, and is none.
+    Deeper only where a sweep was begun in `folder` itself: a folder of runs may hold sweeps, and is none. A run is
+    none either; its `eval/` may be a job of `evaluate -m`.
     """
+    if (folder / "config.yaml").is_file():
+        return {}
     files = list(folder.glob(f"*/{FILE}"))
     if not files and (folder / "multirun.yaml").is_file():
         files = list(folder.glob(f"*/*/{FILE}"))

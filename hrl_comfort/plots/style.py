@@ -40,6 +40,7 @@ SMOOTHED_FROM = 30
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "font.family": "sans-serif",
+    "text.parse_math": False,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",

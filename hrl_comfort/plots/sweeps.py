@@ -19,6 +19,8 @@ from hrl_comfort.plots.style import BLACK, CYCLE, band, smoothed, styled
 
 LOOKS = [(colour, dashes) for dashes, colour in product(("-", "--", ":", "-."), CYCLE)]
 """Line styles; as many combinations are drawn."""
+LONGEST = 80
+"""Characters of a name that the legend has room for."""
 Points = tuple[Floats, Floats]
 """Progress in thousands and the score, as it is drawn; both (n,)."""
 
@@ -42,7 +44,8 @@ def learning(sweep: Sweep) -> Figure | None:
         handles = []
         for row, (colour, dashes) in zip(rows, LOOKS, strict=False):
             finished = _draw_row(axis, row, curve, colour, dashes)
-            label = f"{row.name} (n = {finished})" if finished else f"{row.name} (none finished)"
+            name = row.name if len(row.name) <= LONGEST else row.name[:LONGEST] + "…"
+            label = f"{name} (n = {finished})" if finished else f"{name} (none finished)"
             handles.append(Line2D([], [], color=colour, linestyle=dashes, label=label))
         entries = [entry for row in rows for entry in row.entries]
         if any(entry.state != "finished" and _points(entry.run, curve) for entry in entries):

@@ -118,6 +118,19 @@ def test_the_report_writes_table_and_figure_beside_the_sweep_and_names_what_is_n
     assert 'src="data:image/svg' in html
 
 
+def test_a_combination_of_any_length_and_signs_is_drawn(tmp_path: Path) -> None:
+    folder = make_sweep(tmp_path / "sweep")
+    Job("train", (f"agent.learning_rate=$_$\n{'x' * 200_000}", "no equals sign"), "done").write(folder / "0")
+    assert reported(folder).with_suffix(".png").is_file()
+
+
+def test_a_run_with_an_evaluation_of_a_sweep_is_no_sweep(tmp_path: Path) -> None:
+    Job("evaluate", ("policy=run",), "done").write(tmp_path / "run" / "eval")
+    assert find_jobs(tmp_path / "run")
+    (tmp_path / "run" / "config.yaml").write_text("task: {name: reach}\n")
+    assert not find_jobs(tmp_path / "run")
+
+
 def test_runs_that_are_not_finished_are_drawn_thin_and_in_no_mean(sweep: Path) -> None:
     figure = sweep_figure.learning(read_sweep(sweep))
     assert figure is not None
