@@ -23,6 +23,7 @@ from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, bo
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import pose_at
+from hrl_comfort.humans.retreat import retreat
 from hrl_comfort.humans.steering import POSTURE
 from hrl_comfort.humans.walk import (
     MEMORY,
@@ -64,7 +65,9 @@ def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Wal
             position[rows], yaw[rows] = (FAR_AWAY_M, 0.0), 0.0
     still, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
     memory = np.zeros((n, MEMORY))
-    return Walk(position, yaw, spawn.copy(), still, still, steps, np.zeros((n, 3)), limbs, memory, traits.copy())
+    return Walk(
+        position, yaw, spawn.copy(), still, still, steps, np.zeros((n, 3)), limbs, memory, traits.copy(), steps.copy()
+    )
 
 
 def _members(config: HumanConfig, traits: Array) -> list[tuple[NDArray[np.int64], HumanConfig]]:
@@ -108,6 +111,7 @@ def _tool(tcp: Array) -> tuple[Array, Array]:
 def _advance(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Walk:
     proposed = motion(config.motion)(config, walk, noise, around)
     stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
+    stride = retreat(config, walk, stride, around)
     position, yaw, keep_out = stride.position, stride.yaw, around.keep_out
     if not free(config):
         offset = position - walk.spawn
@@ -135,6 +139,7 @@ def _advance(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings
         walk.limbs if stride.limbs is None else stride.limbs,
         walk.memory if stride.memory is None else stride.memory,
         walk.traits,
+        np.maximum(walk.retreat - 1, 0),
     )
 
 

@@ -54,17 +54,20 @@ def step(walk: Walk, wanted: Array, config: HumanConfig, around: Surroundings | 
     keep-out discs of `around`, and walk along them.
     """
     assert config.acceleration_m_s2 is not None
-    most = config.acceleration_m_s2 * CONTROL_STEP_S
     if around is not None:
-        wanted = _beside(walk.position, wanted, around.keep_out, config.acceleration_m_s2 / 4)
+        wanted = beside(walk.position, wanted, around.keep_out, config.acceleration_m_s2 / 4)
     wanted = wanted * np.minimum(1.0, config.speed_m_s / np.maximum(length(wanted), 1e-9))[:, None]
-    before = walk.velocity[:, :2]
+    return walk.position + accelerated(walk.velocity[:, :2], wanted, config.acceleration_m_s2) * CONTROL_STEP_S
+
+
+def accelerated(before: Array, wanted: Array, acceleration_m_s2: float) -> Array:
+    """Return the velocity (n, 2) m/s nearest to `wanted` (n, 2) that a control step from `before` (n, 2) allows."""
     change = wanted - before
-    share = np.minimum(1.0, most / np.maximum(length(change), 1e-9))
-    return np.asarray(walk.position + (before + change * share[:, None]) * CONTROL_STEP_S)
+    share = np.minimum(1.0, acceleration_m_s2 * CONTROL_STEP_S / np.maximum(length(change), 1e-9))
+    return np.asarray(before + change * share[:, None])
 
 
-def _beside(position: Array, wanted: Array, keep_out: KeepOut, acceleration_m_s2: float) -> Array:
+def beside(position: Array, wanted: Array, keep_out: KeepOut, acceleration_m_s2: float) -> Array:
     """Return `wanted` (n, 2) m/s turned along the discs that braking would not keep clear of."""
     offset = position[:, None] - keep_out.centres
     distance = np.maximum(length(offset), 1e-9)

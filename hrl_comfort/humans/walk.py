@@ -45,6 +45,8 @@ class Walk:
     """(n, MEMORY) numbers of the motion's own, 0 at the start."""
     traits: Array
     """(n, TRAITS) in [0, 1), of the episode: which motion of a mixture, how fast or which recording, from when."""
+    retreat: NDArray[np.int64]
+    """(n,) control steps left of a retreat from the arm."""
 
     def rows(self, index: NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `index`."""

@@ -1,4 +1,7 @@
-"""People stop where they touch the arm: one who walks on pushes without limit, and the physics goes unstable."""
+"""People stop where they touch the arm, and step back.
+
+One who walks on pushes without limit, and the physics goes unstable; one who stays stands in the arm's way for ever.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
@@ -20,7 +24,7 @@ that turns about its own axis, was flung at 5 m/s from a depth of 1 mm: people a
 def stop_at_contact(
     scene: Scene, separation: Separation, angles: NDArray[np.float64], before: humans.Walk, walk: humans.Walk
 ) -> tuple[humans.Walk, NDArray[np.float64], Encounter]:
-    """Return `walk` with those who would walk into arms at `angles` (n, J) rad held at OVERLAP_M; they may leave.
+    """Return `walk` with those who would walk into arms at `angles` (n, J) rad held at OVERLAP_M; they will leave.
 
     Return their limbs (n, L, 7) and the encounters too. `before` and `walk` are the n people before and after a
     control step.
@@ -31,12 +35,14 @@ def stop_at_contact(
     touched = np.flatnonzero(gap <= 0.0)
     if not len(touched):
         return walk, limbs, now
+    walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     room, gap = separation.gap(angles[touched], limbs_of(scene, stood)), gap[touched]
     share = np.clip((room + OVERLAP_M) / np.maximum(room - gap, 1e-9), 0.0, 1.0)
     stops = np.flatnonzero((gap < room) & (share < 1.0))
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
-    walk = walk.put(at, replace(stood, position=place, velocity=np.zeros_like(stood.velocity)))
+    held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
+    walk = walk.put(at, held)
     limbs = limbs_of(scene, walk)
     return walk, limbs, separation.encounter(angles, limbs)

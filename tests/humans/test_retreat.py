@@ -1,0 +1,52 @@
+"""People who touch the arm step back from it, wait and go on, within the bounds of their motion."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from hrl_comfort import humans
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config.compose import compose
+from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
+
+SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
+NOWHERE = humans.around(np.zeros((0, 2)), 0.35, 2)
+
+
+def arm() -> tuple[np.ndarray, np.ndarray]:
+    """Return one point 0.3 m before each person, and at rest."""
+    points = np.concatenate([SPAWN * (1 - 0.3 / np.linalg.norm(SPAWN, axis=1, keepdims=True)), np.ones((2, 1))], axis=1)
+    return points[:, None], np.zeros((2, 1, 3))
+
+
+def away(walk: humans.Walk) -> np.ndarray:
+    return np.linalg.norm(walk.position - arm()[0][:, 0, :2], axis=1)
+
+
+@pytest.mark.parametrize("name", ["approach", "patrol", "worker", "reactive", "mixture"])
+def test_who_touches_the_arm_steps_back_half_a_metre(name):
+    config = compose("train", [f"human={name}"]).human
+    walk = begin_retreat(humans.begin(config, SPAWN), np.array([0, 1]))
+    on = partial(humans.advance, config, tcp=arm()[0][:, 0, :2], keep_out=NOWHERE, arm=arm)
+    farthest, velocity = away(walk), [walk.velocity[:, :2]]
+    for _ in range(RETREAT_STEPS):
+        walk = on(walk, noise=np.full((2, humans.NOISE), 0.5))
+        assert (away(walk) >= farthest - 1e-9).all()
+        farthest = away(walk)
+        velocity.append(walk.velocity[:, :2])
+    assert (np.abs(farthest - 0.3 - 0.5) < 0.1).all()
+    assert np.linalg.norm(np.diff(velocity, axis=0), axis=-1).max() <= 2.0 * CONTROL_STEP_S + 1e-9
+    assert not walk.retreat.any()
+
+
+@pytest.mark.parametrize("name", [*STAYING[:1], "still"])
+def test_others_stay(name):
+    config = compose("train", [f"human={name}"]).human
+    fresh = humans.begin(config, SPAWN)
+    walks = [fresh, begin_retreat(fresh, np.array([0, 1]))]
+    for _ in range(10):
+        walks = [humans.advance(config, walk, np.full((2, humans.NOISE), 0.5), SPAWN, NOWHERE, arm) for walk in walks]
+    np.testing.assert_array_equal(walks[0].position, walks[1].position)
