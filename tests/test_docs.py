@@ -46,6 +46,9 @@ def test_the_tables_of_keys_are_those_of_the_dataclasses() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "configuration.py"))
     page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     assert script["filled"](page) == page, "run python docs/configuration.py"
+    for group, choices in re.findall(r"^## (\w+): (.*)$", page, re.MULTILINE):
+        there = {file.stem for file in (ROOT / "conf" / group).glob("*.yaml") if not file.stem.startswith("_")}
+        assert set(re.findall(r"`([^`]+)`", choices)) == there, f"the choices in the heading of {group}"
 
 
 def test_tables_are_those_of_the_committed_evaluations() -> None:
