@@ -69,18 +69,20 @@ def is_own(folder: Path, kind: type, *marks: str) -> bool:
 
 
 @contextmanager
-def output_file(path: Path, *beside: Path) -> Iterator[None]:
-    """Hold a file, and those written `beside` it, for one process as long as the context lasts.
+def output_file(path: Path, *suffixes: str) -> Iterator[None]:
+    """Hold a file, and those of the same name with other `suffixes`, for one process as long as the context lasts.
 
     A page or picture may replace an earlier one of this program; of other files there must be none.
 
     Raises:
       ConfigError: `path` is no regular file, another process writes it, or it is there and not the program's.
     """
+    if not path.name:
+        raise ConfigError(f"output={str(path)!r} is a folder; give the name of a file")
     with _made(path.parent):
         lock = path.with_name(f".{path.name}.lock")
         try:
-            found = [each for each in map(target_of, (path, *beside)) if each.exists()]
+            found = [each for each in map(target_of, (path, *map(path.with_suffix, suffixes))) if each.exists()]
             own = path.is_file() and SIGNATURE in path.read_bytes()[:1024]
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:

@@ -36,7 +36,7 @@ def figure(config: FigureConfig) -> Path:
       ConfigError: an evaluation is not there, is damaged, or lacks what the figure needs.
     """
     output = Path(config.output)
-    with output_file(output, output.with_suffix(".json")), all_or_none():
+    with output_file(output, ".json"), all_or_none():
         _draw(config, output)
     Console(stderr=True).print(f"{output}", soft_wrap=True)
     return output

@@ -50,7 +50,7 @@ def sweep_report(folder: Path, output: Path) -> bool:
         return False
     if output.suffix in BESIDE:
         raise ConfigError(f"output={str(output)!r} is the page; its {output.suffix} file is written beside it")
-    with output_file(output, *map(output.with_suffix, BESIDE)), all_or_none():
+    with output_file(output, *BESIDE), all_or_none():
         _write(sweep, folder, output)
     Console().print(_printed(sweep))
     return True

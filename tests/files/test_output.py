@@ -126,6 +126,12 @@ def test_a_device_stays_a_device(tmp_path: Path, capsys: pytest.CaptureFixture[s
         write_text(null, "text")
 
 
+@pytest.mark.parametrize("name", ["/", ".", ""])
+def test_a_folder_is_no_page(name: str) -> None:
+    with pytest.raises(ConfigError, match="is a folder; give the name of a file"):
+        output_file(Path(name), ".csv").__enter__()
+
+
 def test_insisting_writes_among_other_files_and_touches_no_other_name(tmp_path: Path) -> None:
     foreign(tmp_path)
     notes(tmp_path)
