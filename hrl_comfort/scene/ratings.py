@@ -4,8 +4,9 @@ Joint speeds: e-series datasheets. Accelerations: Universal Robots publish none;
 the stops of category 0 from 183 deg/s (3.19 rad/s) at full reach and payload in the appendices of the manuals of
 UR3 (159, 154 and 92 ms for base, shoulder and elbow) and UR5 (244, 530 and 164 ms), speed over stopping time; the
 wrists are given the base's. `full` may use all of it, `collaborative` half, so that a brake has as much in reserve.
-The UR10e has the UR5's, as its manual shows curves only. Tool speed: 1 m/s is the datasheets' typical one, 1.5 m/s
-the manuals' default limit of the safety system.
+The UR10e has the UR5's, which is an assumption: its manual shows curves without figures, and the UR10's gives stopping
+times of the whole safety system only, fault detection and brakes included. Tool speed: 1 m/s is the datasheets' typical
+one, 1.5 m/s the manuals' default limit of the safety system.
 """
 
 from __future__ import annotations

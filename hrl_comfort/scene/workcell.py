@@ -51,6 +51,10 @@ class Scene:
     floor_z: float
 
 
+DEEPEST_M = 0.05
+"""Depth of an overlap with the first link up to which contacts are told and not resolved."""
+
+
 def ball_props(index: int) -> NDArray[np.int64]:
     """Return the indices (2,) among the props of the orange and the pink body of ball `index`."""
     first = 0 if index == 0 else len(PROPS) + 2 * (index - 1)
@@ -73,7 +77,8 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     _set_options(root, substeps)
     floor_z = -cell.base_height_m
     _add_surroundings(root.worldbody, cell, floor_z)
-    root.attach(arm.build())
+    frame = root.attach(arm.build())
+    _hold_shoulder(frame.root.find("joint", f"robot/{arm.joints[0]}"))
     build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
     more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
     _add_props(root.worldbody, cell, PROPS + more)
@@ -118,6 +123,15 @@ def _set_options(root: mjcf.RootElement, substeps: int) -> None:
     root.statistic.extent, root.statistic.center = 2.0, (0, 0, 0.2)
     sky = {"type": "skybox", "builtin": "gradient", "width": 64, "height": 64}
     root.asset.add("texture", name="sky", rgb1=(0.8, 0.87, 0.95), rgb2=(0.95, 0.97, 1), **sky)
+
+
+def _hold_shoulder(joint: mjcf.Element) -> None:
+    """Let the link that `joint` moves be touched without a force.
+
+    It cannot give way, since it turns about its own axis: the least push was solved by flinging the joint at 10 rad/s.
+    """
+    for geom in joint.parent.geom:
+        geom.margin, geom.gap = -DEEPEST_M, DEEPEST_M
 
 
 def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:

@@ -17,8 +17,8 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
 
 OVERLAP_M = 1e-5
-"""Depth to which somebody walks into the arm, so that the touch is sensed. A part that cannot give way, as the shoulder
-that turns about its own axis, was flung at 5 m/s from a depth of 1 mm: people are moved, and push without limit."""
+"""Depth to which somebody walks into the arm, so that the touch is sensed. People are moved, and push without limit:
+from a depth of 1 mm they flung parts that cannot give way at 5 m/s."""
 
 
 def stop_at_contact(

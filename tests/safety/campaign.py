@@ -25,7 +25,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-ROWS = 128
+ROWS = 64
 SLOW = ("expert", "potential_field")
 """Policies that get a quarter of the steps."""
 MOTIONS = {

@@ -25,6 +25,7 @@ from hrl_comfort.scene import (
 )
 from hrl_comfort.scene.human import LEG_RADIUS_M
 from hrl_comfort.scene.ur import GRIPPER_MASS_KG, JOINTS, LINKS, UR_ARMS
+from hrl_comfort.scene.workcell import DEEPEST_M
 
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287],
@@ -342,3 +343,19 @@ def test_a_step_depends_on_state_and_control_alone() -> None:
         mujoco.mj_step(cell.model, data, 10)
     np.testing.assert_array_equal(fresh.qpos, used.qpos)
     np.testing.assert_array_equal(fresh.sensordata, used.sensordata)
+
+
+@every_robot
+def test_the_shoulder_is_touched_without_a_force(name: str) -> None:
+    cell, found = scene(name), 0
+    alone = data_at(cell, cell.home)
+    for bearing in np.linspace(-np.pi, np.pi, 60):
+        for radius in np.linspace(0.15, 0.35, 20):
+            data = data_at(cell, cell.home, standing(cell, radius * np.cos(bearing), radius * np.sin(bearing)))
+            bodies = {cell.model.body(cell.model.geom_bodyid[geom]).name for each in data.contact for geom in each.geom}
+            deepest = min((each.dist for each in data.contact), default=0.0)
+            if {each for each in bodies if each.startswith("robot/")} == {"robot/shoulder"} and deepest > -DEEPEST_M:
+                found += 1
+                assert touching(cell, data)["human"]
+                np.testing.assert_allclose(data.qacc, alone.qacc, atol=1e-9)
+    assert found > 10
