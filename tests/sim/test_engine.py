@@ -146,16 +146,18 @@ def test_an_arm_that_swings_into_somebody_makes_an_unsafe_contact(terminate_on: 
     assert unsafe
 
 
-def test_a_contact_is_paid_once_though_the_episode_goes_on() -> None:
+def test_a_touch_is_paid_once_though_the_episode_goes_on() -> None:
     engine = Engine(configured("task=reach", *WALKER, "task.terminate_on=unsafe_contact"), 4, 0)
-    engine.reset()
-    paid, lasted = torch.zeros(4), torch.zeros(4, dtype=torch.int64)
+    touching = engine.reset().touching[:, None]
+    paid, touches = torch.zeros(4), torch.zeros(4)
     term = engine.episodes.reward_names.index("contact")
     for _ in range(60):
         outcome = engine.step(np.zeros((4, 6)))
         paid += outcome.reward_terms[:, term]
-        lasted += outcome.state.touching
-    assert (lasted > 3).any() and set(paid[lasted > 3].tolist()) == {-10.0}
+        touching = torch.cat([touching[:, -1:], outcome.instants.touching.view(4, -1)], dim=1)
+        touches += (touching[:, 1:] & ~touching[:, :-1]).sum(dim=1)
+        assert not outcome.done.any()
+    assert paid.tolist() == (-10 * touches).tolist() and touches.max() > 1
 
 
 def test_masked_human_is_hidden_from_the_policy_but_still_there() -> None:
