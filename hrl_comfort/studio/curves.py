@@ -44,6 +44,10 @@ class Chart:
         while self._rows[0][0] < time_s - SHOWN_S:
             self._rows.popleft()
 
+    def remove(self) -> None:
+        """Take the chart off the page."""
+        self._handle.remove()
+
     def draw(self) -> None:
         """Send the series to the page."""
         if self._rows:
@@ -54,19 +58,32 @@ class Curves:
     """Charts of one or more cells; a cell's values are marked with its label where there are several."""
 
     def __init__(self, server: viser.ViserServer, sessions: list[Session], labels: list[str]) -> None:
-        self._latest: list[dict[str, NDArray[np.float64]]] = [{} for _ in sessions]
-        many = len(sessions) > 1
-
-        def names(*plain: str) -> tuple[str, ...]:
-            return tuple(f"{name} {label}" if many else name for label in labels for name in plain)
-
-        with server.gui.add_folder("Curves"):
+        self._latest: list[dict[str, NDArray[np.float64]]] = []
+        self._server, self._labels = server, labels
+        self._folder = server.gui.add_folder("Curves")
+        with self._folder:
             self._charts = {
-                "distance": Chart(server, "distance to the person (m)", names("tool", "arm")),
-                "speed": Chart(server, "speed (m/s)", (*names("tool"), "person")),
-                "level": Chart(server, "comfort level", names("level")),
-                "reward": Chart(server, "reward of a decision", names(*sessions[0].engine.episodes.reward_names)),
+                "distance": Chart(server, "distance to the person (m)", self._names("tool", "arm")),
+                "speed": Chart(server, "speed (m/s)", (*self._names("tool"), "person")),
+                "level": Chart(server, "comfort level", self._names("level")),
             }
+        self._rewards: tuple[str, ...] = ()
+        self.rejoin(sessions)
+
+    def rejoin(self, sessions: list[Session]) -> None:
+        """Follow sessions that may have other reward terms."""
+        self._latest = [{} for _ in sessions]
+        rewards = tuple(sessions[0].engine.episodes.reward_names)
+        if rewards != self._rewards:
+            if "reward" in self._charts:
+                self._charts.pop("reward").remove()
+            with self._folder:
+                self._charts["reward"] = Chart(self._server, "reward of a decision", self._names(*rewards))
+            self._rewards = rewards
+
+    def _names(self, *plain: str) -> tuple[str, ...]:
+        many = len(self._labels) > 1
+        return tuple(f"{name} {label}" if many else name for label in self._labels for name in plain)
 
     def began(self, cell: int, session: Session) -> None:
         """See `play.Watcher`."""

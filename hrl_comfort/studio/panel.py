@@ -72,20 +72,40 @@ class Panel:
             "level", min=1, max=comfort.levels, step=1, initial_value=int(self.session.slider.value)
         )
         self._level.on_update(self._on_level)
-        if comfort.source != "fixed":
-            self._source = gui.add_dropdown("level from", ("slider", comfort.source), initial_value=comfort.source)
-            self._source.on_update(self._on_source)
+        self._source = gui.add_dropdown("level from", ("slider", comfort.source))
+        self._source.on_update(self._on_source)
+        self._show_source()
+
+    def _show_source(self) -> None:
+        source = self.session.config.comfort.source
+        self._source.options = ("slider", source)
+        self._source.value = "slider" if self.session.by_hand else source
+        self._source.visible = source != "fixed"
+
+    def rejoin(self) -> None:
+        """Show the options, levels and source of a session that is new."""
+        self._level.max = self.session.config.comfort.levels
+        self._level.value = int(self.session.slider.value)
+        self._option.options = tuple(self.session.options)
+        self._show_source()
 
     def _on_level(self, event: Any) -> None:
         if event.client is not None:
             level = float(event.target.value)
             self.ask(lambda: self._set_level(level))
 
+    def set_level(self, level: float) -> None:
+        """Set the level of every cell, and the slider; for requests."""
+        self._level.value = round(level)
+        self._set_level(level)
+
     def _set_level(self, level: float) -> None:
         for session in self._play.sessions:
             session.set_level(level)
 
     def _on_source(self, event: Any) -> None:
+        if event.client is None:
+            return
         if event.target.value == "slider":
             self.ask(lambda: self._set_level(self.session.slider.value))
         else:
@@ -133,10 +153,23 @@ class Panel:
         force = gui.add_button("Force option")
         force.on_click(lambda _: self.ask(lambda: self.session.force(self._option.value)))
 
+    def swap_to(self, source: str) -> None:
+        """Let the first cell be played by the policy `source`; for requests.
+
+        Raises:
+          ConfigError: it is not there, or does not fit.
+        """
+        self.session.play(with_policy(self.session.config, source))
+        self._policies[0].value = policy_label(self.session)
+        self._swapped()
+
     def _swap(self) -> None:
         for session, text in zip(self._play.sessions, self._policies, strict=True):
             if text.value != policy_label(session):
                 session.play(with_policy(session.config, text.value))
+        self._swapped()
+
+    def _swapped(self) -> None:
         self._option.options = tuple(self.session.options)
         self._play.reset()
 

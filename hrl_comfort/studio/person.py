@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,9 +10,9 @@ import numpy as np
 
 from hrl_comfort import humans
 from hrl_comfort.config import HumanConfig
-from hrl_comfort.config.compose import compose
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.tune.draft import compose_alone
 
 KEYS = {"w": (1.0, 0.0), "s": (-1.0, 0.0), "a": (0.0, 1.0), "d": (0.0, -1.0)}
 """Steps forward and to the left, by key."""
@@ -25,7 +24,6 @@ HELD_S = 0.6
 FARTHEST_M = 2.5
 """Largest distance from the robot's base to which a person can be driven."""
 ARRIVED_M = 0.01
-_composing = threading.Lock()
 
 
 class Person:
@@ -63,6 +61,11 @@ class Person:
         if self.taken or self._leaving:
             self._set_motion(self._live)
 
+    def rejoin(self) -> None:
+        """Hold the person of a session that is new, where they are held in the others."""
+        if self.taken or self._leaving:
+            self._set_motion(self._live)
+
     @property
     def motion(self) -> str:
         """Name of the motion in force."""
@@ -86,6 +89,13 @@ class Person:
             self._leaving = True
             self._set_motion(self._live)
             self.update(0.0)
+
+    def follow(self, human: HumanConfig) -> None:
+        """Go on as `human` says, or once they are let go of."""
+        if self.taken:
+            self.human = human
+        else:
+            self.let_go(human)
 
     def drag(self, x: float, y: float) -> None:
         """Walk to (x, y) m, or to the nearest point within FARTHEST_M of the base."""
@@ -147,8 +157,6 @@ class Person:
 
 def motion_config(name: str) -> HumanConfig:
     """Return the configuration of the motion `name` as in `conf/human/`."""
-    with _composing:  # Hydra composes in one thread at a time
-        config = compose("studio", [f"human={name}"])
-    human = getattr(config, "human", None)
+    human = getattr(compose_alone("studio", [f"human={name}"]), "human", None)
     assert isinstance(human, HumanConfig)
     return human

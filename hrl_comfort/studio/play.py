@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 from hrl_comfort.studio.clip import Clip
@@ -30,8 +30,10 @@ class Watcher(Protocol):
 class LivePlay:
     """Sessions side by side, each at its own decisions; a new episode begins once all of them are over."""
 
-    def __init__(self, sessions: Sequence[Session], views: Sequence[CellView], person: Person) -> None:
-        self.sessions, self._views, self.person = list(sessions), list(views), person
+    def __init__(self, sessions: list[Session], views: list[CellView], person: Person) -> None:
+        self.sessions, self._views, self.person = sessions, views, person
+        self.renew: Callable[[], None] = lambda: None
+        """Called before each episode; it may replace sessions and views."""
         self.watchers: list[Watcher] = []
         self.hold_s = HOLD_S
         """Simulated time for which the end of an episode is shown."""
@@ -75,6 +77,7 @@ class LivePlay:
 
     def reset(self) -> None:
         """Begin the next episode in every cell."""
+        self.renew()
         for session in self.sessions:
             session.reset()
         self.rejoin()

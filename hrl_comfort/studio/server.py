@@ -20,6 +20,7 @@ from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.recorder import RecordControl
 from hrl_comfort.studio.replay import ReplayStudio
 from hrl_comfort.studio.session import Session, Step
+from hrl_comfort.studio.tune.tuning import Tuning
 from hrl_comfort.studio.view import CellView
 
 CURVES_S = 0.25
@@ -37,10 +38,7 @@ class LiveStudio:
         configs = [config] if config.beside is None else [config, with_policy(replace(config), config.beside)]
         self.sessions = [Session(each) for each in configs]
         self.page = Page(config.host, config.port)
-        self.views = [
-            CellView(self.page, session.engine.scene, f"cell_{index}", (APART_M * index, 0.0, 0.0))
-            for index, session in enumerate(self.sessions)
-        ]
+        self.views = [self._view(index) for index in range(len(self.sessions))]
         self.person = Person(self.sessions, motion_config("live"), config.human)
         self.play = LivePlay(self.sessions, self.views, self.person)
         self.loop = Loop(self.play, config.frames_per_s, config.speed)
@@ -48,22 +46,48 @@ class LiveStudio:
         self.panel = Panel(self.page, self.play, self.loop)
         self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
         self.records = RecordControl(self.page, self.play, self.loop, self.panel.say, Path(config.output))
+        self.tuning = Tuning(self, config)
         self.play.watchers += [self.panel, self.curves, self.records, self]
         if config.record:
             self.loop.ask(self.records.toggle)
         self._drawn_s = 0.0
         self.page.on_keys = lambda keys: self.panel.ask(lambda: self.person.press(keys))
-        for view in self.views:
-            for mesh in view.person:
-                mesh.on_drag("left")(Drag(self, view).follow)
 
     def start(self) -> None:
         """Begin to play."""
         self.loop.start()
 
+    def _view(self, index: int) -> CellView:
+        scene, offset_m = self.sessions[index].engine.scene, (APART_M * index, 0.0, 0.0)
+        view = CellView(self.page, scene, f"cell_{index}", offset_m)
+        for mesh in view.person:
+            mesh.on_drag("left")(Drag(self, view).follow)
+        return view
+
+    def rebuild(self, sections: dict[str, Any]) -> None:
+        """Make the cells anew with other sections of the configuration; for requests.
+
+        Raises:
+          ConfigError: a policy does not fit, or a recording is under way; the cells stay as they are.
+        """
+        if self.records.recorders:
+            raise ConfigError("the cell is being recorded; stop the recording, then reset")
+        made = [Session(replace(session.config, **sections)) for session in self.sessions]
+        for index, new in enumerate(made):
+            old, self.sessions[index] = self.sessions[index], new
+            if old.by_hand and new.by_hand and old.config.comfort.level == new.config.comfort.level:
+                new.set_level(old.slider.value)
+            old.close()
+            self.views[index].remove()
+            self.views[index] = self._view(index)
+        self.person.rejoin()
+        self.curves.rejoin(self.sessions)
+        self.panel.rejoin()
+
     def stop(self) -> None:
-        """Stop the loop, the page and the cells."""
+        """Stop the loop, the page, a training and the cells."""
         self.loop.stop()
+        self.tuning.stop()
         self.page.stop()
         for session in self.sessions:
             session.close()

@@ -126,6 +126,10 @@ class CellView:
                 handle.wxyz = pose[3:]
             self._shown[body] = pose
 
+    def remove(self) -> None:
+        """Take the cell off the page."""
+        self._root.remove()
+
     def set_visible(self, visible: bool) -> None:
         """Show or hide the whole cell."""
         self._root.visible = visible

@@ -32,6 +32,8 @@ class Key:
     allowed: str
     default: str
     """As on the command line; empty without one, … where it is long."""
+    hint: Any = None
+    """Type of its value, with its checks."""
 
     @property
     def section(self) -> str:
@@ -57,7 +59,7 @@ def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:
             yield from _keys(hint, given[field.name], f"{name}.")
             continue
         default = shown(given[field.name]) if field.name in given else ""
-        yield Key(name, meanings.get(field.name, ""), allowed(hint), default)
+        yield Key(name, meanings.get(field.name, ""), allowed(hint), default, hint)
         if is_dataclass(entry := (*get_args(hint), None)[0]):
             yield from _keys(entry, None, f"{name}[].")
 
@@ -73,6 +75,12 @@ def docstrings(kind: type) -> dict[str, str]:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                     found[name] = " ".join(text.split())
     return found
+
+
+def choices_of(hint: Any) -> tuple[str, ...]:
+    """Return the only values that a field may have; none where it may have others."""
+    checks_of = [getattr(getattr(check, "func", None), "keywords", {}) for check in getattr(hint, "__metadata__", ())]
+    return next((tuple(each["names"]) for each in checks_of if "names" in each and "key" not in each), ())
 
 
 def allowed(hint: Any) -> str:

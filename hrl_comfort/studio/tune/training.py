@@ -1,0 +1,128 @@
+"""Trainings of the studio: each a process of its own, with its curve and its newest checkpoint."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.files.atomic import write_text
+from hrl_comfort.files.tables import read_table
+
+STOP_S = 60.0
+"""Time that an interrupted training has to save its state."""
+
+
+class Training:
+    """One training at a time, in folders `training_1`, `training_2`, … under `output`."""
+
+    def __init__(self, output: Path) -> None:
+        self._output = output
+        self._process: subprocess.Popen[bytes] | None = None
+        self.folder: Path | None = None
+        """Run folder of the latest training."""
+
+    @property
+    def running(self) -> bool:
+        """Whether the training runs."""
+        return self._process is not None and self._process.poll() is None
+
+    def start(self, overrides: Iterable[str]) -> Path:
+        """Start `hrl-comfort train` with `overrides`; return its run folder.
+
+        Raises:
+          ConfigError: one runs already.
+        """
+        if self.running:
+            raise ConfigError(f"{self.folder} is being trained; stop it first")
+        number = 1
+        while (self._output / f"training_{number}").exists():
+            number += 1
+        self.folder = self._output / f"training_{number}"
+        self._run([*overrides, f"output={self.folder}"])
+        return self.folder
+
+    def resume(self) -> None:
+        """Go on with the latest training.
+
+        Raises:
+          ConfigError: it runs, or there is none.
+        """
+        if self.running or self.folder is None:
+            raise ConfigError(f"{self.folder} is being trained" if self.running else "no training was started here")
+        self._run([f"resume={self.folder}"])
+
+    def stop(self) -> None:
+        """Interrupt the training, which saves its state, and wait for it."""
+        if self._process is not None and self.running:
+            self._process.send_signal(signal.SIGINT)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(STOP_S)
+            if self.running:
+                self._process.kill()
+
+    def newest(self) -> str:
+        """Return the policy of the latest training's newest checkpoint.
+
+        Raises:
+          ConfigError: there is none yet.
+        """
+        policy = self.folder / "policy.pt" if self.folder else None
+        if policy is None or not policy.is_file():
+            raise ConfigError("there is no checkpoint yet; agent.checkpoint_every says how often one is written")
+        return str(policy)
+
+    def status(self) -> str:
+        """Return a line about the latest training; the last line of its log where it failed."""
+        if self._process is None or self.folder is None:
+            return "no training yet"
+        if self.running:
+            return f"`{self.folder}` is being trained"
+        if self._process.returncode == 0:
+            return f"`{self.folder}` is trained"
+        said = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f"`{self.folder}` has stopped: {said[-1] if said else self._process.returncode}"
+
+    def curve(self) -> dict[str, list[float]]:
+        """Return columns of metrics.csv, empty before its first row."""
+        table = None
+        if self.folder is not None:
+            with suppress(ConfigError):
+                table = read_table(self.folder / "metrics.csv")
+        if table is None or not {"policy_steps", "success"} <= set(table.columns):
+            return {"policy_steps": [], "success": []}
+        return {name: table[name].astype(float).tolist() for name in ("policy_steps", "success")}
+
+    @property
+    def _log(self) -> Path:
+        assert self.folder is not None
+        return self._output / f"{self.folder.name}.log"
+
+    def _run(self, words: list[str]) -> None:
+        write_text(self._log, "")
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "hrl_comfort", "train", *words],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+            )  # fmt: skip
+
+
+class Poll:
+    """Calls `act` every `every_s` in a thread of its own until it is stopped."""
+
+    def __init__(self, act: Callable[[], None], every_s: float) -> None:
+        self._act, self._every_s, self._over = act, every_s, threading.Event()
+        threading.Thread(target=self._run, name="studio training", daemon=True).start()
+
+    def stop(self) -> None:
+        """Call `act` no more."""
+        self._over.set()
+
+    def _run(self) -> None:
+        while not self._over.wait(self._every_s):
+            self._act()

@@ -1,0 +1,170 @@
+"""The folders Parameters and Train of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import viser.uplot
+
+from hrl_comfort.config import ConfigError, EnvConfig, StudioConfig, TrainConfig
+from hrl_comfort.config.overrides import groups
+from hrl_comfort.files.atomic import write_text
+from hrl_comfort.studio.tune.draft import Draft, compose_alone, overlay, overrides_of, training_overrides
+from hrl_comfort.studio.tune.forms import Form
+from hrl_comfort.studio.tune.training import Poll, Training
+
+if TYPE_CHECKING:
+    from hrl_comfort.studio.server import LiveStudio
+
+CELL = tuple(field.name for field in fields(EnvConfig))
+LEARNER = tuple(field.name for field in fields(TrainConfig) if field.name in groups("train") and field.name not in CELL)
+DRAWN = ("human.spawn", "human.keep_out", "human.held_out")
+"""Keys of where a person begins."""
+OVERLAY = "overlay.yaml"
+POLL_S = 2.0
+
+
+class Tuning:
+    """Every parameter of the cell by hand, and a training of a policy for it.
+
+    Args:
+      studio: whose cells are changed.
+      config: of the studio as it was started.
+    """
+
+    def __init__(self, studio: LiveStudio, config: StudioConfig) -> None:
+        self._studio, self._output = studio, Path(config.output)
+        self.draft = Draft("studio", overrides_of("studio", studio.sessions[0].config))
+        self.learner = Draft("train", {"agent": "agent=quick"})
+        self.training = Training(self._output)
+        self._note = ""
+        self._applied: dict[str, str] = {}
+        self._tried = self.draft.config
+        gui = studio.page.gui
+        with gui.add_folder("Parameters", expand_by_default=False):
+            self._said = gui.add_markdown("Nothing has been changed.")
+            Form(gui, self.draft, CELL, self._changed)
+        with gui.add_folder("Train", expand_by_default=False):
+            self._add_training(gui)
+        studio.play.renew = self._renew
+        self._poll = Poll(self._show, POLL_S)
+
+    def stop(self) -> None:
+        """Stop the training."""
+        self._poll.stop()
+        self.training.stop()
+
+    def _changed(self, error: ConfigError | None) -> None:
+        """Apply what takes effect at once; the rest waits for the next episode."""
+        panel, person, config = self._studio.panel, self._studio.person, self.draft.config
+        assert isinstance(config, StudioConfig)
+        if error is None:
+            if config.human != person.human:
+                panel.ask(lambda: person.follow(config.human))
+            level = config.comfort.level
+            if "comfort.level" in self._due and level is not None:
+                panel.ask(lambda: panel.set_level(level))
+        self._say(error)
+
+    @property
+    def _due(self) -> dict[str, str]:
+        """Changes that the cells have not been made with, by key."""
+        return {key: line for key, line in self.draft.changed.items() if self._applied.get(key) != line}
+
+    def _say(self, error: Exception | None = None) -> None:
+        changed = " ".join(self.draft.changed.values())
+        said = [f"`hrl-comfort studio … {changed}`"] if changed else ["Nothing has been changed."]
+        now = [key for key in self._due if takes_effect_at_once(key)]
+        later = [key for key in self._due if key not in now]
+        said += [f"In force: {', '.join(now)}"] if now else []
+        said += [f"**At the next reset**: {', '.join(later)}"] if later else []
+        said += [f"⚠ {error}"] if error else []
+        self._said.content = "  \n".join(said)
+
+    def _renew(self) -> None:
+        """Make the cells as the draft says, once; cells that cannot be made so stay as they are."""
+        config, error = self.draft.config, None
+        assert isinstance(config, StudioConfig)
+        if config is self._tried:
+            return
+        self._tried = config
+        changed = dict(self.draft.changed)
+        try:
+            self._studio.rebuild({name: getattr(config, name) for name in CELL})
+            self._applied = changed
+        except ConfigError as refused:
+            error = refused
+        self._say(error)
+
+    def _add_training(self, gui: Any) -> None:
+        self._training_said = gui.add_markdown("")
+        Form(gui, self.learner, LEARNER, self._say_training)
+        for label, act in {
+            "Start training": lambda: self.training.start(self._overrides().values()),
+            "Stop training": self.training.stop,
+            "Resume training": self.training.resume,
+            "Watch newest checkpoint": self._watch,
+            "Save overlay": self._save,
+        }.items():
+            gui.add_button(label).on_click(lambda _, act=act: self._do(act))
+        self._chart = gui.add_uplot(
+            data=(np.zeros(1), np.zeros(1)),
+            series=(viser.uplot.Series(label="policy steps"), viser.uplot.Series(label="success", stroke="#1f77b4")),
+            scales={"x": viser.uplot.Scale(time=False), "y": viser.uplot.Scale(auto=True)},
+            title="share of episodes with success",
+            height=150,
+        )
+        self._say_training()
+
+    def _do(self, act: Callable[[], object]) -> None:
+        try:
+            act()
+        except (ConfigError, OSError) as error:
+            self._say_training(error)
+        else:
+            self._say_training()
+
+    def _overrides(self) -> dict[str, str]:
+        """Return the overrides of a training, which have been checked.
+
+        Raises:
+          ConfigError: the cell is that of a chain, or the learner does not fit it.
+        """
+        lines = training_overrides(self.draft, self.learner)
+        compose_alone("train", lines.values())
+        return lines
+
+    def _watch(self) -> None:
+        newest = self.training.newest()
+        self._studio.panel.ask(lambda: self._studio.panel.swap_to(newest))
+
+    def _save(self) -> None:
+        self._output.mkdir(parents=True, exist_ok=True)
+        write_text(self._output / OVERLAY, overlay(self._overrides()))
+        self._note = (
+            f"`{self._output / OVERLAY}` is written; copied to `conf/experiment/` it is a choice of `experiment=`"
+        )
+
+    def _say_training(self, error: Exception | None = None) -> None:
+        said = [self.training.status(), *([self._note] if self._note else []), *([f"⚠ {error}"] if error else [])]
+        content = "  \n".join(said)
+        if self._training_said.content != content:
+            self._training_said.content = content
+
+    def _show(self) -> None:
+        """Draw the curve of a training that goes on."""
+        if self.training.folder is not None:
+            steps, success = self.training.curve().values()
+            if steps:
+                self._chart.data = (np.array(steps), np.array(success))
+            if self.training.status() not in self._training_said.content:
+                self._say_training()
+
+
+def takes_effect_at_once(key: str) -> bool:
+    """Return whether a change of `key` needs no new cell: how the person moves, and a fixed level."""
+    return key == "comfort.level" or (key.split(".")[0] == "human" and not key.startswith(DRAWN))

@@ -1,0 +1,141 @@
+"""Parameters by hand and a training from the page, in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hrl_comfort.config import ConfigError, StudioConfig, TrainConfig
+from hrl_comfort.config.compose import compose
+
+pytest.importorskip("viser", reason="the extra [studio] is not installed")
+
+from hrl_comfort.studio.server import LiveStudio
+from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
+from tests.studio.browser import opened, until
+
+
+def config_of(*words: str) -> StudioConfig:
+    config = compose("studio", ["task=reach", "policy=expert", "human=still", *words])
+    assert isinstance(config, StudioConfig)
+    return config
+
+
+@pytest.fixture(scope="module")
+def shown(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiveStudio, Any, list[str]]]:
+    studio = LiveStudio(config_of("port=0", "frames_per_s=10", f"output={tmp_path_factory.mktemp('tuning')}"))
+    studio.start()
+    try:
+        with opened(browser, studio.page.address) as (page, wrong):
+            page.get_by_role("button", name="Pause", exact=True).wait_for()
+            for folder in ("Parameters", "reward", "human", "Train", "agent"):
+                page.locator(f"xpath=//div[text()='{folder}'][*[contains(@class,'chevron-down')]]").dispatch_event(
+                    "click"
+                )
+            yield studio, page, wrong
+    finally:
+        studio.stop()
+
+
+def field(page: Any, label: str) -> Any:
+    """Return the input after a label; viser does not tie the two, and may break a label after an underscore."""
+    return page.locator(f"xpath=(//label[translate(., '\u200b', '')='{label}'])[last()]/following::input[1]")
+
+
+def fill(page: Any, label: str, text: str) -> None:
+    field(page, label).fill(text)
+
+
+def click(page: Any, label: str) -> None:
+    page.get_by_role("button", name=label, exact=True).dispatch_event("click")
+
+
+def test_the_overrides_of_a_configuration_give_it_again() -> None:
+    config = config_of("human=patrol", "task.precision.grasp_tolerance_m=0.2", "comfort=gentle")
+    assert Draft("studio", overrides_of("studio", config)).config == config
+
+
+def test_a_draft_refuses_a_value_and_stays_and_a_choice_drops_changes_of_its_section() -> None:
+    draft = Draft("studio", {"task": "task=reach"})
+    before = draft.config
+    with pytest.raises(ConfigError, match=r"human\.speed_m_s"):
+        draft.set("human.speed_m_s", "-1")
+    assert draft.config == before and draft.changed == {}
+    draft.set("human.keep_out_m", "0.5")
+    draft.set("human", "patrol")
+    assert draft.changed == {"human": "human=patrol"} and draft.value("human.motion") == "patrol"
+
+
+def test_an_overlay_gives_the_training_that_the_overrides_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from omegaconf import OmegaConf
+
+    studio = Draft("studio", overrides_of("studio", config_of("human=patrol", "reward.contact=-7")))
+    lines = training_overrides(studio, Draft("train", {"agent": "agent=quick", "agent.gamma": "agent.gamma=0.9"}))
+    trained = compose("train", lines.values())
+    assert isinstance(trained, TrainConfig)
+    assert (trained.task.name, trained.human.motion, trained.reward.contact) == ("reach", "patrol", -7)
+    node = OmegaConf.create(overlay(lines))
+    assert overlay(lines).startswith("# @package _global_\n")
+    assert node.reward.contact == -7 and node.agent.gamma == 0.9
+    assert [dict(each) for each in node.defaults] == [
+        {"override /task": "reach"}, {"override /human": "patrol"}, {"override /agent": "quick"},
+    ]  # fmt: skip
+
+
+def test_a_parameter_takes_effect_at_the_next_reset_and_the_page_says_so(shown: tuple[LiveStudio, Any, Any]) -> None:
+    studio, page, wrong = shown
+    click(page, "Pause")
+    until(lambda: not studio.loop.running, "paused")
+    fill(page, "contact", "-77")
+    page.get_by_text("reward.contact=-77").first.wait_for()
+    page.get_by_text("At the next reset").first.wait_for()
+    click(page, "Reset")
+    until(lambda: studio.sessions[0].config.reward.contact == -77, "the new reward")
+    until(lambda: page.get_by_text("At the next reset").count() == 0, "it is in force")
+    click(page, "Run")
+    decisions = studio.sessions[0].decisions
+    until(lambda: studio.sessions[0].decisions > decisions, "it goes on")
+    fill(page, "contact", "many")
+    page.get_by_text("⚠").first.wait_for()
+    assert studio.tuning.draft.value("reward.contact") == -77
+    fill(page, "contact", "-77")
+    assert wrong == []
+
+
+def test_how_the_person_moves_takes_effect_at_once(shown: tuple[LiveStudio, Any, Any]) -> None:
+    studio, page, wrong = shown
+    field(page, "human").click()
+    page.get_by_role("option", name="patrol", exact=True).last.click()
+    until(lambda: studio.sessions[0].engine.episodes.config.human.motion == "patrol", "the person patrols")
+    page.get_by_text("In force: human").first.wait_for()
+    assert wrong == []
+
+
+def test_a_training_is_started_watched_stopped_and_resumed(shown: tuple[LiveStudio, Any, Any]) -> None:
+    studio, page, wrong = shown
+    training = studio.tuning.training
+    for label, text in {
+        "policy_steps": "20000", "learning_starts": "100", "log_every": "100", "checkpoint_every": "100",
+        "batch_size": "32", "hidden": "[16]",
+    }.items():  # fmt: skip
+        fill(page, label, text)
+        until(lambda label=label, text=text: str(studio.tuning.learner.value(f"agent.{label}")) == text, label)
+    click(page, "Watch newest checkpoint")
+    page.get_by_text("there is no checkpoint yet").first.wait_for()
+    click(page, "Start training")
+    until(lambda: training.folder is not None and list(training.folder.glob("checkpoints/step_*.pt")), "a checkpoint")
+    until(lambda: len(training.curve()["policy_steps"]) > 1, "a curve")
+    click(page, "Watch newest checkpoint")
+    until(lambda: str(studio.sessions[0].config.policy).endswith("policy.pt"), "the checkpoint plays")
+    click(page, "Stop training")
+    until(lambda: not training.running, "it is stopped")
+    steps = training.curve()["policy_steps"][-1]
+    click(page, "Resume training")
+    until(lambda: training.curve()["policy_steps"][-1] > steps, "it goes on")
+    training.stop()
+    click(page, "Save overlay")
+    until(lambda: list(training.folder.parent.glob("overlay.yaml")), "the overlay")  # type: ignore[union-attr]
+    assert wrong == []
