@@ -63,6 +63,8 @@ def show_hierarchy(folder: Path) -> None:
 
 
 RUN: dict[str, Callable[[list[str]], None]] = {command: partial(run, command) for command in COMMANDS}
+LONGEST = 1000
+"""Characters of an error of which nothing is left out."""
 SWEPT = ("train", "train hierarchy", "train meta_controller", "evaluate")
 
 
@@ -132,7 +134,10 @@ def main(words: list[str] | None = None) -> int:
     try:
         execute(list(sys.argv[1:] if words is None else words))
     except ERRORS as error:
-        print(f"hrl-comfort: {' '.join(str(error).split())}", file=sys.stderr)
+        line = " ".join(str(error).split())
+        if len(line) > LONGEST:
+            line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
+        print(f"hrl-comfort: {line}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("hrl-comfort: interrupted", file=sys.stderr)

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hrl_comfort.cli.main import configuration
+from hrl_comfort.cli.main import configuration, main
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.config.compose import compose
 
@@ -89,3 +89,10 @@ def test_a_whole_number_may_be_written_as_a_power_of_ten():
     for value in ("1e-1", "1e300", "'1e4'", "true"):
         with pytest.raises(ConfigError, match=r"agent\.policy_steps"):
             compose("train", [f"agent.policy_steps={value}"])
+
+
+def test_an_error_about_a_long_word_is_short(capsys):
+    assert main(["train", "task=" + "[" * 3000]) == 1
+    assert len(capsys.readouterr().err) < 1100
+    assert main(["studio", "[" * 3000]) == 1
+    assert len(capsys.readouterr().err) < 1100
