@@ -174,11 +174,21 @@ class RecordControl:
                 self.recorders.append(Recorder(session, self._output, {each.folder for each in self.recorders}))
             self._button.label, self._text.content = "Stop recording", "recording …"
             return
-        recorders, self.recorders = self.recorders, []
-        self._button.label, self._text.content = "Record", ""
-        self.folders = [recorder.stop() for recorder in recorders]
+        recorders = self.recorders
+        self.write()
         self._tell("")
         threading.Thread(target=self._draw, args=(recorders,), name="studio video", daemon=True).start()
+
+    def write(self) -> None:
+        """End the recording, if there is one, and write its folders without a video.
+
+        Raises:
+          ConfigError: nothing was recorded.
+        """
+        recorders, self.recorders = self.recorders, []
+        self._button.label, self._text.content = "Record", ""
+        if recorders:
+            self.folders = [recorder.stop() for recorder in recorders]
 
     def began(self, cell: int, session: Session) -> None:
         """See `play.Watcher`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,10 @@ class LiveStudio:
         self.panel.rejoin()
 
     def stop(self) -> None:
-        """Stop the loop, the page, a training and the cells."""
+        """Stop the loop, a recording, a training, the page and the cells."""
         self.loop.stop()
+        with suppress(ConfigError):  # nothing was recorded yet
+            self.records.write()
         self.tuning.stop()
         self.page.stop()
         for session in self.sessions:

@@ -17,7 +17,9 @@ from hrl_comfort.humans.recordings import read_recordings
 from hrl_comfort.report.report import report
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.recorder import Recorder
+from hrl_comfort.studio.server import LiveStudio
 from hrl_comfort.studio.session import Session
+from tests.studio.browser import until
 
 
 @pytest.fixture(scope="module")
@@ -77,3 +79,14 @@ def test_nothing_is_written_where_nothing_was_recorded(tmp_path: Path, recorded:
         Recorder(session, tmp_path).stop()
     session.close()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_under_way_is_written_when_the_studio_ends(tmp_path: Path) -> None:
+    words = ["task=pick", "policy=expert", "human=still", "port=0", "record=true", f"output={tmp_path}"]
+    config = compose("studio", words)
+    assert isinstance(config, StudioConfig)
+    studio = LiveStudio(config)
+    studio.start()
+    until(lambda: studio.sessions[0].decisions > 2, "some decisions")
+    studio.stop()
+    assert (tmp_path / "recording_1" / "episodes.csv").is_file()
