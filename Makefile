@@ -1,4 +1,4 @@
-# make setup | make test | make test-docs | make fuzz | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make test | make test-docs | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 # One thread a process: more of them on a busy machine are slower, not faster.
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup test test-docs lint fuzz demo clean
+.PHONY: setup test test-docs lint fuzz campaign demo clean
 
 setup: $(STAMP)
 
@@ -26,6 +26,10 @@ test: lint
 # Every command of docs/*.md, with small budgets. Some minutes.
 test-docs: setup
 	$(BIN)/python -m pytest -n 2 -m docs tests/test_readme.py
+
+# Contacts beside every motion and policy, until stopped; goes on where it was.
+campaign: setup
+	nice -n 19 $(BIN)/python -m tests.safety.campaign docs/tables/safety_campaign.csv 30000 $(RECORDINGS)
 
 # 10,000 generated inputs, drawn anew each time: what is said, files, streams, states. Some minutes.
 # 2,000 damaged artefacts and 300 hostile command lines, each in a process of its own. An hour.

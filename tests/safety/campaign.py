@@ -35,6 +35,7 @@ MOTIONS = {
 }  # fmt: skip
 LEVEL = ("comfort=conditioned", "comfort.source=fixed", "comfort.level=5")
 POLICIES = {
+    "frozen": ("tests.safety.campaign:frozen", "pick_place"),
     "random": ("random", "pick_place"), "expert": ("expert", "pick_place"),
     "potential_field": ("potential_field", "pick_place"), "pick": ("runs/reference/pick", "pick"),
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
@@ -47,6 +48,11 @@ WAYS = {
 }  # fmt: skip
 WORLD = ("robot.rating=collaborative", "task.terminate_on=unsafe_contact")
 CELL = ["motion", "policy", "bound"]
+
+
+def frozen(observation: Array) -> Array:
+    """Return the actions of an arm that stands still."""
+    return np.zeros((*observation.shape[:-1], 6))
 
 
 @dataclass
