@@ -151,9 +151,13 @@ def train_controller(config: HierarchyTrainConfig, folder: Path, policies: dict[
 
 
 def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> None:
-    """Evaluate every option, their chain in `cycle`, and the controllers of `sort` in `sort`."""
+    """Evaluate every option, their chain in `cycle`, and the controllers of `sort` in `sort`.
+
+    Beside people whose splits are kept apart the episodes are those of `validation`, else the paper's.
+    """
     options = {name: path for name, path in policies.items() if name != "meta_controller"}
-    common = [f"episodes={config.hierarchy.episodes}", "record=true", "group_by=[seen]"]
+    split = "validation" if config.human.partitioned else "paper"
+    common = [f"episodes={config.hierarchy.episodes}", "record=true", "group_by=[seen]", f"split={split}"]
     levels = [override("levels", config.hierarchy.levels)]
     for path in options.values():
         _evaluate([override("policy", path), *common, *levels], path / "eval")
