@@ -21,7 +21,8 @@ def check(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, few in FEW.items():
         monkeypatch.setattr(f"hrl_comfort.benchmarks.{name}", few)
     (folder / "runs").mkdir()
-    (folder / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")  # committed, so there in every clone
+    for committed in ("runs/reference", "tests"):  # there in every clone
+        (folder / committed).symlink_to(ROOT / committed)
     write_files(page, folder)
     for line in commands(page):
         run(line)
