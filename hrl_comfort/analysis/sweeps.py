@@ -87,7 +87,7 @@ class Row:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many of its jobs are `finished`, `unfinished` or `failed`."""
+        """The number of its jobs that are `finished`, `unfinished` and `failed`."""
         return {state: sum(entry.state == state for entry in self.entries) for state in COUNTS}
 
 

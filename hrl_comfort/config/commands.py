@@ -86,7 +86,7 @@ class TrainConfig(TrainingConfig):
     initial_policy: str | None
     """policy.pt or run folder of the initial actor, critics and normaliser."""
     logger: Annotated[str, choice("tensorboard", "wandb")]
-    """Where the columns of metrics.csv are drawn: TensorBoard's file alone, or Weights & Biases too."""
+    """Place of the curves of metrics.csv: TensorBoard's file alone, or Weights & Biases too."""
 
     def __post_init__(self) -> None:
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)

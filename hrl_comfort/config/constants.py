@@ -12,7 +12,7 @@ POLICIES = (
     "a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, onnx:FILE, "
     f"{' or '.join(SCRIPTED_POLICIES)}"
 )
-"""What `policy=` takes."""
+"""The forms of `policy=`."""
 FAR_AWAY_M = 50.0
 """x coordinate of everything that is not in the cell, m."""
 

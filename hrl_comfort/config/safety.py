@@ -15,7 +15,7 @@ class SafetyConfig:
     kind: Annotated[str, choice("none", "ssm")]
     """`ssm` slows the arm so that the person cannot reach it while it is fast; `none` passes everything."""
     bound: Annotated[str, choice("worst", "observed")]
-    """What the person may do: move at `human_speed_m_s` at any time, or speed up from the measured speed."""
+    """Assumption about the person: they move at `human_speed_m_s` at any time, or speed up from the measured speed."""
     human_speed_m_s: Annotated[float, within(0.1, 5.0)]
     """Largest speed of any part of the person, m/s (ISO 13855: 1.6)."""
     human_acceleration_m_s2: Annotated[float, within(0.1, 100.0)]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveInt, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveInt, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
@@ -40,10 +40,9 @@ class Summary(BaseModel):
     groups: list[Group]
 
 
+@with_config(ConfigDict(extra="allow"))
 class CellSection(TypedDict, total=False):
-    """What pictures need of the section `cell`."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+    """Keys of the section `cell` that pictures need."""
 
     ball_m: XYZ
     orange_drop_m: XYZ
@@ -51,10 +50,9 @@ class CellSection(TypedDict, total=False):
     table_half_width_m: FiniteFloat
 
 
+@with_config(ConfigDict(extra="allow"))
 class TaskSection(TypedDict, total=False):
-    """What reports need of the section `task`."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+    """Keys that reports need of the section `task`."""
 
     name: str
     balls: int
@@ -62,19 +60,17 @@ class TaskSection(TypedDict, total=False):
     max_episode_steps: PositiveInt
 
 
+@with_config(ConfigDict(extra="allow"))
 class ComfortSection(TypedDict, total=False):
-    """What reports need of the section `comfort`."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+    """Keys that reports need of the section `comfort`."""
 
     levels: PositiveInt
     beta: FiniteFloat
 
 
+@with_config(ConfigDict(extra="allow"))
 class RunConfig(TypedDict, total=False):
-    """What reports need of a config.yaml, of other versions too; `load_config` reads one of this version alone."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+    """Keys that reports need of a config.yaml, of other versions too; `load_config` reads one of this version alone."""
 
     robot: dict[str, Any]
     cell: CellSection
