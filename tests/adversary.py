@@ -139,10 +139,11 @@ def snapshot(may_change: re.Pattern[str]) -> dict[str, object]:
 def run(words: list[str]) -> int:
     """Run a command; of a replay in the studio, what reads the recording alone."""
     from hrl_comfort.studio import server
-    from hrl_comfort.studio.replay import Tape
+    from hrl_comfort.studio.replay import tape
 
     def read(config: Any) -> NoReturn:
-        Tape(Path(config.replay))
+        for recording in tape(Path(config.replay)).recordings:
+            assert recording.duration_s is not None
         raise KeyboardInterrupt
 
     server.ReplayStudio = read  # type: ignore[assignment,misc]

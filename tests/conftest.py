@@ -7,15 +7,17 @@ import signal
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from hypothesis import settings
 
 from tests.generating import RAN
+from tests.studio.browser import CHROMIUM, FLAGS, REASON
 
 torch.set_num_threads(1)
 # A shell's background job ignores SIGINT, and so would the commands that tests interrupt.
@@ -37,6 +39,20 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], Path]:
         return file
 
     return write
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """A running Chromium; skips without one."""
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: pip install -e '.[test]'"
+    )
+    if CHROMIUM is None:
+        pytest.skip(REASON)
+    with sync_api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield launched
+        launched.close()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -8,10 +8,13 @@ needs no other file.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 from pandas import DataFrame, Series
 from rich.console import Console
 
@@ -161,8 +164,18 @@ def report(config: ReportConfig) -> Path:
     return output
 
 
+def _replays(runs: list[Run]) -> tuple[dict[str, Any] | None, str]:
+    """Return what replay.js draws, and why there is nothing."""
+    if not any(run.paths for run in runs):
+        return None, "No replay: evaluate with record=true."
+    from hrl_comfort.report.replay import replays  # seconds, for torch and mujoco
+
+    return replays(runs)
+
+
 def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig) -> None:
     found, no_video = videos(runs, config)
+    replay, no_replay = _replays(runs)
     tables = [
         run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
     ]
@@ -186,5 +199,8 @@ def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig)
         shown_timelines=hierarchy.SHOWN_TIMELINES,
         videos=found,
         no_video=no_video,
+        replay=replay,
+        no_replay=no_replay,
+        script=Markup(resources.files("hrl_comfort.report").joinpath("replay.js").read_text(encoding="utf-8")),
     )
     write_text(output, page)

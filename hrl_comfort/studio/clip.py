@@ -1,66 +1,17 @@
-"""Clips: what the arm, the person and the balls do over some control steps, and the picture at any time of them."""
+"""Clips of a session: a decision, or one instant."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.humans import Walk, gait
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.plots.clip import Array, Clip
+from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.sim.balls import rendered_positions
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, Subtask
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One picture of a cell; metres and radians, cell frame."""
-
-    joints: Array
-    """(J,)"""
-    limbs: Array
-    """(7, 7), as `scene.human.limb_poses`."""
-    props: Array
-    """(P, 3), positions of the balls and points by their order in `Scene.mocap`; NaN where one is not there."""
-
-
-@dataclass(frozen=True)
-class Clip:
-    """T instants of a cell, between which pictures are interpolated linearly."""
-
-    time: Array
-    """(T,) s, rising, from 0."""
-    joints: Array
-    """(T, J) rad."""
-    person: Array
-    """(T, 5 or 23) x, y (m), yaw (unwrapped), phase and swing of the gait (rad), and perhaps `Walk.limbs`."""
-    props: Array
-    """(T, P, 3) m; a prop is where it was at the last instant before the picture."""
-    floor_z: float
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the first instant to the last, s."""
-        return float(self.time[-1])
-
-    def frame(self, time_s: float) -> Frame:
-        """Return the picture at a time, held before the first instant and after the last."""
-        last = len(self.time) - 1
-        index = int(np.clip(np.searchsorted(self.time, time_s, side="right") - 1, 0, max(last - 1, 0)))
-        after = min(index + 1, last)
-        span = self.time[after] - self.time[index]
-        share = 0.0 if span <= 0 else float(np.clip((time_s - self.time[index]) / span, 0.0, 1.0))
-        joints, person = ((1 - share) * rows[index] + share * rows[after] for rows in (self.joints, self.person))
-        props = self.props[after if share >= 1.0 else index]
-        directions = person[5:].reshape(-1, 3) if len(person) > 5 else None
-        x, y, yaw, phase, swing = person[:5]
-        return Frame(joints, limb_poses(x, y, yaw, phase, swing, self.floor_z, directions), props)
 
 
 def decision_clip(scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, after: Walk) -> Clip:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from hrl_comfort.studio.clip import Clip
+from hrl_comfort.plots.clip import Clip
 from hrl_comfort.studio.person import Person
 from hrl_comfort.studio.session import Session, Step
 from hrl_comfort.studio.view import CellView

@@ -2,136 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pandas import DataFrame
 
-from hrl_comfort.analysis.episodes import terminations
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig, StudioConfig
-from hrl_comfort.config.structured import section
-from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
-from hrl_comfort.files.tables import column
-from hrl_comfort.plots.video import gait
-from hrl_comfort.scene.human import LIMBS
-from hrl_comfort.scene.workcell import Scene, build_scene
-from hrl_comfort.studio.clip import Array, Clip
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, StudioConfig
+from hrl_comfort.files.run_folder import read_run
+from hrl_comfort.plots.clip import Array
+from hrl_comfort.plots.tape import Recording, Tape
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera
 from hrl_comfort.studio.view import CellView
-from hrl_comfort.tasks import Ball, subtask
-
-
-@dataclass(frozen=True)
-class Take:
-    """One recording of an episode, at one level."""
-
-    title: str
-    """Level and how it ended."""
-    clip: Clip
-    tool: Array
-    """(T, 3) m, tool centre point."""
-    success: bool
-
-
-@dataclass(frozen=True)
-class Recording:
-    """An episode at each of its recorded levels."""
-
-    episode: int
-    takes: list[Take]
-
-    @property
-    def title(self) -> str:
-        """Episode, and how its takes ended."""
-        return f"episode {self.episode}: {', '.join(take.title for take in self.takes)}"
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of the longest take, s."""
-        return max(take.clip.duration_s for take in self.takes)
-
-
-class Tape:
-    """The recorded episodes of an evaluation folder.
-
-    Args:
-      folder: evaluation with paths.csv and config.yaml, or a run folder with one in `eval/`.
-
-    Raises:
-      ConfigError: there is no such folder, no recorded path, or no configuration of a cell.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        if not folder.is_dir():
-            raise ConfigError(f"replay={str(folder)!r} is not a folder")
-        self._run = read_run(folder)
-        paths = recorded_paths(self._run)
-        if not paths:
-            raise ConfigError(f"replay={str(folder)!r} has no paths.csv; evaluate with record=true")
-        if not {"robot", "cell", "task"} <= self._run.config.keys():
-            raise ConfigError(f"replay={str(folder)!r} has no config.yaml, which says what robot and cell it was")
-        sections = self._run.config
-        try:
-            robot, self._cell = section(RobotConfig, sections["robot"]), section(CellConfig, sections["cell"])
-        except ConfigError as error:
-            raise ConfigError(f"replay={str(folder)!r} has another config.yaml: {error}") from None
-        self.scene = build_scene(robot, self._cell, substeps=2)
-        found: dict[int, list[Take]] = {}
-        for (episode, level), path in paths.items():
-            found.setdefault(episode, []).append(self._take(path, row_of(self._run, (episode, level)) or {}, level))
-        recordings = [Recording(episode, takes) for episode, takes in found.items()]
-        self.recordings = sorted(recordings, key=lambda each: all(take.success for take in each.takes))
-        """Episodes, those with a failure first."""
-        self.cells = max(len(each.takes) for each in recordings)
-        """Most levels at which an episode was recorded."""
-
-    def _take(self, path: DataFrame, row: dict[str, Any], level: int | None) -> Take:
-        ended = terminations(DataFrame([row])).iloc[0] if row else "not in episodes.csv"
-        title = ended if level is None else f"level {level} {ended}"
-        task = str(row.get("task") or self._run.config["task"]["name"])
-        clip = path_clip(path, self.scene, self._cell, task, str(row.get("colour") or "orange"), self._known_balls())
-        tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
-        return Take(title, clip, tool, bool(row.get("success", False)))
-
-    def _known_balls(self) -> bool:
-        """Return whether the balls lie where the cell says."""
-        task = self._run.config["task"]
-        return bool(task.get("balls", 1) == 1 and task.get("ball_jitter_m", 0.0) == 0)
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self._run.name
-
-
-def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour: str, balls: bool) -> Clip:
-    """Return the clip of the rows of paths.csv of one episode; without `balls` none is shown."""
-    x, y, yaw = (column(path, f"human_{name}") for name in ("x", "y", "yaw"))
-    there = np.isfinite(x)
-    x, y, yaw = np.where(there, x, FAR_AWAY_M), np.where(there, y, 0.0), np.where(np.isfinite(yaw), yaw, 0.0)
-    steps = column(path, "step")
-    props = np.full((len(path), len(scene.mocap) - len(LIMBS), 3), np.nan)
-    if balls:
-        index = scene.mocap.index(f"{colour}_ball") - len(LIMBS)
-        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
-        tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
-        for row, stage in enumerate(column(path, "stage")):
-            where = subtask(task).ball(0 if math.isnan(stage) else int(stage))
-            if where != Ball.NOWHERE:
-                props[row, index] = goals.get(where, tool[row])
-    return Clip(
-        time=(steps - steps[0]) * CONTROL_STEP_S,
-        joints=np.column_stack([column(path, f"q{joint}") for joint in range(len(scene.joints))]),
-        person=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)]),
-        props=props,
-        floor_z=scene.floor_z,
-    )
-
 
 PIECE_S = 0.1
 """Time between two decisions of the loop, of which a replay makes none."""
@@ -139,6 +22,17 @@ TOOL_RGB, PERSON_RGB = (230, 120, 20), (60, 100, 170)
 TRAIL_HEIGHT_M = 0.01
 SLIDER_S = 0.2
 """Time between two updates of the time line while it plays, s."""
+
+
+def tape(folder: Path) -> Tape:
+    """Return the tape of an evaluation, or of a run with one in `eval/`.
+
+    Raises:
+      ConfigError: there is no such folder, or it holds no recording.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"replay={str(folder)!r} is not a folder")
+    return Tape(read_run(folder))
 
 
 class ReplayStudio:
@@ -149,7 +43,7 @@ class ReplayStudio:
     """
 
     def __init__(self, config: StudioConfig) -> None:
-        self.tape = Tape(Path(config.replay or ""))
+        self.tape = tape(Path(config.replay or ""))
         self.page = Page(config.host, config.port)
         self.views = [
             CellView(self.page, self.tape.scene, f"cell_{index}", (APART_M * index, 0.0, 0.0))
@@ -246,7 +140,7 @@ class ReplayStudio:
 
     def _refresh(self) -> None:
         self._drawn = time.monotonic()
-        lines = [f"**{self.tape.name}**, episode {self.recording.episode}, {self.position_s:.1f} s"]
+        lines = [f"**{self.tape.run.name}**, episode {self.recording.episode}, {self.position_s:.1f} s"]
         lines += [f"{index + 1}: {take.title}" for index, take in enumerate(self.recording.takes)]
         self._status.content = "  \n".join(lines)
         self._run.label = "Pause" if self.loop.running else "Run"

@@ -14,9 +14,10 @@ from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, Human
 from hrl_comfort.config.compose import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
+from hrl_comfort.plots.clip import Clip
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.studio.clip import Clip, decision_clip, still_clip
+from hrl_comfort.studio.clip import decision_clip, still_clip
 from hrl_comfort.tasks import State
 
 FIRST_LEVEL = 5

@@ -12,9 +12,9 @@ import viser
 from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.plots.clip import Frame, set_pose
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.studio.clip import Frame
 
 Array = NDArray[np.float64]
 
@@ -80,15 +80,14 @@ class CellView:
     def __init__(
         self, server: viser.ViserServer, scene: Scene, name: str, offset_m: tuple[float, float, float]
     ) -> None:
-        self._server, self._model, self._data = server, scene.model, mujoco.MjData(scene.model)
+        self._server, self._scene, self._data = server, scene, mujoco.MjData(scene.model)
         self.offset_m = offset_m
-        self._qpos = [scene.model.joint(joint).qposadr[0] for joint in scene.joints]
         self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
         self._frames: dict[int, viser.FrameHandle] = {}
         self.person: list[viser.MeshHandle] = []
         """Meshes of the person."""
-        limbs = {self._model.body(limb).id for limb in LIMBS}
-        for body, meshes in body_meshes(self._model).items():
+        limbs = {scene.model.body(limb).id for limb in LIMBS}
+        for body, meshes in body_meshes(scene.model).items():
             node = f"/{name}/body_{body}"
             self._frames[body] = server.scene.add_frame(node, show_axes=False)
             for index, (colour, mesh) in enumerate(meshes):
@@ -109,11 +108,7 @@ class CellView:
 
     def show(self, frame: Frame) -> None:
         """Put every body where it is in a picture; messages are sent for bodies that moved alone."""
-        self._data.qpos[self._qpos] = frame.joints
-        self._data.mocap_pos[: len(LIMBS)], self._data.mocap_quat[: len(LIMBS)] = frame.limbs[:, :3], frame.limbs[:, 3:]
-        away = np.array([FAR_AWAY_M, 0.0, 0.0])
-        self._data.mocap_pos[len(LIMBS) :] = np.where(np.isnan(frame.props), away, frame.props)
-        mujoco.mj_kinematics(self._model, self._data)
+        set_pose(self._data, self._scene, frame)
         for body, handle in self._frames.items():
             pose = np.concatenate([self._data.xpos[body], self._data.xquat[body]])
             old = self._shown.get(body)

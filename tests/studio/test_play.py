@@ -10,7 +10,7 @@ import numpy as np
 from hrl_comfort.config import StudioConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.humans.motions.live import HELD
-from hrl_comfort.studio.clip import Frame
+from hrl_comfort.plots.clip import Frame
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.play import HOLD_S, LivePlay

@@ -15,7 +15,7 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, StudioConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_folder import read_run, recorded_paths
-from hrl_comfort.studio.replay import ReplayStudio, Tape
+from hrl_comfort.studio.replay import ReplayStudio, tape
 from tests.studio.browser import opened, until
 
 
@@ -42,17 +42,17 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_failures_come_first_and_levels_side_by_side(evaluation: Path) -> None:
-    tape = Tape(evaluation)
-    assert [each.episode for each in tape.recordings] == [1, 2, 0] and tape.cells == 2
-    assert tape.recordings[-1].title == "episode 0: level 2 success, level 9 success"
+    found = tape(evaluation)
+    assert [each.episode for each in found.recordings] == [1, 2, 0] and found.cells == 2
+    assert found.recordings[-1].title == "episode 0: level 2 success, level 9 success"
     assert all(
-        take.title.startswith(f"level {level} ") for take, level in zip(tape.recordings[0].takes, (2, 9), strict=True)
+        take.title.startswith(f"level {level} ") for take, level in zip(found.recordings[0].takes, (2, 9), strict=True)
     )
 
 
 def test_a_clip_shows_the_recorded_instants(evaluation: Path) -> None:
     path = recorded_paths(read_run(evaluation), episodes=[1])[1, 9]
-    take = Tape(evaluation).recordings[0].takes[1]
+    take = tape(evaluation).recordings[0].takes[1]
     frame = take.clip.frame(7 * 0.02)
     assert np.allclose(frame.joints, path.loc[7, [f"q{joint}" for joint in range(6)]].to_numpy(dtype=float))
     assert np.allclose(frame.limbs[0, :2], path.loc[7, ["human_x", "human_y"]].to_numpy(dtype=float), atol=1e-9)
@@ -62,7 +62,7 @@ def test_a_clip_shows_the_recorded_instants(evaluation: Path) -> None:
 def test_a_folder_without_paths_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="is not a folder" if name == "nowhere" else "has no paths.csv"):
-        Tape(tmp_path / name)
+        tape(tmp_path / name)
 
 
 def test_the_time_line_scrubs(browser: Any, evaluation: Path) -> None:

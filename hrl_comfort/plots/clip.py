@@ -1,0 +1,98 @@
+"""Clips: what the arm, the person and the balls do over some control steps, and the picture at any time of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pandas import DataFrame
+
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig
+from hrl_comfort.files.tables import column
+from hrl_comfort.plots.video import gait
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.tasks import Ball, subtask
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a cell; metres and radians, cell frame."""
+
+    joints: Array
+    """(J,)"""
+    limbs: Array
+    """(7, 7), as `scene.human.limb_poses`."""
+    props: Array
+    """(P, 3), positions of the balls and points by their order in `Scene.mocap`; NaN where one is not there."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """T instants of a cell, between which pictures are interpolated linearly."""
+
+    time: Array
+    """(T,) s, rising, from 0."""
+    joints: Array
+    """(T, J) rad."""
+    person: Array
+    """(T, 5 or 23) x, y (m), yaw (unwrapped), phase and swing of the gait (rad), and perhaps `Walk.limbs`."""
+    props: Array
+    """(T, P, 3) m; a prop is where it was at the last instant before the picture."""
+    floor_z: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first instant to the last, s."""
+        return float(self.time[-1])
+
+    def frame(self, time_s: float) -> Frame:
+        """Return the picture at a time, held before the first instant and after the last."""
+        last = len(self.time) - 1
+        index = int(np.clip(np.searchsorted(self.time, time_s, side="right") - 1, 0, max(last - 1, 0)))
+        after = min(index + 1, last)
+        span = self.time[after] - self.time[index]
+        share = 0.0 if span <= 0 else float(np.clip((time_s - self.time[index]) / span, 0.0, 1.0))
+        joints, person = ((1 - share) * rows[index] + share * rows[after] for rows in (self.joints, self.person))
+        props = self.props[after if share >= 1.0 else index]
+        directions = person[5:].reshape(-1, 3) if len(person) > 5 else None
+        x, y, yaw, phase, swing = person[:5]
+        return Frame(joints, limb_poses(x, y, yaw, phase, swing, self.floor_z, directions), props)
+
+
+def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour: str, balls: bool) -> Clip:
+    """Return the clip of the rows of paths.csv of one episode; without `balls` none is shown."""
+    x, y, yaw = (column(path, f"human_{name}") for name in ("x", "y", "yaw"))
+    there = np.isfinite(x)
+    x, y, yaw = np.where(there, x, FAR_AWAY_M), np.where(there, y, 0.0), np.where(np.isfinite(yaw), yaw, 0.0)
+    steps = column(path, "step")
+    props = np.full((len(path), len(scene.mocap) - len(LIMBS), 3), np.nan)
+    if balls:
+        index = scene.mocap.index(f"{colour}_ball") - len(LIMBS)
+        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+        tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
+        for row, stage in enumerate(column(path, "stage")):
+            where = subtask(task).ball(0 if math.isnan(stage) else int(stage))
+            if where != Ball.NOWHERE:
+                props[row, index] = goals.get(where, tool[row])
+    return Clip(
+        time=(steps - steps[0]) * CONTROL_STEP_S,
+        joints=np.column_stack([column(path, f"q{joint}") for joint in range(len(scene.joints))]),
+        person=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)]),
+        props=props,
+        floor_z=scene.floor_z,
+    )
+
+
+def set_pose(data: mujoco.MjData, scene: Scene, frame: Frame) -> None:
+    """Put every body of `data` where it is in a picture."""
+    data.qpos[[scene.model.joint(joint).qposadr[0] for joint in scene.joints]] = frame.joints
+    data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = frame.limbs[:, :3], frame.limbs[:, 3:]
+    away = np.array([FAR_AWAY_M, 0.0, 0.0])
+    data.mocap_pos[len(LIMBS) :] = np.where(np.isnan(frame.props), away, frame.props)
+    mujoco.mj_kinematics(scene.model, data)

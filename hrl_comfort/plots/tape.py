@@ -1,0 +1,115 @@
+"""Tapes: the recorded episodes of an evaluation, failures first, each at all of its levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pandas import DataFrame
+
+from hrl_comfort.analysis.episodes import terminations
+from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config.structured import section
+from hrl_comfort.files.run_folder import Run, recorded_paths, row_of
+from hrl_comfort.files.tables import column
+from hrl_comfort.plots.clip import Array, Clip, path_clip
+from hrl_comfort.scene.workcell import build_scene
+
+
+@dataclass(frozen=True)
+class Recording:
+    """An episode at each of its recorded levels."""
+
+    episode: int
+    takes: list[Take]
+
+    @property
+    def title(self) -> str:
+        """Episode, and how its takes ended."""
+        return f"episode {self.episode}: {', '.join(take.title for take in self.takes)}"
+
+    @property
+    def success(self) -> bool:
+        """Whether all takes succeeded."""
+        return all(take.success for take in self.takes)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the longest take, s."""
+        return max(take.clip.duration_s for take in self.takes)
+
+
+class Tape:
+    """The recorded episodes of an evaluation.
+
+    Args:
+      run: evaluation with paths.csv and config.yaml.
+
+    Raises:
+      ConfigError: it has no recorded path, or no configuration of a cell.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        paths = recorded_paths(run)
+        if not paths:
+            raise ConfigError(f"{str(run.folder)!r} has no paths.csv; evaluate with record=true")
+        if not {"robot", "cell", "task"} <= run.config.keys():
+            raise ConfigError(f"{str(run.folder)!r} has no config.yaml, which says what robot and cell it was")
+        try:
+            robot, self.cell = section(RobotConfig, run.config["robot"]), section(CellConfig, run.config["cell"])
+        except ConfigError as error:
+            raise ConfigError(f"{str(run.folder)!r} has another config.yaml: {error}") from None
+        self.scene = build_scene(robot, self.cell, substeps=2)
+        found: dict[int, list[Take]] = {}
+        for (episode, level), path in paths.items():
+            found.setdefault(episode, []).append(Take(self, path, row_of(run, (episode, level)) or {}, level))
+        recordings = [Recording(episode, takes) for episode, takes in found.items()]
+        self.recordings = sorted(recordings, key=lambda each: each.success)
+        """Episodes, those with a failure first."""
+        self.cells = max(len(each.takes) for each in recordings)
+        """Most levels at which an episode was recorded."""
+
+    @property
+    def knows_balls(self) -> bool:
+        """Whether the balls lie where the cell says."""
+        task = self.run.config["task"]
+        return bool(task.get("balls", 1) == 1 and task.get("ball_jitter_m", 0.0) == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """One recording of an episode, at one level."""
+
+    tape: Tape
+    path: DataFrame
+    """Its rows of paths.csv."""
+    row: dict[str, Any]
+    """Its row of episodes.csv, empty where there is none."""
+    level: int | None
+
+    @property
+    def title(self) -> str:
+        """Level and how it ended."""
+        ended = terminations(DataFrame([self.row])).iloc[0] if self.row else "not in episodes.csv"
+        return ended if self.level is None else f"level {self.level} {ended}"
+
+    @property
+    def success(self) -> bool:
+        """Whether the episode succeeded."""
+        return bool(self.row.get("success", False))
+
+    @property
+    def tool(self) -> Array:
+        """(T, 3) m, tool centre point."""
+        return np.column_stack([column(self.path, f"tcp_{axis}") for axis in "xyz"])
+
+    @cached_property
+    def clip(self) -> Clip:
+        """Its pictures."""
+        tape, row = self.tape, self.row
+        task = str(row.get("task") or tape.run.config["task"]["name"])
+        colour = str(row.get("colour") or "orange")
+        return path_clip(self.path, tape.scene, tape.cell, task, colour, tape.knows_balls)
