@@ -1,4 +1,4 @@
-# make setup | make test | make test-docs | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make page | make test | make test-docs | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -6,7 +6,10 @@ STAMP := .venv/.installed
 # One thread a process: more of them on a busy machine are slower, not faster.
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup test test-docs lint fuzz campaign demo clean
+WEB := hrl_comfort/studio/web
+PAGE := $(WEB)/dist/page.js
+
+.PHONY: setup page test test-docs lint fuzz campaign demo clean
 
 setup: $(STAMP)
 
@@ -15,12 +18,18 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test,dev]"
 	touch $(STAMP)
 
+# The program of the page that `hrl-comfort studio export=` writes; needs Node.
+page: $(PAGE)
+
+$(PAGE): $(WEB)/package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/src/*.js)
+	cd $(WEB) && npm ci --no-fund --no-audit --loglevel=error && node build.mjs
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: lint
+test: lint $(if $(shell command -v npm),page)
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term --cov-fail-under=85
 
 # Every command of docs/*.md, with small budgets. Some minutes.
@@ -41,5 +50,5 @@ demo: setup
 	$(BIN)/hrl-comfort train hierarchy agent=quick output=runs/demo
 
 clean:
-	rm -rf .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(WEB)/dist $(WEB)/node_modules .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -22,6 +22,7 @@ NOT_RUN = (
     "source ",
     "tensorboard ",
     "make test",
+    "make page",
     "docs/",
     "hrl-comfort studio",
 )

@@ -236,6 +236,8 @@ class StudioConfig(EvaluateConfig):
     """Second policy, or folder of policies, that acts in a second cell beside the same person."""
     replay: str | None
     """Folder of an evaluation with paths.csv to play back, instead of a simulation."""
+    export: str | None
+    """HTML file that plays the policies without a server, instead of the live view."""
     host: str
     """Address to listen on; others than loopback need a token, which is printed with the address."""
     port: Annotated[int, within(0, 65535)]

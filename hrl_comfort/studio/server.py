@@ -23,6 +23,7 @@ from hrl_comfort.studio.replay import ReplayStudio
 from hrl_comfort.studio.session import Session, Step
 from hrl_comfort.studio.tune.tuning import Tuning
 from hrl_comfort.studio.view import CellView
+from hrl_comfort.studio.web.page import export_page
 
 CURVES_S = 0.25
 """Simulated time between two updates of the curves, s."""
@@ -139,9 +140,12 @@ def on_plane(camera: np.ndarray, through: np.ndarray, height: float) -> np.ndarr
 
 
 def studio(config: StudioConfig) -> None:
-    """Run the studio until it is interrupted."""
+    """Run the studio until it is interrupted, or write its page."""
     if config.policy is None and not config.policies and config.replay is None:
         raise ConfigError("policy=null: give policy=, policies.* or replay=")
+    if config.export is not None:
+        export_page(config)
+        return
     running = LiveStudio(config) if config.replay is None else ReplayStudio(config)
     print(f"studio: {running.page.address}", flush=True)
     running.start()

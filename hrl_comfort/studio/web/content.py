@@ -1,0 +1,196 @@
+"""Content of a page: the model, the policies as graphs, episodes with their person, numbers of cell and task."""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_comfort.comfort.adapt import max_episode_steps
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, StudioConfig
+from hrl_comfort.config.compose import environment
+from hrl_comfort.hierarchy.options import Option
+from hrl_comfort.humans import body, walk
+from hrl_comfort.humans.motions.live import ARRIVED_M
+from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.graph import PolicyGraph, Watched, inputs_of
+from hrl_comfort.policies.load import observed_by
+from hrl_comfort.scene import human
+from hrl_comfort.studio.clip import decision_clip
+from hrl_comfort.studio.person import FARTHEST_M
+from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web.trace import StageGraph, constant, traced
+from hrl_comfort.tasks import State
+
+EPISODES = 8
+"""Episodes after which the page begins again with the first."""
+RECORDED_S = 20.0
+"""How long the person of an episode walks; then they stand."""
+ENTRANCE_M = [-0.9, -0.9]
+"""Where a person who is taken over enters a cell without one."""
+FIELDS = {
+    "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "human_pos", "human_yaw",
+    "human_seen", "ball_pos", "drop_pos", "orange_drop", "pink_drop", "points", "colour", "stage", "level",
+    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share",
+}  # fmt: skip
+"""Fields of State that the page has."""
+
+
+def content(config: StudioConfig) -> dict[str, Any]:
+    """Return the content of the page for `config`, ready for JSON.
+
+    Raises:
+      ConfigError: it asks for what a page cannot do, or a policy is not trained or does not fit.
+    """
+    refuse(config)
+    session = Session(config)
+    session.set_level(session.slider.value)  # by hand, as on the page
+    engine, episodes, state = session.engine, session.engine.episodes, session.state
+    scene, task, env = engine.scene, episodes.subtask, episodes.config
+    sources = config.policies or {task.name: str(config.policy)}
+    options = [_option(each, sources[each.name], session) for each in session.executor.options]
+    seen = sorted(_read_by_stages(session, state))
+    levels = torch.arange(1, env.comfort.levels + 1, dtype=torch.float64)
+    limits = {"episode": env.task.max_episode_steps, "option": session.executor.time_limit}
+    made = {
+        "xml": re.sub(r'(<texture[^>]*) class="/"', r"\1", scene.xml),  # MuJoCo 3.14 refuses it
+        "assets": {name: base64.b64encode(file).decode() for name, file in scene.assets.items()},
+        "substeps": env.engine.substeps,
+        "action_repeat": env.task.action_repeat,
+        "sensors": {key: [part.start, part.stop] for key, part in scene.sensors.items()},
+        "home": scene.home.tolist(),
+        "range": scene.joint_range.tolist(),
+        "floor": scene.floor_z,
+        "tcp_home": state.tcp_home[0].tolist(),
+        "drops": [env.cell.orange_drop_m, env.cell.pink_drop_m],
+        "ball_radius": env.cell.ball_radius_m,
+        "tolerances": {name: float(getattr(state, f"{name}_tolerance")) for name in ("grasp", "place", "home")},
+        "stages": {
+            "names": [stage.name for stage in task.stages],
+            "ball": [task.ball(stage).value for stage in range(len(task.stages) + 1)],
+            "points": [stage.at_point for stage in task.stages],
+            "graph": traced(StageGraph(task, seen), state, seen),
+        },
+        "options": options,
+        "retries": session.executor.retries,
+        "limits": {name: max_episode_steps(levels, steps, env.comfort).tolist() for name, steps in limits.items()},
+        "levels": next((option["levels"] for option in options if option["levels"]), None),
+        "level": float(session.slider.value),
+        "body": _body(),
+        "person": _person(config),
+        "title": ", ".join(dict.fromkeys(sources.values())),
+        "robot": env.robot.name,
+    }
+    made["episodes"] = [_episode(session) for _ in range(EPISODES)]
+    session.close()
+    return made
+
+
+def refuse(config: StudioConfig) -> None:
+    """Raise ConfigError where a page cannot show what `config` says."""
+    allowed: tuple[tuple[str, Any, Any], ...] = (
+        ("safety.kind", config.safety.kind, "none"),
+        ("robot.rating", config.robot.rating, "paper"),
+        ("task.terminate_on", config.task.terminate_on, "contact"),
+        ("task.action", config.task.action, "joint"),
+        ("human.clipping", config.human.clipping, "off"),
+        ("disturbance", config.disturbance, "none"),
+        ("beside", config.beside, None),
+    )
+    for key, value, only in allowed:
+        if value != only:
+            raise ConfigError(f"{key}={value}: a page of export= has {key}={'null' if only is None else only} alone")
+    if config.task.name == "sort":
+        raise ConfigError("task=sort: a page of export= shows one policy, or a chain of them")
+    for source in [config.policy] if config.policy else config.policies.values():
+        if source is None or not Path(source).exists():
+            raise ConfigError(f"policy={source!r}: export= takes a run folder, a checkpoint or a policy.pt")
+
+
+def _option(option: Any, source: str, session: Session) -> dict[str, Any]:
+    """Return an option: its stages, the levels it was trained for, and its policy."""
+    assert isinstance(option, Option)
+    env = environment(session.config)
+    env = replace(env, task=replace(env.task, name=option.name))
+    policy = load_policy(source)
+    task = observed_by(policy, source, option.subtask, env)
+    inputs = inputs_of(task, session.state)
+    if missing := set(inputs) - FIELDS:
+        raise ConfigError(f"policy={source!r} observes {', '.join(sorted(missing))}, which a page does not have")
+    graph = PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg))
+    return {
+        "name": option.name,
+        "first": option.first,
+        "last": option.last,
+        "levels": policy.spec["environment"].get("levels"),
+        "graph": traced(graph, session.state, inputs),
+    }
+
+
+def _read_by_stages(session: Session, state: State) -> set[str]:
+    watched = Watched(**vars(state))
+    session.engine.episodes.subtask.next_stage(watched)
+    return set(vars(watched)["read"])
+
+
+def _episode(session: Session) -> dict[str, Any]:
+    """Return the next episode of `session`: its start, and what its person does beside the session's policies."""
+    session.reset()
+    engine, draw, parts, recorded = session.engine, session.engine.episodes.draw, [session.still().person], 0
+    start = {
+        "start": draw.start[0].tolist(),
+        "ball": draw.balls[0, 0].tolist(),
+        "colour": int(draw.colours[0, 0]),
+        "points": draw.points[0].tolist(),
+    }
+    while recorded * CONTROL_STEP_S < RECORDED_S:
+        if session.over:  # the person goes on, beside an arm that stands
+            before, gone = session.state, session.walk
+            result = engine.step(np.zeros((1, len(engine.scene.joints))))
+            clip = decision_clip(engine.scene, engine.episodes.subtask, before, gone, result, session.walk)
+        else:
+            clip = session.step().clip
+        parts.append(clip.person[1:])
+        recorded += len(clip.time) - 1
+    return {**start, "walk": _packed(np.concatenate(parts))}
+
+
+def _packed(person: NDArray[np.float64]) -> dict[str, Any]:
+    """Return rows of a clip's person as float32, without limbs where none is given."""
+    return constant(torch.from_numpy(person if np.isfinite(person[:, 5:]).any() else person[:, :5]))
+
+
+def _body() -> dict[str, float]:
+    return {
+        "hip": body.HIP_M,
+        "shoulder": body.SHOULDER_M,
+        "hip_half": human.HIP_HALF_WIDTH_M,
+        "shoulder_half": body.SHOULDER_HALF_WIDTH_M,
+        "leg_radius": human.LEG_RADIUS_M,
+        "upper_arm": body.UPPER_ARM_M,
+        "forearm": body.FOREARM_M,
+        "stretch": body.STRETCH,
+        "height": body.HEIGHT_M,
+    }
+
+
+def _person(config: StudioConfig) -> dict[str, Any]:
+    return {
+        "masked": config.human.masked,
+        "far": FAR_AWAY_M,
+        "farthest": FARTHEST_M,
+        "entrance": ENTRANCE_M,
+        "speed": 1.6,
+        "step_s": CONTROL_STEP_S,
+        "full_swing": float(walk.FULL_SWING_RAD),
+        "stride": walk.STRIDE_M,
+        "smoothing": walk.SPEED_SMOOTHING,
+        "arrived": ARRIVED_M,
+    }

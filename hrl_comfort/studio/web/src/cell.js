@@ -1,0 +1,187 @@
+// The cell: MuJoCo's physics, the person, the task's stages and the options' policies, stepped as hrl_comfort.sim.engine does.
+
+import { compile } from "./graph.js";
+import { Person, limbPoses } from "./person.js";
+
+const row = (values) => ({ shape: [1, values.length], data: values });
+const one = (value) => ({ shape: [1], data: [value] });
+
+/** Return the float32 numbers of {shape: [rows, columns], float32} as rows. */
+export function table({ shape: [rows, columns], float32 }) {
+  const bytes = Uint8Array.from(atob(float32), (letter) => letter.charCodeAt(0));
+  const values = new Float32Array(bytes.buffer);
+  return Array.from({ length: rows }, (_, k) => Array.from(values.subarray(k * columns, (k + 1) * columns)));
+}
+
+export class Cell {
+  /** `content` is what hrl_comfort.studio.web.content made; `mujoco` the WebAssembly module. */
+  constructor(mujoco, content) {
+    this.mujoco = mujoco;
+    this.content = content;
+    const files = Object.entries(content.assets);
+    const vfs = new mujoco.MjVFS();
+    for (const [name, base64] of files) vfs.addBuffer(name, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
+    this.model = mujoco.MjModel.from_xml_string(content.xml, vfs);
+    this.data = new mujoco.MjData(this.model);
+    this.nextStage = compile(content.stages.graph);
+    this.options = content.options.map((option) => ({ ...option, act: compile(option.graph) }));
+    this.person = new Person(content.person);
+    this.level = content.level;
+    this.episode = -1;
+    this.counts = { success: 0, contact: 0, other: 0 };
+    this.watchers = [];
+    this.reset();
+  }
+
+  /** Begin the next episode. */
+  reset(episode = (this.episode + 1) % this.content.episodes.length) {
+    const { data, content } = this, given = content.episodes[episode], joints = content.home.length;
+    this.episode = episode;
+    this.mujoco.mj_resetData(this.model, data);
+    data.qpos.set(given.start.slice(0, joints));
+    data.qvel.set(given.start.slice(joints, 2 * joints));
+    this.target = given.start.slice(2 * joints);
+    this.person.begin(table(given.walk));
+    this.state = { stage: 0, steps: 0, touching: false, contact: false, level: this.level, held: false };
+    this.ball = { place: given.ball, colour: given.colour };
+    this.outcome = null;
+    this.option = null;
+    this.decision = null;
+    this.control(this.target);
+    this.mujoco.mj_forward(this.model, data);
+    this.read();
+    this.choose();
+  }
+
+  /** Write servo targets, person and props. */
+  control(targets) {
+    const { data, content } = this, { mocap_pos: places, mocap_quat: turns } = data;
+    data.ctrl.set(targets);
+    limbPoses(this.person.walk, content.body, content.floor).forEach((pose, limb) => {
+      places.set(pose.slice(0, 3), 3 * limb);
+      turns.set(pose.slice(3), 4 * limb);
+    });
+  }
+
+  /** Return the sensors' numbers of a key. */
+  sensed(key) {
+    const [from, to] = this.content.sensors[key];
+    return Array.from(this.data.sensordata.subarray(from, to));
+  }
+
+  read() {
+    const { state } = this;
+    state.joint_pos = this.sensed("joint_pos");
+    state.joint_vel = this.sensed("joint_vel");
+    state.tcp_pos = this.sensed("tcp_pos");
+    state.touching = this.sensed("human").some(Boolean);
+    state.hit = this.sensed("table").some(Boolean) ? "the cell" : this.sensed("self").some(Boolean) ? "itself" : null;
+    state.contact ||= state.touching;
+  }
+
+  /** Return the fields of the state that graphs read, as of one row. */
+  fields(stage, level) {
+    const { state, content, ball, person } = this, drop = content.drops[ball.colour], far = [content.person.far, 0];
+    return {
+      joint_pos: row(state.joint_pos), joint_vel: row(state.joint_vel), joint_target: row(this.target),
+      tcp_pos: row(state.tcp_pos), tcp_home: row(content.tcp_home), joint_home: row(content.home),
+      human_pos: row(person.walk.place), human_yaw: one(person.walk.yaw), human_seen: row(content.person.masked ? far : person.walk.place),
+      ball_pos: row(ball.place), drop_pos: row(drop), orange_drop: row(content.drops[0]), pink_drop: row(content.drops[1]),
+      points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
+      colour: one(ball.colour), stage: one(stage), level: one(level), steps: one(state.steps),
+      grasp_tolerance: one(content.tolerances.grasp), place_tolerance: one(content.tolerances.place),
+      home_tolerance: one(content.tolerances.home), share: one(1),
+    };
+  }
+
+  /** Return the stage in force after this instant. */
+  stageAfter() {
+    return this.nextStage(this.fields(this.state.stage, this.state.level))[0];
+  }
+
+  /** Start the option whose stages hold the one in force. */
+  choose() {
+    const { state } = this;
+    const chosen = this.options.findIndex(({ first, last }) => first <= state.stage && state.stage < last);
+    this.attempt = chosen === this.option ? this.attempt + 1 : 1;
+    this.option = Math.max(chosen, 0);
+    this.started = state.steps;
+  }
+
+  limit(limits) {
+    return limits[Math.round(this.state.level) - 1] ?? limits[0];
+  }
+
+  /** Return the increments (rad a control step) that the option in force chooses now. */
+  act() {
+    const { act, first } = this.options[this.option];
+    return Array.from(act(this.fields(Math.max(this.state.stage - first, 0), this.state.level)));
+  }
+
+  /** Run one control step of 20 ms, the first one of a decision after the policy has acted; true where a decision ended. */
+  step() {
+    if (this.outcome) this.reset();
+    const { content, state, data, model } = this, substeps = content.substeps;
+    if (!this.decision) {
+      state.level = this.level;
+      this.decision = { from: [...this.target], increment: this.act(), steps: 0 };
+    }
+    const { from, increment } = this.decision;
+    this.person.advance();
+    for (let k = 1; k <= substeps; k++) {
+      const ramp = (this.decision.steps * substeps + k) / substeps;
+      this.target = from.map((angle, joint) => {
+        const [lowest, highest] = content.range[joint];
+        return Math.min(Math.max(angle + ramp * increment[joint], lowest), highest);
+      });
+      this.control(this.target);
+      this.mujoco.mj_step(model, data);
+    }
+    this.read();
+    state.steps += 1;
+    this.decision.steps += 1;
+    const before = state.stage;
+    state.stage = this.stageAfter();
+    const failed = state.contact || state.hit !== null, late = state.steps >= this.limit(content.limits.episode);
+    const ended = state.stage > before || failed || late || this.decision.steps === content.action_repeat;
+    if (ended) this.endDecision(failed, late);
+    return ended;
+  }
+
+  endDecision(failed, late) {
+    const { state, content } = this, success = state.stage >= content.stages.names.length;
+    this.decision = null;
+    if (failed) this.finish(state.contact ? "contact" : `hit ${state.hit}`);
+    else if (success) this.finish("success");
+    else if (late) this.finish("out of time");
+    else if (state.stage >= this.options[this.option].last) this.choose();
+    else if (state.steps - this.started >= this.limit(content.limits.option)) {
+      if (content.retries !== null && this.attempt > content.retries) this.finish("out of time");
+      else this.choose();
+    }
+  }
+
+  finish(outcome) {
+    this.outcome = outcome;
+    this.counts[outcome in this.counts ? outcome : "other"] += 1;
+    for (const watch of this.watchers) watch(outcome);
+  }
+
+  /** Where the ball is: on its table, on the tool or at its drop point; null without one. */
+  get ballPlace() {
+    const where = this.content.stages.ball[this.state.stage];
+    if (where === "nowhere") return null;
+    return { table: this.ball.place, tool: this.state.tcp_pos, drop: this.content.drops[this.ball.colour] }[where];
+  }
+
+  /** Horizontal distance from the tool to the person's axis, m. */
+  get distance() {
+    const { tcp_pos: tool } = this.state, [x, y] = this.person.walk.place;
+    return Math.hypot(tool[0] - x, tool[1] - y);
+  }
+
+  /** Name of the stage in force. */
+  get stage() {
+    return this.content.stages.names[Math.min(this.state.stage, this.content.stages.names.length - 1)];
+  }
+}

@@ -1,0 +1,173 @@
+// Functions of the cell's state as `hrl_comfort.studio.web.trace` wrote them, evaluated in double precision.
+
+const size = (shape) => shape.reduce((product, count) => product * count, 1);
+const array = (shape, data) => ({ shape, data });
+const scalar = (value) => array([], [Number(value)]);
+const lift = (value) => (typeof value === "object" ? value : scalar(value));
+const axisOf = (axis, x) => (axis < 0 ? axis + x.shape.length : axis);
+
+/** Apply `f` to each element. */
+const map = (f) => (x) => array(x.shape, Array.from(x.data, f));
+
+/** Apply `f` to the elements of some values broadcast together. */
+const zip =
+  (f) =>
+  (...given) => {
+    const values = given.map(lift);
+    const rank = Math.max(...values.map((x) => x.shape.length));
+    const padded = values.map((x) => [...Array(rank - x.shape.length).fill(1), ...x.shape]);
+    const shape = Array.from({ length: rank }, (_, axis) => Math.max(...padded.map((own) => own[axis])));
+    const data = new Array(size(shape));
+    for (let index = 0; index < data.length; index++) {
+      const elements = values.map((x, k) => {
+        let rest = index, at = 0, stride = 1;
+        for (let axis = rank - 1; axis >= 0; axis--) {
+          const place = rest % shape[axis];
+          rest = (rest - place) / shape[axis];
+          if (padded[k][axis] > 1) at += place * stride;
+          stride *= padded[k][axis];
+        }
+        return x.data[at];
+      });
+      data[index] = f(...elements);
+    }
+    return array(shape, data);
+  };
+
+/** Return the elements whose places along `axis` are `places`. */
+function take(x, axis, places) {
+  const inner = size(x.shape.slice(axis + 1)), outer = size(x.shape.slice(0, axis)), data = [];
+  for (let row = 0; row < outer; row++)
+    for (const place of places)
+      for (let k = 0; k < inner; k++) data.push(x.data[(row * x.shape[axis] + place) * inner + k]);
+  return array([...x.shape.slice(0, axis), places.length, ...x.shape.slice(axis + 1)], data);
+}
+
+const range = (from, to, step = 1) => Array.from({ length: Math.max(0, Math.ceil((to - from) / step)) }, (_, k) => from + k * step);
+
+/** Reduce along some axes, all of them by default, with `f` of a list of elements. */
+const reduce =
+  (f) =>
+  (x, axes = [], keep = false) => {
+    const chosen = (axes.length ? axes : range(0, x.shape.length)).map((axis) => axisOf(axis, x)).sort((a, b) => b - a);
+    const kept = range(0, x.shape.length).filter((axis) => !chosen.includes(axis));
+    const moved = ops.permute(x, [...kept, ...chosen]);
+    const count = size(chosen.map((axis) => x.shape[axis]));
+    const data = range(0, x.data.length / count).map((row) => f(moved.data.slice(row * count, (row + 1) * count)));
+    const shape = x.shape.map((length, axis) => (chosen.includes(axis) ? 1 : length));
+    return array(keep ? shape : kept.map((axis) => x.shape[axis]), data);
+  };
+
+const reshaped = (x, shape) => {
+  const missing = x.data.length / Math.abs(size(shape));
+  return array(shape.map((length) => (length === -1 ? missing : length)), x.data);
+};
+
+const ops = {
+  same: (x) => x,
+  getitem: (list, index) => list[index],
+  sin: map(Math.sin), cos: map(Math.cos), tanh: map(Math.tanh), abs: map(Math.abs), neg: map((a) => -a),
+  sqrt: map(Math.sqrt), relu: map((a) => Math.max(a, 0)),
+  logical_not: map((a) => Number(!a)), bitwise_not: map((a) => Number(!a)),
+  add: zip((a, b) => a + b), sub: zip((a, b) => a - b), mul: zip((a, b) => a * b), div: zip((a, b) => a / b),
+  eq: zip((a, b) => Number(a === b)), ne: zip((a, b) => Number(a !== b)),
+  lt: zip((a, b) => Number(a < b)), le: zip((a, b) => Number(a <= b)),
+  gt: zip((a, b) => Number(a > b)), ge: zip((a, b) => Number(a >= b)),
+  bitwise_and: zip((a, b) => Number(a && b)), logical_and: zip((a, b) => Number(a && b)),
+  bitwise_or: zip((a, b) => Number(a || b)), logical_or: zip((a, b) => Number(a || b)),
+  where: zip((chosen, a, b) => (chosen ? a : b)),
+  clamp: (x, low = null, high = null) => map((a) => Math.min(Math.max(a, low ?? -Infinity), high ?? Infinity))(x),
+  scalar_tensor: scalar,
+  arange: (from, to, step) => (to === undefined ? ops.arange(0, from) : array([Math.ceil((to - from) / (step ?? 1))], range(from, to, step ?? 1))),
+  full: (shape, value) => array(shape, Array(size(shape)).fill(Number(value))),
+  cat(parts, dim = 0) {
+    const axis = axisOf(dim, parts[0]), outer = size(parts[0].shape.slice(0, axis)), data = [];
+    for (let row = 0; row < outer; row++)
+      for (const { data: own } of parts) data.push(...own.slice((row * own.length) / outer, ((row + 1) * own.length) / outer));
+    const shape = [...parts[0].shape];
+    shape[axis] = parts.reduce((sum, part) => sum + part.shape[axis], 0);
+    return array(shape, data);
+  },
+  slice(x, dim = 0, from = 0, to = Infinity, step = 1) {
+    const axis = axisOf(dim, x), length = x.shape[axis];
+    const bound = (place) => Math.min(place < 0 ? place + length : place, length);
+    return take(x, axis, range(bound(from ?? 0), bound(to ?? Infinity), step));
+  },
+  select(x, dim, place) {
+    const axis = axisOf(dim, x), found = take(x, axis, [place < 0 ? place + x.shape[axis] : place]);
+    return array(found.shape.filter((_, k) => k !== axis), found.data);
+  },
+  index: (x, [rows, ...others]) => {
+    if (others.length) throw new Error("index: more than one");
+    const found = take(x, 0, rows.data);
+    return array([...rows.shape, ...found.shape.slice(1)], found.data);
+  },
+  split_with_sizes(x, sizes, dim = 0) {
+    let from = 0;
+    return sizes.map((count) => take(x, axisOf(dim, x), range(from, (from += count))));
+  },
+  unsqueeze(x, dim) {
+    const shape = [...x.shape];
+    shape.splice(dim < 0 ? dim + shape.length + 1 : dim, 0, 1);
+    return array(shape, x.data);
+  },
+  squeeze: (x, dims) => {
+    const axes = [dims].flat().map((axis) => axisOf(axis, x));
+    return array(x.shape.filter((length, axis) => length > 1 || !axes.includes(axis)), x.data);
+  },
+  view: reshaped,
+  expand: (x, shape) => zip((a) => a)(x, ops.full(shape.map((length) => Math.abs(length)), 0)),
+  permute(x, axes) {
+    const shape = axes.map((axis) => x.shape[axis]), data = new Array(x.data.length);
+    const strides = axes.map((axis) => size(x.shape.slice(axis + 1)));
+    for (let index = 0; index < data.length; index++) {
+      let rest = index, at = 0;
+      for (let axis = axes.length - 1; axis >= 0; axis--) {
+        at += (rest % shape[axis]) * strides[axis];
+        rest = Math.floor(rest / shape[axis]);
+      }
+      data[index] = x.data[at];
+    }
+    return array(shape, data);
+  },
+  addmm(bias, x, weight) {
+    const [rows, inner] = x.shape, columns = weight.shape[1], data = new Float64Array(rows * columns);
+    for (let row = 0; row < rows; row++)
+      for (let column = 0; column < columns; column++) {
+        let sum = bias.data[bias.shape.length > 1 ? row * columns + column : column];
+        for (let k = 0; k < inner; k++) sum += x.data[row * inner + k] * weight.data[k * columns + column];
+        data[row * columns + column] = sum;
+      }
+    return array([rows, columns], data);
+  },
+  linalg_vector_norm(x, order = 2, axes = [], keep = false) {
+    if (order !== 2) throw new Error(`linalg_vector_norm: order ${order}`);
+    return reduce((list) => Math.hypot(...list))(x, axes ?? [], keep);
+  },
+  sum: reduce((list) => list.reduce((a, b) => a + b, 0)),
+  amax: reduce((list) => Math.max(...list)),
+  any: reduce((list) => Number(list.some(Boolean))),
+};
+
+function decoded({ shape, float32 }) {
+  const bytes = Uint8Array.from(atob(float32), (letter) => letter.charCodeAt(0));
+  return array(shape, Array.from(new Float32Array(bytes.buffer)));
+}
+
+/** Return the function of a graph: fields {name: {shape, data}} of one row to the elements of its output. */
+export function compile(graph) {
+  const fixed = new Map(Object.entries(graph.constants).map(([name, value]) => [`%${name}`, decoded(value)]));
+  const names = Object.entries(graph.inputs);
+  const resolve = (values) => (argument) =>
+    Array.isArray(argument) ? argument.map(resolve(values)) : typeof argument === "string" && argument[0] === "%" ? values.get(argument) : argument;
+  const run = (values, [name, op, args]) => values.set(`%${name}`, ops[op](...args.map(resolve(values))));
+  const known = (argument) =>
+    Array.isArray(argument) ? argument.every(known) : !(typeof argument === "string" && argument[0] === "%") || fixed.has(argument);
+  const nodes = graph.nodes.filter((node) => !(node[2].every(known) && run(fixed, node)));
+  return (fields) => {
+    const values = new Map(fixed);
+    for (const [place, name] of names) values.set(place, fields[name]);
+    for (const node of nodes) run(values, node);
+    return values.get(graph.output).data;
+  };
+}

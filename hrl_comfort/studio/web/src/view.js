@@ -1,0 +1,222 @@
+// The cell in three.js: MuJoCo's bodies, the ball, the tool's trail and the distance to the person.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const FAR = 25, TRAIL = 150, LIMBS = 7;
+const CALM = new THREE.Color(0x2b7a5b), NEAR = new THREE.Color(0xc0392b);
+
+/** Return the three.js geometry of a MuJoCo geom or site in its own frame. */
+function shape(model, kind, size, mesh) {
+  const [a, b, c] = size, up = (geometry) => geometry.rotateX(Math.PI / 2); // MuJoCo's axis is z, three's y
+  switch (kind) {
+    case 2: return new THREE.SphereGeometry(a, 32, 20);
+    case 3: return up(new THREE.CapsuleGeometry(a, 2 * b, 12, 28));
+    case 4: return new THREE.SphereGeometry(1, 32, 20).scale(a, b, c);
+    case 5: return up(new THREE.CylinderGeometry(a, a, 2 * b, 40));
+    case 6: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
+    case 7: return meshGeometry(model, mesh);
+    default: return null;
+  }
+}
+
+function meshGeometry(model, mesh) {
+  const geometry = new THREE.BufferGeometry(), [vertex, vertices] = [model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]];
+  const [face, faces] = [model.mesh_faceadr[mesh], model.mesh_facenum[mesh]];
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(model.mesh_vert.slice(3 * vertex, 3 * (vertex + vertices))), 3));
+  geometry.setIndex(Array.from(model.mesh_face.slice(3 * face, 3 * (face + faces))));
+  geometry.computeVertexNormals();
+  return geometry;
+}
+
+export class View {
+  constructor(canvas, cell) {
+    this.cell = cell;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(0xdfe7ee);
+    this.scene.fog = new THREE.Fog(0xdfe7ee, 6, 14);
+    /** Cell frame: z up, origin in the robot's base; the floor is three's y = 0. */
+    this.world = new THREE.Group();
+    this.world.rotation.x = -Math.PI / 2;
+    this.world.position.y = -cell.content.floor;
+    /** Carries the camera; in VR, the room that the user walks in. */
+    this.rig = new THREE.Group();
+    this.camera = new THREE.PerspectiveCamera(45, 1, 0.05, 60);
+    this.camera.position.set(1.5, 2.0, 2.9);
+    this.rig.add(this.camera);
+    this.scene.add(this.world, this.rig);
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.orbit.target.set(0.05, 0.72, 0);
+    Object.assign(this.orbit, { enableDamping: true, maxPolarAngle: 1.5, minDistance: 0.6, maxDistance: 7 });
+    this.light();
+    this.build();
+    addEventListener("resize", () => this.resize());
+    this.resize();
+  }
+
+  light() {
+    const sun = new THREE.DirectionalLight(0xffffff, 2.2);
+    sun.position.set(1.5, 4, 2);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(2048, 2048);
+    Object.assign(sun.shadow.camera, { left: -2.5, right: 2.5, top: 2.5, bottom: -2.5, near: 0.5, far: 9 });
+    sun.shadow.radius = 4;
+    sun.shadow.bias = -0.0005;
+    this.scene.add(sun, new THREE.HemisphereLight(0xffffff, 0x9aa5ad, 1.6));
+    const floor = new THREE.Mesh(new THREE.CircleGeometry(12, 64).rotateX(-Math.PI / 2), new THREE.MeshStandardMaterial({ color: 0xd3dae0, roughness: 1 }));
+    floor.receiveShadow = true;
+    const grid = new THREE.GridHelper(12, 24, 0xb3bfc8, 0xc4ced6);
+    grid.position.y = 0.002;
+    this.scene.add(floor, grid);
+  }
+
+  /** Make a group for each body, with meshes for its geoms and sites. */
+  build() {
+    const { model, content } = this.cell;
+    this.bodies = Array.from({ length: model.nbody }, () => new THREE.Group());
+    this.bodies.forEach((group) => this.world.add(group));
+    const mocap = model.body_mocapid;
+    /** Meshes of the person, in order of the limbs. */
+    this.person = [];
+    for (const prefix of ["geom", "site"]) {
+      const at = (name) => model[`${prefix}_${name}`];
+      for (let index = 0; index < model[`n${prefix}`]; index++) {
+        const body = at("bodyid")[index], limb = mocap[body];
+        if (limb >= LIMBS) continue; // props are drawn below
+        const rgba = at("rgba").slice(4 * index, 4 * index + 4), kind = at("type")[index];
+        const geometry = rgba[3] > 0 && shape(model, kind, at("size").slice(3 * index, 3 * index + 3), prefix === "geom" ? at("dataid")[index] : -1);
+        if (!geometry || (prefix === "site" && body)) continue; // sites of the arm are marks, not parts
+        const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(...rgba.slice(0, 3), THREE.SRGBColorSpace), roughness: 0.55, metalness: 0.05 });
+        Object.assign(material, { transparent: rgba[3] < 1, opacity: rgba[3] });
+        const mesh = new THREE.Mesh(geometry, material);
+        mesh.position.fromArray(at("pos"), 3 * index);
+        const [w, x, y, z] = at("quat").slice(4 * index, 4 * index + 4);
+        mesh.quaternion.set(x, y, z, w);
+        mesh.castShadow = mesh.receiveShadow = rgba[3] === 1;
+        this.bodies[body].add(mesh);
+        if (limb >= 0) this.person.push({ mesh, limb, colour: material.color.clone() });
+      }
+    }
+    const add = (geometry, material) => {
+      const mesh = new THREE.Mesh(geometry, material);
+      this.world.add(mesh);
+      return mesh;
+    };
+    this.ball = add(new THREE.SphereGeometry(content.ball_radius, 32, 20), new THREE.MeshStandardMaterial({ roughness: 0.35 }));
+    this.ball.castShadow = true;
+    const mark = new THREE.MeshStandardMaterial({ color: 0x3aa657, transparent: true, opacity: 0.5 });
+    this.points = [0, 1].map(() => add(new THREE.SphereGeometry(1.2 * content.ball_radius, 24, 16), mark));
+    /** A wide, unseen cylinder that a finger hits more easily than a limb. */
+    this.handle = add(new THREE.CylinderGeometry(0.28, 0.28, 1.75, 12).rotateX(Math.PI / 2), new THREE.MeshBasicMaterial({ visible: false }));
+    this.ring = add(new THREE.RingGeometry(0.3, 0.34, 48), new THREE.MeshBasicMaterial({ color: 0x2f6fb3, transparent: true, opacity: 0.6 }));
+    this.ring.position.z = content.floor + 0.006;
+    this.distance = this.line(2, 0x2b7a5b, 0.9);
+    this.trail = this.line(TRAIL, 0xe6781e, 0.75);
+    this.tool = [];
+  }
+
+  line(points, color, opacity) {
+    const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * points), 3));
+    const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color, transparent: true, opacity }));
+    line.frustumCulled = false;
+    this.world.add(line);
+    return line;
+  }
+
+  resize() {
+    if (this.renderer.xr.isPresenting) return;
+    const { innerWidth: width, innerHeight: height } = window;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.fov = width < height ? 62 : 45;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Return where every body is now. */
+  picture() {
+    const { data, ballPlace, state } = this.cell;
+    return { places: data.xpos.slice(), turns: data.xquat.slice(), ball: ballPlace && [...ballPlace], tool: [...state.tcp_pos] };
+  }
+
+  /** Remember where the tool is. */
+  remember({ tool }) {
+    this.tool.push(tool);
+    if (this.tool.length > TRAIL) this.tool.shift();
+  }
+
+  /** Show the picture a share of the way from one to another. */
+  show(before, after, share) {
+    const { cell } = this, { content } = cell, turn = new THREE.Quaternion();
+    const from = new THREE.Vector3(), mix = (a, b) => from.fromArray(a).lerp(new THREE.Vector3(...b), share);
+    this.bodies.forEach((group, body) => {
+      const [w, x, y, z] = after.turns.slice(4 * body, 4 * body + 4), old = before.turns.slice(4 * body, 4 * body + 4);
+      group.position.copy(mix(before.places.slice(3 * body, 3 * body + 3), after.places.slice(3 * body, 3 * body + 3)));
+      group.quaternion.set(old[1], old[2], old[3], old[0]).slerp(turn.set(x, y, z, w), share);
+      group.visible = group.position.x < FAR;
+    });
+    this.ball.visible = after.ball !== null;
+    if (after.ball) this.ball.position.copy(mix(before.ball ?? after.ball, after.ball));
+    this.ball.material.color.set(cell.ball.colour ? 0xff66b3 : 0xff8a1f);
+    this.points.forEach((mesh, k) => {
+      mesh.visible = k < content.stages.points.filter(Boolean).length;
+      mesh.position.fromArray(content.episodes[cell.episode].points[k]);
+    });
+    const [x, y] = cell.person.walk.place, { there } = cell.person;
+    this.handle.position.set(x, y, content.floor + 0.875);
+    this.ring.visible = cell.person.byHand && there;
+    this.ring.position.setX(x).setY(y);
+    this.draw(this.trail, this.tool);
+    const tool = mix(before.tool, after.tool).toArray();
+    this.distance.visible = there && !this.renderer.xr.isPresenting;
+    this.distance.material.color.copy(NEAR).lerp(CALM, Math.min(1, Math.max(0, (cell.distance - 0.25) / 0.5)));
+    this.draw(this.distance, [tool, [x, y, tool[2]]]);
+  }
+
+  draw(line, points) {
+    const places = line.geometry.attributes.position;
+    points.forEach((point, k) => places.setXYZ(k, ...point));
+    places.needsUpdate = true;
+    line.geometry.setDrawRange(0, points.length);
+  }
+
+  /** Paint the person red while they are touched. */
+  flash(contact) {
+    for (const { mesh, colour } of this.person) mesh.material.color.copy(contact ? NEAR : colour);
+  }
+
+  /** Hide the limbs that a person does not see of themselves: trunk, head and legs. */
+  firstPerson(inside) {
+    for (const { mesh, limb } of this.person) mesh.visible = !inside || limb > 2;
+  }
+
+  /** Return the ray of a pointer event, in the cell frame. */
+  ray(event) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(new THREE.Vector2((2 * (event.clientX - left)) / width - 1, 1 - (2 * (event.clientY - top)) / height), this.camera);
+    return caster;
+  }
+
+  /** Return the point of the person (in the cell frame) that a pointer is on, or null. */
+  grabbed(event) {
+    if (!this.cell.person.there) return null;
+    const [hit] = this.ray(event).intersectObject(this.handle);
+    return hit ? this.world.worldToLocal(hit.point) : null;
+  }
+
+  /** Return where a pointer's ray meets a height (m) of the cell, or null. */
+  onPlane(event, height) {
+    const plane = new THREE.Plane(new THREE.Vector3(0, 1, 0), -(height + this.world.position.y));
+    const point = this.ray(event).ray.intersectPlane(plane, new THREE.Vector3());
+    return point && this.world.worldToLocal(point);
+  }
+
+  render() {
+    if (!this.renderer.xr.isPresenting) this.orbit.update();
+    this.renderer.render(this.scene, this.camera);
+  }
+}

@@ -1,0 +1,183 @@
+"""The exported page, opened from disk without a network, computes what Python computes, and obeys its user."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.compose import compose, environment
+
+pytest.importorskip("viser", reason="the extra [studio] is not installed")
+
+from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.graph import inputs_of
+from hrl_comfort.policies.load import observed_by
+from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web import content, page
+from tests.studio.browser import opened, until
+
+REFERENCE = Path("runs/reference/comfort/seed0")
+CHAIN = ("pick", "place", "return")
+WORDS = [*(f"policies.{name}={REFERENCE / name}" for name in CHAIN), "task=cycle", "meta_controller=scripted"]
+WEB = Path("hrl_comfort/studio/web")
+EPISODES = 2
+
+
+def configured(*words: str) -> StudioConfig:
+    config = compose("studio", [*WORDS, *words])
+    assert isinstance(config, StudioConfig)
+    return config
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a page of the reference chain with levels."""
+    if shutil.which("npm"):
+        subprocess.run(["make", "-o", ".venv/.installed", "page"], check=True, capture_output=True)
+    elif not (WEB / "dist/page.js").is_file():
+        pytest.skip("no Node here, which bundles the page")
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(content, "EPISODES", EPISODES)
+        patch.setattr(content, "RECORDED_S", 5.0)
+        return page.export_page(configured(f"export={path}"))
+
+
+@pytest.fixture(scope="module")
+def shown(browser: Any, file: Path) -> Iterator[tuple[Any, list[str]]]:
+    with opened(browser, file.resolve().as_uri()) as (tab, wrong):
+        tab.context.set_offline(True)
+        tab.wait_for_function("window.player")
+        yield tab, wrong
+
+
+@pytest.fixture
+def tab(shown: tuple[Any, list[str]]) -> Iterator[Any]:
+    """The page at the beginning of its first episode, paused, at level 5, nobody held."""
+    tab, wrong = shown
+    tab.evaluate(
+        """() => { player.running = false; player.speed = 1; player.cell.person.letGo(); player.cell.level = 5;
+                   player.cell.episode = -1; player.reset(); }"""
+    )
+    yield tab
+    assert wrong == []
+
+
+def test_a_whole_cycle_is_played_in_real_time_without_a_network(tab: Any) -> None:
+    tab.evaluate("() => { player.cell.counts.success = 0; player.speed = 4; player.running = true; }")
+    until(lambda: tab.evaluate("player.cell.counts.success") > 0, "a cycle is done")
+    assert tab.evaluate("player.cell.counts.contact + player.cell.counts.other") == 0
+
+
+@pytest.mark.parametrize("option", CHAIN)
+def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, option: str) -> None:
+    config = compose("evaluate", [f"policy={REFERENCE / option}", "comfort.source=random", "task.start=ik"])
+    env = environment(config)
+    policy, engine = load_policy(REFERENCE / option), Engine(env, 50, 0)
+    task = observed_by(policy, str(REFERENCE / option), engine.episodes.subtask, env)
+    names, states, actions, state = inputs_of(task, engine.reset()), [], [], engine.reset()
+    for _ in range(20):
+        acted = policy(task.observe(state)).double()
+        for row in range(50):
+            states.append({name: getattr(state, name)[row].tolist() for name in names})
+        actions.append(acted.numpy())
+        state = engine.step(acted.numpy()).state
+    engine.close()
+    given = tab.evaluate(
+        """([option, states]) => states.map((state) => {
+             const row = (value) => ({ shape: value.length ? [1, value.length] : [1], data: [value].flat() });
+             const fields = Object.fromEntries(Object.entries(state).map(([name, value]) => [name, row(value)]));
+             return Array.from(player.cell.options.find(({ name }) => name === option).act(fields));
+           })""",
+        [option, states],
+    )
+    assert len(given) == 1000
+    assert np.abs(np.array(given) / np.radians(env.task.max_step_deg) - np.concatenate(actions)).max() < 1e-5
+
+
+@pytest.mark.parametrize("level", [1, 10])
+def test_joints_go_where_they_go_in_python_for_whole_episodes(tab: Any, level: int) -> None:
+    session = Session(configured("comfort.source=fixed", f"comfort.level={level}"))
+    joints = []
+    for _ in range(EPISODES):
+        session.reset()
+        path = [session.still().joints]
+        while not session.over:
+            path.append(session.step().clip.joints[1:])
+        joints.append(np.concatenate(path))
+    session.close()
+    played = tab.evaluate(
+        """([level, episodes]) => episodes.map((episode) => {
+             const { cell } = player;
+             cell.level = level;
+             cell.reset(episode);
+             const path = [cell.state.joint_pos];
+             while (!cell.outcome) { cell.step(); path.push(cell.state.joint_pos); }
+             return path;
+           })""",
+        [level, list(range(EPISODES))],
+    )
+    for ours, theirs in zip(joints, played, strict=True):
+        assert np.abs(ours - np.array(theirs)).max() < 1e-6
+
+
+def test_limbs_are_posed_as_in_python(tab: Any) -> None:
+    generator = np.random.default_rng(0)
+    for given in (False, True):
+        down = generator.normal(size=(6, 3))
+        down /= np.linalg.norm(down, axis=1, keepdims=True)
+        down[:2] = np.nan
+        x, y, yaw, phase = generator.uniform(-3, 3, 4)
+        directions = down if given else np.full((6, 3), np.nan)
+        ours = limb_poses(x, y, yaw, phase, 0.4, -0.75, directions)
+        limbs = [None if np.isnan(value) else value for value in directions.ravel()]
+        theirs = tab.evaluate(
+            """([x, y, yaw, phase, limbs]) => player.limbPoses({ place: [x, y], yaw, phase, swing: 0.4,
+                 limbs: limbs.map((value) => value ?? NaN) }, player.cell.content.body, -0.75)""",
+            [x, y, yaw, phase, limbs],
+        )
+        np.testing.assert_allclose(theirs, ours, atol=1e-9)
+
+
+def test_the_slider_sets_the_level_that_the_policy_sees(tab: Any) -> None:
+    seen, acts = [], []
+    tab.evaluate(
+        "() => { player.cell.person.goTo([-0.3, -0.4]); for (let k = 0; k < 60; k++) player.cell.person.advance(); }"
+    )
+    for key in ("Home", "End"):
+        tab.locator("#level").press(key)
+        tab.locator("#one").click()
+        seen.append(tab.evaluate("player.cell.state.level"))
+        tab.locator("#reset").click()
+        acts.append(tab.evaluate("() => { player.cell.state.level = player.cell.level; return player.cell.act(); }"))
+    assert seen == [1, 10]
+    assert np.abs(np.subtract(*acts)).max() > 0.1 * np.radians(2.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
+        (["robot.rating=collaborative"], r"robot.rating=collaborative: a page of export= has robot.rating=paper alone"),
+        (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),
+    ],
+)
+def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        content.refuse(configured(*words))
+
+
+def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "BUNDLE", ("missing.js", "missing.wasm"))
+    with pytest.raises(ConfigError, match=r"the page's program is not built; run make page"):
+        page.export_page(configured(f"export={tmp_path / 'page.html'}"))
+    assert not list(tmp_path.iterdir())
