@@ -78,6 +78,11 @@ class Person:
             self._stop()
             self._set_motion(self._live)
 
+    def stay(self) -> None:
+        """Stay where an episode begins, which is beside the arm; for a person by hand."""
+        if self.taken:
+            self._stop()
+
     def let_go(self, human: HumanConfig | None = None) -> None:
         """Let the person go on as `human` says (default: as before), once they are out of its keep-out discs."""
         self.human = human or self.human

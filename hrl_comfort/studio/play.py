@@ -80,6 +80,7 @@ class LivePlay:
         self.renew()
         for session in self.sessions:
             session.reset()
+        self.person.stay()
         self.rejoin()
 
     def rejoin(self) -> None:

@@ -15,13 +15,17 @@ from hrl_comfort.config.compose import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
 from hrl_comfort.plots.clip import Clip
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.signals import limbs_of
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.clip import decision_clip, still_clip
 from hrl_comfort.tasks import State
 
 FIRST_LEVEL = 5
 """Level of the slider where the configuration fixes none."""
+APART_M, OUT_M = 0.05, np.arange(0.0, 2.0, 0.01)
+"""Least distance between person and arm at the beginning of an episode, and how far a person is moved for it."""
 ROW = torch.ones(1, dtype=torch.bool)
 
 
@@ -138,6 +142,7 @@ class Session:
         episodes, kept = self.engine.episodes, self.walk
         self.engine.reset()
         if self.keep_person:
+            kept = self._beside_arm(kept)
             episodes.walk = replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step))
             seen = humans.seen_position(episodes.config.human, kept.position, episodes.sampler.spawns)
             places = {"human_pos": kept.position, "human_yaw": kept.yaw, "human_seen": seen}
@@ -146,6 +151,15 @@ class Session:
         self.executor = OptionExecutor(old.options, old.time_limit, episodes, old.retries)
         self.over = False
         self._begin(self._choose(self.executor.decision(self.state)))
+
+    def _beside_arm(self, walk: humans.Walk) -> humans.Walk:
+        """Return `walk` farther from the base, where the arm begins inside the person; MuJoCo would fling it."""
+        outward = walk.position / max(float(np.linalg.norm(walk.position)), 1e-9)
+        limbs = np.repeat(limbs_of(self.engine.scene, walk), len(OUT_M), axis=0)
+        limbs[:, :, :2] += (OUT_M[:, None] * outward)[:, None]
+        angles = np.repeat(self.state.joint_pos.numpy(), len(OUT_M), axis=0)
+        free = Separation(self.engine.scene).gap(angles, limbs) >= APART_M
+        return replace(walk, position=walk.position + OUT_M[free.argmax()] * outward)
 
     def step(self) -> Step:
         """Run the decision that has been made, then make the next one; begin a new episode where the last is over.

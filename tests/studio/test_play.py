@@ -57,6 +57,27 @@ def test_two_policies_meet_the_same_person_and_begin_together() -> None:
         session.close()
 
 
+def test_an_arm_never_begins_inside_a_person_who_keeps_their_place() -> None:
+    HELD.pose = None
+    config = compose("studio", ["task=pick", "policy=expert", "human=still"])
+    assert isinstance(config, StudioConfig)
+    session = Session(config)
+    person = Person([session], motion_config("live"), config.human)
+    play = LivePlay([session], [View()], person)
+    begins: list[int] = []
+    while len(begins) < 4:
+        person.drag(-0.05, -0.1)  # into the base; the episode ends with a contact
+        play.advance()
+        assert not any(warning.number for data in session.engine._data for warning in data.warning)
+        if int(session.state.steps) == 0:
+            begins.append(session.decisions)
+            place = session.walk.position.copy()
+            play.advance()
+            assert np.allclose(session.walk.position, place)
+            assert not bool(session.state.touching)
+    session.close()
+
+
 class Failing:
     """A play whose third decision fails."""
 
