@@ -10,6 +10,7 @@ from __future__ import annotations
 import gymnasium
 
 from hrl_comfort import environment_of
+from hrl_comfort.config import SORTING
 from hrl_comfort.envs.gymnasium import CellGym, CellVector
 from hrl_comfort.tasks import SUBTASKS
 
@@ -35,8 +36,8 @@ class TaskVectorEnv(CellVector):
         super().__init__(environment_of(task, choices), num_envs, render_mode)
 
 
-IDS = {task: f"hrl_comfort/{task.title().replace('_', '')}-v0" for task in SUBTASKS if task != "sort"}
-"""Gymnasium id of each subtask; `sort` is an environment of options (`hrl_comfort.hierarchy.option_env`)."""
+IDS = {task: f"hrl_comfort/{task.title().replace('_', '')}-v0" for task in SUBTASKS if task not in SORTING}
+"""Gymnasium id of each subtask; `sort` and `shift` are environments of options (`hrl_comfort.hierarchy.option_env`)."""
 
 for _task, _id in IDS.items():
     gymnasium.register(

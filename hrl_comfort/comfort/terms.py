@@ -171,6 +171,19 @@ def speed_term(increment: Tensor, level: Tensor, max_step_deg: float, config: Co
     return form(increment, increment_threshold(level, max_step_deg, config), max_step_deg)
 
 
+def discomfort(
+    distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig
+) -> Tensor:
+    """Return (...,) in [0, 2]: how much nearer than theta and faster than its threshold the arm is.
+
+    It is what `target_distance` and `speed_hinge` cost at weight 1, where the arm is nearer than theta or faster than
+    the threshold; unlike F_comfort, distance and time cost nothing. Arguments are those of `comfort`.
+    """
+    theta = forms(config)[1](level, config)
+    near = target_distance(torch.minimum(distance, theta), theta, config)
+    return -near - speed_hinge(increment, increment_threshold(level, max_step_deg, config), max_step_deg)
+
+
 def comfort(distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:
     """Return F_comfort = alpha F_conf1 + beta F_conf2 (Eq. 4), without `comfort.scale`."""
     total = torch.zeros_like(distance)

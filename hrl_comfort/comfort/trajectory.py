@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 
 INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
 """Outer radii of the zones around a person (Hall, The Hidden Dimension, 1966)."""
+BESIDE_M = 1.0
+"""Arm distance within which the tool's speed counts as beside the person."""
 SLOW_M_S = 0.01
 """A slower tool counts as waiting."""
 SMOOTHING_S = 0.2
@@ -79,7 +81,7 @@ def of_person(path: Trajectory) -> dict[str, float | None]:
     lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
     distance = np.linalg.norm(path.tool[1:, :2] - path.human[1:], axis=-1)
     arm, speed = path.arm_distance[1:], lengths / CONTROL_STEP_S
-    near = arm < INTIMATE_M
+    near, beside = arm < INTIMATE_M, arm < BESIDE_M
     contact = time_to_contact(path.arm_distance)
     tool, human = (np.linalg.norm(smoothed_rate(each), axis=-1) for each in (path.tool, path.human))
     worst, observed = (arm - protective_distance(tool, each) for each in (WORST_HUMAN_M_S, human))
@@ -93,6 +95,7 @@ def of_person(path: Trajectory) -> dict[str, float | None]:
         "zone_personal": float(((arm >= INTIMATE_M) & (arm < PERSONAL_M)).mean()),
         "zone_social": float(((arm >= PERSONAL_M) & (arm < SOCIAL_M)).mean()),
         "tool_speed_near_m_s": float(speed[near].mean()) if near.any() else None,
+        "tool_speed_beside_m_s": float(speed[beside].mean()) if beside.any() else None,
         "time_to_contact_min_s": float(contact.min()) if np.isfinite(contact).any() else None,
         "time_to_contact_short": float((contact < SHORT_CONTACT_S).mean()),
         "separation_margin_min_m": float(worst.min()),

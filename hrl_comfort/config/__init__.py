@@ -38,11 +38,12 @@ from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentCon
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import COLOURS, PrecisionConfig, RewardConfig, TaskConfig
+from hrl_comfort.config.task import COLOURS, SORTING, PrecisionConfig, RewardConfig, TaskConfig
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "POLICIES", "SCRIPTED_POLICIES", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig",
+    "POLICIES", "SCRIPTED_POLICIES", "SORTING",
+    "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig",
     "ComfortConfig", "ConfigError", "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig",
     "FigureConfig", "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig",
     "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig",

@@ -22,11 +22,11 @@ from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentCon
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import RewardConfig, TaskConfig
+from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
-PICK_AND_PLACE = ("pick_place", "cycle", "sort")
+PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
 """Tasks that pick a ball and then place it."""
 DRAWN_EPISODES = 10_000
 SPLITS = {
@@ -133,9 +133,9 @@ class MetaControllerTrainConfig(TrainingConfig):
     """Disturbance of each episode, one of DISTURBANCES."""
 
     def __post_init__(self) -> None:
-        if self.task.name != "sort":
+        if self.task.name not in SORTING:
             raise ConfigError(
-                f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort"
+                f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort or shift"
             )
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name

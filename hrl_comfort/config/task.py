@@ -10,6 +10,8 @@ from hrl_comfort.config.checks import XY, XYZ, ConfigError, choice, within
 COLOURS = ("orange", "pink")
 """By number in `State.colour`."""
 OBSERVATIONS = ("default", "paper")
+SORTING = ("sort", "shift")
+"""Tasks of several balls."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class TaskConfig:
     colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""
     balls: int
-    """Number of balls on the pick table; above 1 for `sort` only."""
+    """Number of balls on the pick table; above 1 for `sort` and `shift` only."""
     ball_slots_m: list[XY]
     """Possible positions (x, y) of balls relative to `cell.ball_m`, m; each ball has a slot of its own."""
     ball_jitter_m: Annotated[float, within(0.0, 0.1)]
@@ -73,8 +75,8 @@ class TaskConfig:
             raise ConfigError(
                 f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the length of task.ball_slots_m"
             )
-        if self.balls > 1 and self.name != "sort":
-            raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort")
+        if self.balls > 1 and self.name not in SORTING:
+            raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort or shift")
 
 
 Weight = Annotated[float, within(-1e4, 1e4)]

@@ -39,16 +39,22 @@ class Episode:
     shield_share_mean: float | None
     protective_stops: int | None
     measures: dict[str, float | None]
-    """By the names of `comfort.trajectory.MEASURES`; each is a column of its own."""
+    """By the names of RATES and of `comfort.trajectory.MEASURES`; each is a column of its own."""
     max_episode_steps: int
     """Time limit, control steps, that was in force when the episode ended; not a column."""
 
     def row(self) -> dict[str, Any]:
         """Return the cells by column."""
-        return {**{name.rstrip("_"): getattr(self, name) for name in OWN}, **self.measures}
+        own = {name.rstrip("_"): getattr(self, name) for name in OWN}
+        return {name: own.get(name, self.measures.get(name)) for name in COLUMNS}
 
 
 OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "max_episode_steps"))
 """Fields of an Episode that are a column each."""
-COLUMNS = (*(name.rstrip("_") for name in OWN), *MEASURES)
+RATES = (
+    "discomfort_per_min", "balls_lost", "balls_per_min", "contacts_per_h", "unsafe_contacts_per_h",
+    "other_collisions_per_h", "protective_stops_per_min",
+)  # fmt: skip
+"""Measures of `evaluation.rates`; those after the first are of a shift alone."""
+COLUMNS = (*(name.rstrip("_") for name in OWN), *RATES, *MEASURES)
 """Of episodes.csv."""

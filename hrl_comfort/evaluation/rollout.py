@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pandas import DataFrame
 
 from hrl_comfort.analysis.summary import summarise
-from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import record
+from hrl_comfort.evaluation.rates import Course, discomfort_per_min, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
-from hrl_comfort.files.tables import Floats, records_of, write_table
+from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
 from hrl_comfort.humans import EvaluationSet, split_set
@@ -33,6 +34,11 @@ BATCH = 250
 """Episodes simulated side by side."""
 STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4", "failure.mp4")
 """Files of an earlier evaluation, deleted when a new one is written."""
+SEEN = ("tcp_pos", "human_pos")
+COURSE = (
+    "joint_target", "arm_distance", "level", "stage", "touching", "unsafe_contact", "table_collision", "self_collision",
+)  # fmt: skip
+"""Fields of `State` that are kept of every instant, those of `Course` among them."""
 MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
 """Configurations by which the folder of an evaluation is known."""
 
@@ -151,7 +157,8 @@ class EpisodeRecorder:
         """Begin with the first state of every row."""
         rows = len(self.entries.episode)
         self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
-        self.seen = [(state, torch.ones(rows, 1, dtype=torch.bool))]
+        self.seen: list[tuple[dict[str, torch.Tensor], torch.Tensor]] = []
+        self._keep(state, torch.ones(rows, 1, dtype=torch.bool))
         self._found: dict[int, Episode] = {}
         self._runs: list[OptionRun] = []
         if self.config.record:
@@ -171,8 +178,7 @@ class EpisodeRecorder:
 
     def finish(self) -> None:
         """Append the rows to the result, once every episode has ended."""
-        measured = self._measure()
-        self.result.episodes += [replace(self._found[row], measures=measured[row]) for row in range(len(measured))]
+        self.result.episodes += self._measured()
         self.result.options += [self._option(run) for run in sorted(self._runs, key=lambda r: (r.row, r.start_step))]
 
     def _add(self, step: StepResult, active: torch.Tensor) -> None:
@@ -181,28 +187,39 @@ class EpisodeRecorder:
         self.totals["return"] += np.where(active.numpy(), step.reward.numpy(), 0.0)
         self.totals["steps"] += valid.sum(axis=1)
         self.totals["level"] += step.level.numpy() * valid.sum(axis=1)
-        self.seen.append((step.instants, step.valid & active[:, None]))
+        self._keep(step.instants, step.valid & active[:, None])
         if self.config.record:
             for k, instant in enumerate(step.steps):
                 self._record(instant, step.valid[:, k] & active)
 
-    def _measure(self) -> list[dict[str, float | None]]:
-        """Return the measures of `comfort.trajectory` of each row."""
+    def _keep(self, instants: State, valid: torch.Tensor) -> None:
+        self.seen.append(({name: getattr(instants, name) for name in (*SEEN, *COURSE)}, valid))
+
+    def _measured(self) -> list[Episode]:
+        """Return the episode of each row with the measures of `comfort.trajectory` and `evaluation.rates`."""
         rows = len(self.entries.episode)
         valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
 
-        def column(name: str) -> Floats:
-            parts = [getattr(state, name) for state, _ in self.seen]
+        def column(name: str) -> NDArray[Any]:
+            parts = [fields[name] for fields, _ in self.seen]
             whole = [part.view(rows, -1, *part.shape[1:]) for part in parts]
             return np.asarray(torch.cat(whole, dim=1).numpy())
 
-        columns = {name: column(name) for name in ("tcp_pos", "human_pos", "joint_target", "arm_distance")}
-        here = self.config.human.motion != "none"
+        columns = {name: column(name) for name in (*SEEN, *COURSE)}
+        here, shielded = self.config.human.motion != "none", self.config.safety.kind != "none"
         found = []
         for row in range(rows):
-            tool, human, target, arm = (values[row][valid[row]] for values in columns.values())
-            values = metrics(Trajectory(tool, human, target, arm, here))
-            found.append({name: None if value is None else rounded(value) for name, value in values.items()})
+            tool, human, *course = (values[row][valid[row]] for values in columns.values())
+            episode = self._found[row]
+            stops = episode.protective_stops or 0
+            kept = dict(zip(COURSE, course, strict=True))
+            through = Course(**kept, balls_placed=episode.balls_placed, protective_stops=stops, human_here=here)
+            values = metrics(Trajectory(tool, human, through.joint_target, through.arm_distance, here))
+            values["discomfort_per_min"] = discomfort_per_min(through, self.config)
+            if self.engine.episodes.subtask.repeats:
+                values |= shift_rates(through, shielded)
+            measures = {name: None if value is None else rounded(value) for name, value in values.items()}
+            found.append(replace(episode, **through.touched(), measures=measures))
         return found
 
     def _record(self, state: State, rows: torch.Tensor) -> None:
@@ -232,9 +249,10 @@ class EpisodeRecorder:
 
     def _episode(self, row: int, step: StepResult) -> Episode:
         config, state, entries = self.config, step.state, self.entries
-        success = bool(step.success[row])
+        subtask = self.engine.episodes.subtask
+        # A shift is over, and done, when its time is up.
+        success = bool(step.truncated[row] if subtask.repeats else step.success[row])
         colour = COLOURS[int(state.colours[row, 0])]
-        table, itself = bool(state.table_collision[row]), bool(state.self_collision[row])
         episodes, shielded = self.engine.episodes, config.safety.kind != "none"
         return Episode(
             task=config.task.name,
@@ -254,11 +272,11 @@ class EpisodeRecorder:
             steps=int(state.steps[row]),
             policy_steps=int(self.totals["policy_steps"][row]),
             return_=rounded(self.totals["return"][row]),
-            contact=bool(state.contact[row]),
-            unsafe_contact=bool(state.unsafe_contact[row]),
-            other_collision="table" if table else "self" if itself else "none",
+            contact=False,
+            unsafe_contact=False,
+            other_collision="none",
             truncated=not success and not bool(step.terminated[row]),
-            balls_placed=int(state.placed[row].sum()),
+            balls_placed=int(subtask.released(state.stage)[row]),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
             protective_stops=int(state.protective_stops[row]) if shielded else None,
@@ -280,7 +298,7 @@ class EpisodeRecorder:
 
         A level that rises may lower the limit below the steps already taken; these are then the limit.
         """
-        limit = max_episode_steps(step.level[row], self.config.task.max_episode_steps, self.config.comfort)
+        limit = self.engine.episodes.max_episode_steps(step.level)[row]
         return max(int(limit), int(step.state.steps[row]))
 
     def _option(self, run: OptionRun) -> dict[str, Any]:

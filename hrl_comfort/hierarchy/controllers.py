@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hrl_comfort.config import POLICIES, ConfigError, EvaluateConfig
+from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
 from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
 from hrl_comfort.hierarchy.options import Option, chain
@@ -16,7 +16,9 @@ from hrl_comfort.tasks import Subtask, subtask
 def make_executor(
     config: EvaluateConfig, policy: Source | None, engine: Engine, seed: int
 ) -> tuple[OptionExecutor, Choose]:
-    """Return the options of a lone policy, a chain or `sort`, and what chooses among them; `seed` is for random ones.
+    """Return the options of a lone policy, a chain, `sort` or `shift`, and what chooses among them.
+
+    `seed` is for random ones.
 
     Raises:
       ConfigError: a policy is missing or does not fit, or the meta-controller does not go with the task.
@@ -27,16 +29,18 @@ def make_executor(
         source = config.policy if policy is None else policy
         if source is None:
             raise ConfigError(f"policy=null: give {POLICIES}")
-        alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed))
+        rounds = len(task.stages) if task.repeats else 0
+        alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed), round_stages=rounds)
         return OptionExecutor([alone], config.task.max_episode_steps, episodes, retries=0), in_order
     limit = meta_controller.time_limit_steps
-    if task.name == "sort":
+    if task.name in SORTING:
         options = sorting_options(meta_controller, config.policies, engine.scene, env, seed)
         return OptionExecutor(options, limit, episodes), _sorter(config, [option.name for option in options], seed)
     check_given(config)
     if meta_controller.name != "scripted":
         raise ConfigError(
-            f"meta_controller={meta_controller.name} is for task=sort; task={task.name} takes meta_controller=scripted"
+            f"meta_controller={meta_controller.name} is for task=sort and shift; "
+            f"task={task.name} takes meta_controller=scripted"
         )
     if meta_controller.level_override:
         raise ConfigError(

@@ -79,7 +79,7 @@ class OptionExecutor:
         for name in ("option", "started", "attempt", "_first", "_last"):
             setattr(self, name, torch.zeros(episodes.rows, dtype=torch.int64))
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
-        """(N,) bool, the latest option was preempted and none has started since."""
+        """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
         retreats = [(k, o.done) for k, o in enumerate(options) if isinstance(o, IdleOption) and o.done is not None]
         self._retreat = retreats[0] if retreats else None
         self._idle = torch.tensor([isinstance(o, IdleOption) and o.done is None for o in options])
@@ -107,8 +107,8 @@ class OptionExecutor:
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: options that can start; all of them where none can (the episode is over).
 
-        A preempted skill leaves the arm where no skill was trained to start, and may be stuck: if one of the
-        options goes home, it alone can start until the arm is there.
+        A preempted or failed skill leaves the arm where no skill was trained to start, and may be stuck: if one
+        of the options goes home, it alone can start until the arm is there.
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
         if self._retreat is not None:
@@ -170,11 +170,11 @@ class OptionExecutor:
         lost = state.stage < self._first
         # The success of the whole episode is that of whichever option was running.
         succeeded = (succeeded & ~lost) | result.success
-        ended = succeeded | result.done | late | lost
+        ended = succeeded | result.done | result.failed | late | lost
         termination = torch.full_like(self.option, _PREEMPTED)
         termination[succeeded] = _SUCCESS
-        termination[result.terminated & ~result.success] = _FAILURE
-        self._preempted = ended & (termination == _PREEMPTED)
+        termination[result.failed] = _FAILURE
+        self._preempted = ended & (termination != _SUCCESS) & ~result.terminated
         given_up = torch.zeros_like(ended)
         if self.retries is not None:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)

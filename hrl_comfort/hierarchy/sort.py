@@ -1,4 +1,4 @@
-"""The options of `sort`."""
+"""The options of `sort` and `shift`."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def sorting_options(
         raise ConfigError(f"meta_controller.options={list(meta_controller.options)} do not sort; choose division=three")
     missing = [name for name in names if name not in policies]
     if missing:
-        raise ConfigError(f"policies.{missing[0]} is not given; task=sort needs {', '.join(names)}")
+        raise ConfigError(f"policies.{missing[0]} is not given; task={config.task.name} needs {', '.join(names)}")
     if config.task.action != "joint":
-        raise ConfigError(f"task.action={config.task.action!r} does not go with task=sort; choose joint")
+        raise ConfigError(f"task.action={config.task.action!r} does not go with task={config.task.name}; choose joint")
     for told in meta_controller.level_override:
         check_told(told, config.comfort)
     pick, place, back = (make_policy(policies[skill.name], skill, scene, config, seed) for skill in SKILLS)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CellConfig, EnvConfig, HierarchyTrainConfig, TaskConfig
+from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.scene.robots import robot_named
 
 DROPS = ("cell.orange_drop_m", "cell.pink_drop_m")
@@ -19,7 +20,7 @@ GOALS = {
     "place": DROPS,
     "reach": ("task.point_m",),
     "point_to_point": ("task.point_m", "task.second_point_m"),
-    **dict.fromkeys(("pick_place", "cycle", "sort"), ("cell.ball_m", *DROPS)),
+    **dict.fromkeys(PICK_AND_PLACE, ("cell.ball_m", *DROPS)),
 }
 """Keys of the points that the tool goes to, by task."""
 PEDESTAL_M = 0.08

@@ -44,9 +44,24 @@ def update_placed(state: State, before: Tensor, task: Subtask) -> State:
     return target_ball(state, rows, remaining[rows].int().argmax(dim=1), task) if len(rows) else state
 
 
+def replenish(state: State, before: State, failed: Tensor, colours: Tensor, task: Subtask) -> State:
+    """Return the state with a new ball, of colours (N,), where the last one lay before it was placed or lost.
+
+    It lies there from the next round on, or from the failure (N,) in which the gripper lost the last one.
+    """
+    lost = failed & task.releasing(state.stage)
+    rows = torch.nonzero(lost | (task.grasping(state.stage) & (state.stage > before.stage))).squeeze(1)
+    if not len(rows):
+        return state
+    ball, placed, every = before.target[rows], state.placed.clone(), state.colours.clone()
+    placed[rows, ball], every[rows, ball] = False, colours[rows]
+    return target_ball(state.with_(stage=state.stage - lost.long(), placed=placed, colours=every), rows, ball, task)
+
+
 def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:
     """Return the positions of the balls (N, B, 3), m: on their table, on the gripper or at a drop point."""
-    where = np.array([task.ball(stage) for stage in range(len(task.stages) + 1)])[state.stage.numpy(), None]
+    own = task.in_round(state.stage).numpy()
+    where = np.array([task.ball(stage) for stage in range(len(task.stages) + 1)])[own, None]
     target = state.target.numpy()[:, None] == np.arange(state.balls.shape[1])
     dropped = state.placed.numpy() | (target & (where == Ball.DROP))
     balls = np.where(dropped[..., None], state.drops.numpy(), state.balls.numpy())

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Annulus round the base in which random points of `reach` lie."""
 TABLE_CLEARANCE_M = 0.25
-ATTEMPTS = 200
+ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM = 1, 2, 3, 4, 5
@@ -39,6 +39,8 @@ class Draw:
     """(B, 3) m, positions on the pick table."""
     colours: NDArray[np.int64]
     """(B,) 0 orange, 1 pink."""
+    arriving: NDArray[np.int64]
+    """(ARRIVALS,) colours of balls that arrive, by control step modulo ARRIVALS."""
     noise: Array
     """(horizon, NOISE) in [0, 1), for the walk at each control step."""
     traits: Array
@@ -72,7 +74,8 @@ class EpisodeSampler:
         self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])
         self._centres = humans.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
-        longest = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
+        longest = config.task.max_episode_steps
+        longest = longest if task.repeats else longest_max_episode_steps(longest, config.comfort)
         if longest > LONGEST_STEPS:
             raise ConfigError(
                 f"task.max_episode_steps={config.task.max_episode_steps} is {longest} control steps at level 1 of "
@@ -91,6 +94,7 @@ class EpisodeSampler:
         return Draw(
             balls=np.zeros((rows, balls, 3)),
             colours=np.zeros((rows, balls), dtype=np.int64),
+            arriving=np.zeros((rows, ARRIVALS), dtype=np.int64),
             noise=np.zeros((rows, self.horizon, humans.NOISE)),
             traits=np.zeros((rows, humans.TRAITS)),
             level=np.zeros((rows, DRAWS)),
@@ -123,7 +127,7 @@ class EpisodeSampler:
         low, high = share = self._share(row)
         traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
         traits[1:] = low + (high - low) * traits[1:]
-        balls, colours = self._balls(colour, self.generator(row, episode, BALL_STREAM))
+        balls, colours, arriving = self._balls(colour, self.generator(row, episode, BALL_STREAM))
         for attempt in range(ATTEMPTS):
             banks = (
                 self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
@@ -140,7 +144,7 @@ class EpisodeSampler:
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(balls, colours, noise, traits, told, *ids, spawn, start[: self._arm], points)
+            yield Draw(balls, colours, arriving, noise, traits, told, *ids, spawn, start[: self._arm], points)
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
@@ -160,16 +164,17 @@ class EpisodeSampler:
             )
         return bank[clear]
 
-    def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
-        """Return the positions (B, 3) m and colours (B,) of the balls; the first colour is given."""
+    def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return positions (B, 3) m and colours (B,) of the balls, and colours of later ones; the first is given."""
         task = self._config.task
         count, slots = task.balls, np.array(task.ball_slots_m)
         balls = self.goals[:1].repeat(count, axis=0)
         balls[:, :2] += slots[rng.permutation(len(slots))[:count]]
         balls[:, :2] += task.ball_jitter_m * rng.uniform(-1, 1, (count, 2))
-        colours = rng.integers(2, size=count) if task.colour == "random" else np.full(count, colour)
+        random = task.colour == "random"
+        colours = rng.integers(2, size=count) if random else np.full(count, colour)
         colours[0] = colour
-        return balls, colours
+        return balls, colours, rng.integers(2, size=ARRIVALS) if random else np.full(ARRIVALS, colour)
 
     def keep_out(self, points: Array) -> humans.KeepOut:
         """Return the keep-out discs of the humans round goals and base; points (n, 2, 3) m are the episodes'."""

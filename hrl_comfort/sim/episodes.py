@@ -24,10 +24,10 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.balls import rendered_positions, target_ball, update_placed
+from hrl_comfort.sim.balls import rendered_positions, replenish, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
-from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
+from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
 from hrl_comfort.sim.state_fields import first_fields, planned_fields
@@ -244,10 +244,12 @@ class Episodes:
         assert self.state is not None
         readings = sensed.reshape(-1, self.config.engine.substeps, sensed.shape[-1])
         moving = self._sensors.read_decision(readings, self._planned, self.state, rows)
-        limit = max_episode_steps(self.state.level, self.config.task.max_episode_steps, self.config.comfort)
+        limit = self.max_episode_steps(self.state.level)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state.with_(level=self._next_level(result))
         state = self._disturbed(update_placed(state, self.state.stage, self.subtask))
+        if self.subtask.repeats:
+            state = self._going_on(state, result.failed)
         first = np.arange(self.rows) * self.config.task.action_repeat
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
         self.walk = self._walks.rows(first + last)
@@ -288,6 +290,20 @@ class Episodes:
         points = self.draw.points[rows, : self.subtask.points]
         return pack_controls(self.scene, targets, limbs, balls, self.draw.colours[rows], points)
 
+    def max_episode_steps(self, level: Tensor) -> Tensor:
+        """Return the time limits (N,) in control steps at levels (N,)."""
+        limit = self.config.task.max_episode_steps
+        if self.subtask.repeats:
+            return torch.full_like(level, limit, dtype=torch.int64)
+        return max_episode_steps(level, limit, self.config.comfort)
+
+    def _going_on(self, state: State, failed: Tensor) -> State:
+        """Return the state with new balls, ready for the next contact."""
+        assert self.state is not None
+        arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
+        state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
+        return replenish(state, self.state, failed, torch.from_numpy(arriving), self.subtask)
+
     def _disturbed(self, state: State) -> State:
         """Return the state with the balls that a disturbance knocks out of the gripper back on their table."""
         if self._disturbance.kind != "drop":
@@ -327,7 +343,8 @@ class Episodes:
         """Continue from `state_dict`."""
         self.precision_m = saved["precision_m"]
         self.episode = saved["episode"].numpy().copy()
-        self.draw = Draw(**{name: value.numpy().copy() for name, value in saved["draw"].items()})
+        for name, value in saved["draw"].items():
+            getattr(self.draw, name)[:] = value.numpy()
         self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])

@@ -26,6 +26,8 @@ class StepResult:
     """(N, T) weighted, summed over the decision's control steps."""
     step_rewards: Tensor
     """(N, K) sum of the weighted terms of a control step; 0 after the decision ended."""
+    failed: Tensor
+    """(N,) bool, it ended in failure, which ends the episode unless the subtask repeats its stages."""
     success: Tensor
     terminated: Tensor
     truncated: Tensor
@@ -93,7 +95,8 @@ def compute_step(
     previous, after = State(**constant, **earlier), State(**constant, **moving)
     after = after.with_(stage=subtask.next_stage(after))
 
-    moved_on = (after.stage > previous.stage) | subtask.failure(after)
+    failing = subtask.failed(previous, after)
+    moved_on = (after.stage > previous.stage) | failing
     over = moved_on.view(n, count) | (after.steps.view(n, count) >= max_episode_steps[:, None])
     over[:, -1] = True
     last = over.int().argmax(dim=1)
@@ -103,12 +106,13 @@ def compute_step(
 
     at = first + last
     ended = before.with_(**{name: getattr(after, name).index_select(0, at) for name in (*moving, "stage")})
-    failed, finished = subtask.failure(ended), subtask.success(ended)
-    terminated = failed | finished
+    failed, finished = failing[at], subtask.success(ended)
+    terminated = (failed | finished) & (not subtask.repeats)
     return StepResult(
         state=ended,
         reward_terms=earned.sum(dim=1),
         step_rewards=earned.sum(dim=-1),
+        failed=failed,
         # A collision in the step that completes the task is a failure.
         success=finished & ~failed,
         terminated=terminated,

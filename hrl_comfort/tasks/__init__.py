@@ -14,12 +14,13 @@ from hrl_comfort.tasks.place import PLACE
 from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
 from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
+from hrl_comfort.tasks.shift import SHIFT, repeated
 from hrl_comfort.tasks.sort import sort
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Ball, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
-    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1))
+    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT)
 }
 
 
@@ -39,7 +40,8 @@ def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
     chosen = sort(balls) if name == "sort" else found if found.name == name else replace(found, name=name)
     if observation == "default":
         return chosen
-    return replace(chosen, observations=LAYOUTS[observation](chosen.stages))
+    seen = replace(chosen, observations=LAYOUTS[observation](chosen.stages))
+    return repeated(seen) if chosen.repeats else seen
 
 
 __all__ = ["SUBTASKS", "Ball", "Stage", "Start", "State", "Subtask", "subtask"]

@@ -79,7 +79,7 @@ class State:
     touching: Tensor
     """(N,) bool, robot touches human."""
     contact: Tensor
-    """(N,) bool, robot has touched human in this episode."""
+    """(N,) bool, robot has touched human in this episode; of a subtask that repeats, in this decision."""
     unsafe_contact: Tensor
     """(N,) bool, and a contact began with the robot moving towards the human faster than
     `safety.separation.UNSAFE_SPEED_M_S`."""

@@ -86,6 +86,8 @@ class Subtask:
     start: Start = Start.HOME
     terminate_on: str = "contact"
     """Contact with the human that is a failure: `contact` or `unsafe_contact`."""
+    repeats: bool = False
+    """The stages begin again after the last one: `State.stage` counts on, and only the time limit ends an episode."""
 
     @property
     def points(self) -> int:
@@ -102,19 +104,34 @@ class Subtask:
 
     def next_stage(self, state: State) -> Tensor:
         """Return the stage (N,) in force after this instant: one further where the present one is done."""
-        stage = state.stage
+        stage, own = state.stage, self.in_round(state.stage)
         for index, item in enumerate(self.stages):
-            stage = torch.where((state.stage == index) & item.done(state), index + 1, stage)
+            stage = torch.where((own == index) & item.done(state), state.stage + 1, stage)
         return stage
 
+    def in_round(self, stage: Tensor) -> Tensor:
+        """Return the stages (N,) counted from the first of their round, if stages are repeated."""
+        return stage % len(self.stages) if self.repeats else stage
+
     def success(self, state: State) -> Tensor:
-        """Return (N,) bool: every stage is done."""
-        return state.stage >= len(self.stages)
+        """Return (N,) bool: every stage is done, and none begins again."""
+        return (state.stage >= len(self.stages)) & (not self.repeats)
 
     def failure(self, state: State) -> Tensor:
         """Return (N,) bool: a contact with the human, as `terminate_on` says, or with the workcell or itself."""
-        contact = state.unsafe_contact if self.terminate_on == "unsafe_contact" else state.contact
-        return contact | state.table_collision | state.self_collision
+        contact, table, itself = (getattr(state, name) for name in self._failures)
+        return contact | table | itself
+
+    def failed(self, before: State, after: State) -> Tensor:
+        """Return (N,) bool: a control step ends in failure or, if stages are repeated, a failure begins in it."""
+        if not self.repeats:
+            return self.failure(after)
+        contact, table, itself = (getattr(after, name) & ~getattr(before, name) for name in self._failures)
+        return contact | table | itself
+
+    @property
+    def _failures(self) -> tuple[str, str, str]:
+        return self.terminate_on, "table_collision", "self_collision"
 
     def ball(self, stage: int) -> Ball:
         """Return the location of the ball in a stage, or after the last one."""
@@ -122,11 +139,17 @@ class Subtask:
 
     def grasping(self, stage: Tensor) -> Tensor:
         """Return (N,) bool: a ball is to be picked in the stage (N,)."""
-        return torch.tensor([*(item.grasps for item in self.stages), False])[stage]
+        return torch.tensor([*(item.grasps for item in self.stages), False])[self.in_round(stage)]
 
     def releasing(self, stage: Tensor) -> Tensor:
         """Return (N,) bool: a ball is carried in the stage (N,)."""
-        return torch.tensor([*(item.releases for item in self.stages), False])[stage]
+        return torch.tensor([*(item.releases for item in self.stages), False])[self.in_round(stage)]
+
+    def released(self, stage: Tensor) -> Tensor:
+        """Return the number of balls (N,) int64 at a drop point by the stage (N,)."""
+        done = torch.tensor([0, *(item.releases for item in self.stages)]).cumsum(0)
+        own = self.in_round(stage)
+        return done[own] + (stage - own) // len(self.stages) * done[-1]
 
 
 def by_stage(stages: tuple[Stage, ...], quantity: Callable[[Stage], StateFunction]) -> StateFunction:

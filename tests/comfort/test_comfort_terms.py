@@ -130,3 +130,14 @@ def test_time_limit_grows_at_low_levels_where_speed_counts() -> None:
     level = torch.tensor([1.0, 5.0, 10.0], dtype=torch.float64)
     assert max_episode_steps(level, 500, comfort(beta=1.0)).tolist() == [5000, 1000, 500]
     assert max_episode_steps(level, 500, comfort(beta=0.0)).tolist() == [500, 500, 500]
+
+
+def test_discomfort_is_what_is_nearer_or_faster_than_the_level_allows() -> None:
+    config = comfort(min_m=0.3, max_m=1.2, power=2)
+    slow = number(0.0)
+    assert terms.discomfort(number(1.2), slow, number(1), 2.0, config).item() == 0
+    assert terms.discomfort(number(3.0), slow, number(1), 2.0, config).item() == 0, "far away nothing is missed"
+    assert terms.discomfort(number(0.75), slow, number(1), 2.0, config).item() == pytest.approx(0.25)
+    assert terms.discomfort(number(0.3), number(2.0), number(10), 2.0, config).item() == pytest.approx(0)
+    assert terms.discomfort(number(2.0), number(1.2), number(1), 2.0, config).item() == pytest.approx(0.25)
+    assert terms.discomfort(number(-0.1), number(2.0), number(1), 2.0, config).item() == pytest.approx(1 + 0.81)

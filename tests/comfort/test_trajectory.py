@@ -219,6 +219,7 @@ def test_one_step_is_enough_for_all_but_smoothness_and_what_needs_motion() -> No
     found = metrics(episode(along_x([0.0, 0.0])))
     missing = {name for name, value in found.items() if value is None}
     assert missing == {
-        "log_dimensionless_jerk", "human_distance_by_path_m", "tool_speed_near_m_s", "time_to_contact_min_s",
+        "log_dimensionless_jerk", "human_distance_by_path_m", "tool_speed_near_m_s", "tool_speed_beside_m_s",
+        "time_to_contact_min_s",
     }  # fmt: skip
     assert all(np.isfinite(value) for value in found.values() if value is not None)

@@ -45,6 +45,7 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         state=state,
         reward_terms=torch.zeros(n, 1),
         step_rewards=torch.zeros(n, 1),
+        failed=done & ~truncated & ~success,
         success=success,
         terminated=done & ~truncated,
         truncated=truncated,

@@ -1,0 +1,162 @@
+"""The shift: balls keep arriving until time is up, and failures cost time alone."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+import torch
+
+from hrl_comfort.config import EnvConfig, EvaluateConfig
+from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.executor import execute
+from hrl_comfort.hierarchy.meta_controllers import nearest
+from hrl_comfort.hierarchy.observation import BALL, OTHERS
+from hrl_comfort.hierarchy.q_learning import QLearner
+from hrl_comfort.sim.balls import rendered_positions, replenish
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import subtask
+from hrl_comfort.tasks.shift import SHIFT
+
+OPTIONS = ("pick", "place", "return")
+EXPERTS = [f"policies.{name}=expert" for name in OPTIONS]
+
+
+def config(*overrides: str) -> EnvConfig:
+    return environment(compose("train", ["task=shift", *overrides]))
+
+
+def shift(*overrides: str) -> EvaluateConfig:
+    chained = [] if "meta_controller=none" in overrides else EXPERTS
+    asked = ["task=shift", "meta_controller=scripted", *chained, "split=validation", "episodes=2", *overrides]
+    found = compose("evaluate", asked)
+    assert isinstance(found, EvaluateConfig)
+    return found
+
+
+def rows(tmp_path: Path, *overrides: str) -> list[dict[str, str]]:
+    folder = evaluate(shift(f"output='{tmp_path}'", *overrides))
+    with (folder / "episodes.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_shift_lasts_its_time_and_balls_of_both_colours_keep_arriving() -> None:
+    asked = shift("human=none", "task.balls=2", "task.max_episode_steps=900")
+    engine = Engine(environment(asked), 3, 0)
+    executor, _ = make_executor(asked, None, engine, 0)
+    engine.reset()
+    steps = list(execute(engine, executor, nearest))
+    state = steps[-1].result.state
+    assert (state.steps == 900).all() and steps[-1].result.truncated.all() and not steps[-1].result.terminated.any()
+    placed = SHIFT.released(state.stage)
+    assert (placed > 2).all(), "more than lay there at the beginning"
+    picked = [
+        run for step in steps for run in step.runs if run.option.startswith("pick") and run.termination == "success"
+    ]
+    assert len(picked) >= int(placed.sum())
+    assert torch.stack([step.result.state.colour for step in steps]).unique().tolist() == [0, 1]
+
+
+def test_a_ball_arrives_where_the_placed_one_lay_once_the_arm_is_home() -> None:
+    engine = Engine(config("human=none", "task.balls=2"), 2, 0)
+    before = engine.reset().with_(
+        stage=torch.tensor([2, 2]), target=torch.tensor([1, 1]), placed=torch.tensor([[False, True], [False, True]])
+    )
+    nothing, pink = torch.zeros(2, dtype=torch.bool), torch.ones(2, dtype=torch.int64)
+    after = replenish(before.with_(stage=torch.tensor([3, 2])), before, nothing, pink, SHIFT)
+    assert after.placed.tolist() == [[False, False], [False, True]]
+    assert after.colours[0, 1] == 1 and after.target[0] == 1
+    assert torch.equal(after.drop_pos[0], after.pink_drop[0]) and torch.equal(after.ball_pos[0], before.balls[0, 1])
+    assert (rendered_positions(after, SHIFT)[0] == after.balls[0].numpy()).all()
+
+
+def test_a_failure_loses_the_ball_in_the_gripper_and_nothing_else() -> None:
+    engine = Engine(config("human=none"), 3, 0)
+    before = engine.reset().with_(stage=torch.tensor([3, 4, 5]))  # picking, carrying, returning
+    failed, pink = torch.ones(3, dtype=torch.bool), torch.ones(3, dtype=torch.int64)
+    after = replenish(before, before, failed, pink, SHIFT)
+    assert after.stage.tolist() == [3, 3, 5]
+    assert after.colours[1, 0] == 1 and torch.equal(after.drop_pos[1], after.pink_drop[1])
+    assert torch.equal(after.colours[[0, 2]], before.colours[[0, 2]])
+
+
+def test_a_failure_begins_once() -> None:
+    state = Engine(config("human=none"), 2, 0).reset()
+    hit = state.with_(table_collision=torch.tensor([True, False]))
+    assert SHIFT.failed(state, hit).tolist() == [True, False]
+    assert SHIFT.failed(hit, hit).tolist() == [False, False]
+
+
+def test_an_arm_that_hits_something_is_brought_home_and_goes_on() -> None:
+    asked = shift("human=none", "task.max_episode_steps=1500")
+    engine = Engine(environment(asked), 2, 0)
+    executor, _ = make_executor(asked, None, engine, 0)
+    falling = torch.tensor([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    executor.options[:4] = [
+        type(option)(option.name, option.subtask, lambda s: falling.expand(len(s.steps), 6), 0, 3, option.ball)
+        for option in executor.options[:4]
+    ]
+    engine.reset()
+    steps = list(execute(engine, executor, nearest))
+    runs = [run for step in steps for run in step.runs if run.row == 0]
+    failures = [index for index, run in enumerate(runs) if run.termination == "failure"]
+    assert len(failures) >= 2, "it fails, goes home and fails again"
+    assert all(run.option == "retreat" for run in (runs[index + 1] for index in failures[:-1]))
+    assert int(steps[-1].result.state.steps[0]) == 1500
+
+
+def test_terms_see_the_stages_of_a_round() -> None:
+    state = Engine(config("human=none"), 3, 0).reset().with_(stage=torch.tensor([0, 1, 2]))
+    later = state.with_(stage=state.stage + 6)
+    for layout in ("default", "paper"):
+        task = subtask("shift", layout)
+        assert torch.equal(task.observe(state), task.observe(later))
+    moved = state.with_(stage=state.stage + 1)
+    for term in SHIFT.rewards.values():
+        assert torch.equal(term(state, moved), term(later, moved.with_(stage=moved.stage + 6)))
+    assert SHIFT.rewards["place"](later, later.with_(stage=later.stage + 1)).tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("controller", ["scripted", "cautious", "random", "learned", "none"])
+def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, controller: str) -> None:
+    policies = []
+    if controller == "learned":
+        asked = shift()
+        names = [each.name for each in make_executor(asked, None, Engine(environment(asked), 1, 0), 0)[0].options]
+        agent = compose(
+            "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
+        ).meta_controller_agent
+        learner = QLearner(agent, OTHERS + 4 * BALL, len(names), 0)
+        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "balls": 4})
+        policies = [f"policies.meta_controller='{tmp_path}'", "meta_controller.level_override=[]"]
+    elif controller == "none":
+        policies = ["policy=expert"]
+    found = rows(
+        tmp_path / "eval", f"meta_controller={controller}", *policies, "human=mixture", "safety=ssm",
+        "robot.rating=collaborative", "comfort=conditioned", "task.max_episode_steps=600",
+    )  # fmt: skip
+    assert [(row["success"], row["steps"], row["unsafe_contact"]) for row in found] == [("True", "600", "False")] * 2
+    assert all(float(row["balls_per_min"]) == int(row["balls_placed"]) / 0.2 for row in found)
+    assert all(float(row["discomfort_per_min"]) >= 0 for row in found)
+
+
+def test_contacts_of_a_shift_are_counted_and_it_goes_on(tmp_path: Path) -> None:
+    walker = ("human=approach", "human.speed_m_s=1.0", "human.bound_m=5.0", "task.terminate_on=unsafe_contact")
+    still = [f"policies.{name}=random" for name in OPTIONS]
+    found = rows(tmp_path, *walker, *still, "task.max_episode_steps=1500", "episodes=4")
+    assert all(row["steps"] == "1500" and row["success"] == "True" for row in found)
+    contacts = [float(row["contacts_per_h"]) for row in found]
+    assert max(contacts) > 3600 / 30, "more than one in half a minute"
+    for row, many in zip(found, contacts, strict=True):
+        assert (many > 0) == (row["contact"] == "True")
+        assert float(row["unsafe_contacts_per_h"]) <= many
+        assert (float(row["unsafe_contacts_per_h"]) > 0) == (row["unsafe_contact"] == "True")
+
+
+def test_the_same_shift_comes_out_of_a_batch_of_any_size(tmp_path: Path) -> None:
+    asked = ("human=patrol", "task.max_episode_steps=400")
+    alone, three = rows(tmp_path / "a", *asked, "episodes=1"), rows(tmp_path / "b", *asked, "episodes=3")
+    assert alone[0] == three[0]
