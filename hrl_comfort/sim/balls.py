@@ -44,11 +44,13 @@ def update_placed(state: State, before: Tensor, task: Subtask) -> State:
     return target_ball(state, rows, remaining[rows].int().argmax(dim=1), task) if len(rows) else state
 
 
-def replenish(state: State, before: State, failed: Tensor, colours: Tensor, task: Subtask) -> State:
-    """Return the state with a new ball, of colours (N,), where the last one lay before it was placed or lost.
+def go_on(state: State, before: State, failed: Tensor, colours: Tensor, task: Subtask) -> State:
+    """Return the state after a decision of a task that repeats: ready for the next contact, with new balls.
 
-    It lies there from the next round on, or from the failure (N,) in which the gripper lost the last one.
+    A ball, of colours (N,), arrives where the last one lay before it was placed or lost: when the next round begins, or
+    in the failure (N,) in which the gripper lost it.
     """
+    state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
     lost = failed & task.releasing(state.stage)
     rows = torch.nonzero(lost | (task.grasping(state.stage) & (state.stage > before.stage))).squeeze(1)
     if not len(rows):

@@ -24,7 +24,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.balls import rendered_positions, replenish, target_ball, update_placed
+from hrl_comfort.sim.balls import go_on, rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance, blocking_place
 from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
@@ -249,7 +249,8 @@ class Episodes:
         state = result.state.with_(level=self._next_level(result))
         state = self._disturbed(update_placed(state, self.state.stage, self.subtask))
         if self.subtask.repeats:
-            state = self._going_on(state, result.failed)
+            arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
+            state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
         first = np.arange(self.rows) * self.config.task.action_repeat
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
         self.walk = self._walks.rows(first + last)
@@ -292,17 +293,10 @@ class Episodes:
 
     def max_episode_steps(self, level: Tensor) -> Tensor:
         """Return the time limits (N,) in control steps at levels (N,)."""
-        limit = self.config.task.max_episode_steps
-        if self.subtask.repeats:
-            return torch.full_like(level, limit, dtype=torch.int64)
-        return max_episode_steps(level, limit, self.config.comfort)
-
-    def _going_on(self, state: State, failed: Tensor) -> State:
-        """Return the state with new balls, ready for the next contact."""
-        assert self.state is not None
-        arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
-        state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
-        return replenish(state, self.state, failed, torch.from_numpy(arriving), self.subtask)
+        task, comfort = self.config.task, self.config.comfort
+        return max_episode_steps(
+            level, task.max_episode_steps, replace(comfort, beta=0.0) if self.subtask.repeats else comfort
+        )
 
     def _disturbed(self, state: State) -> State:
         """Return the state with the balls that a disturbance knocks out of the gripper back on their table."""

@@ -16,7 +16,7 @@ from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.meta_controllers import nearest
 from hrl_comfort.hierarchy.observation import BALL, OTHERS
 from hrl_comfort.hierarchy.q_learning import QLearner
-from hrl_comfort.sim.balls import rendered_positions, replenish
+from hrl_comfort.sim.balls import go_on, rendered_positions
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
 from hrl_comfort.tasks.shift import SHIFT
@@ -66,7 +66,7 @@ def test_a_ball_arrives_where_the_placed_one_lay_once_the_arm_is_home() -> None:
         stage=torch.tensor([2, 2]), target=torch.tensor([1, 1]), placed=torch.tensor([[False, True], [False, True]])
     )
     nothing, pink = torch.zeros(2, dtype=torch.bool), torch.ones(2, dtype=torch.int64)
-    after = replenish(before.with_(stage=torch.tensor([3, 2])), before, nothing, pink, SHIFT)
+    after = go_on(before.with_(stage=torch.tensor([3, 2])), before, nothing, pink, SHIFT)
     assert after.placed.tolist() == [[False, False], [False, True]]
     assert after.colours[0, 1] == 1 and after.target[0] == 1
     assert torch.equal(after.drop_pos[0], after.pink_drop[0]) and torch.equal(after.ball_pos[0], before.balls[0, 1])
@@ -77,7 +77,7 @@ def test_a_failure_loses_the_ball_in_the_gripper_and_nothing_else() -> None:
     engine = Engine(config("human=none"), 3, 0)
     before = engine.reset().with_(stage=torch.tensor([3, 4, 5]))  # picking, carrying, returning
     failed, pink = torch.ones(3, dtype=torch.bool), torch.ones(3, dtype=torch.int64)
-    after = replenish(before, before, failed, pink, SHIFT)
+    after = go_on(before, before, failed, pink, SHIFT)
     assert after.stage.tolist() == [3, 3, 5]
     assert after.colours[1, 0] == 1 and torch.equal(after.drop_pos[1], after.pink_drop[1])
     assert torch.equal(after.colours[[0, 2]], before.colours[[0, 2]])
