@@ -182,6 +182,7 @@ def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig)
     episodes = pd.concat(tables) if tables else DataFrame(columns=FAILURE)
     kinds = list(dict.fromkeys([*TERMINATIONS, *episodes["ended"]]))
     failed = episodes[episodes["ended"] != "success"].reindex(columns=FAILURE)
+    shown = failed.head(SHOWN_FAILURES)
     page = render(
         "report.html.j2",
         title=title,
@@ -194,7 +195,7 @@ def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig)
         timelines=_timelines(runs),
         kinds=kinds,
         terminations=_counts(episodes["run"], episodes["ended"], kinds),
-        failures=failed.head(SHOWN_FAILURES).astype("str").mask(failed.isna(), "–").to_numpy().tolist(),
+        failures=shown.astype("str").mask(shown.isna(), "–").to_numpy().tolist(),
         failed=len(failed),
         shown_timelines=hierarchy.SHOWN_TIMELINES,
         videos=found,

@@ -274,6 +274,17 @@ def test_the_configuration_of_the_evaluation_rules_over_that_of_training(tmp_pat
     assert list(run.configs) == ["training", "evaluation"]
 
 
+def test_of_the_many_failures_of_several_runs_the_page_shows_some_and_counts_all(demo, tmp_path):
+    folder, count = tmp_path / "demo", 0
+    shutil.copytree(demo, folder)
+    for file in folder.glob("*/eval/episodes.csv"):
+        failed = pd.concat([read_table(file)] * 3).assign(success=False, truncated=True)
+        failed.to_csv(file, index=False)
+        count += len(failed)
+    page = report.report(ReportConfig(run=str(folder), output=None, video=False)).read_text()
+    assert f"{count} failed episodes, the first 40" in page
+
+
 def test_a_folder_without_runs_is_named(tmp_path):
     with pytest.raises(ConfigError, match="holds no run"):
         report.report(ReportConfig(run=str(tmp_path), output=None, video=False))
