@@ -25,7 +25,7 @@ from hrl_comfort.benchmarks import env, train, update
 from hrl_comfort.files.tables import read_table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (ROOT / "docs" / "benchmarks.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
+PAGES = (ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "safety.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
 REFERENCE = ROOT / "runs" / "reference"
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
@@ -88,6 +88,19 @@ def curricula(rows: pd.DataFrame) -> str:
                      "steps to 95 %"), lines)  # fmt: skip
 
 
+def on_test(policies: str) -> str:
+    """Return the table of the ledger's evaluations of policies in a folder, one policy or chain a training seed."""
+    ledger = read_table(ROOT / "docs" / "tables" / "test_ledger.csv")
+    lines = []
+    for (task, human), runs in ledger[ledger["policy"].str.startswith(policies)].groupby(["task", "human"], sort=False):
+        seeds = Clusters.of_runs(len(runs))
+        won = seeds.estimate(runs["success"].to_numpy(), bounds=SHARE)
+        hits = (f"{100 * runs[name].mean():.1f}" for name in ("contact", "unsafe_contact"))
+        lines.append([str(task), str(human), f"{len(runs)}", f"{runs['episodes'].iloc[0]}", cell(won, 100), *hits])
+    head = ("task", "people", "seeds", "episodes a seed", "success, % [95 %]", "contacts, %", "unsafe, %")
+    return markdown(head, lines)
+
+
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
@@ -95,6 +108,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "controllers": of_json(comparison.table),
     "divisions": of_json(comparison.table),
     "handover": of_json(handover.table),
+    "ledger": on_test,
     "curricula": of_rows(curricula),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),
