@@ -68,6 +68,12 @@ COMMANDS = {
         "watch a policy in the browser, walk into its cell, replay an evaluation",
         "policy=runs/cycle",
     ),
+    "deploy": Command(
+        "deploy",
+        "hrl_comfort.deploy.runner:deploy",
+        "move an arm in real time by a policy or a chain, behind the shield",
+        "policy=expert connection=simulated output=runs/deploy",
+    ),
     "export": Command(
         "export",
         "hrl_comfort.deploy.export:export",

@@ -26,9 +26,9 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import is_object, one_of
 from hrl_comfort.config.overrides import Config, override
-from hrl_comfort.studio.policies import as_chain, with_defaults
+from hrl_comfort.studio.policies import as_chain, with_controller, with_defaults
 
-BARE = {"evaluate": "policy", "evaluate handover": "policy", "studio": "policy", "report": "run"}
+BARE = {"evaluate": "policy", "evaluate handover": "policy", "studio": "policy", "deploy": "policy", "report": "run"}
 """Key of a word without `=`, by command: `evaluate runs/pick`."""
 
 
@@ -48,6 +48,8 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
         overrides = [f"{key}={values}", *(each for each in overrides if each not in words)]
     if command in ("studio", "bench studio"):
         return with_defaults(overrides)
+    if command == "deploy":
+        return with_controller(overrides)
     return as_chain(overrides) if key == "policy" else overrides
 
 

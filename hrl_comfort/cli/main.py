@@ -17,6 +17,7 @@ from hrl_comfort.cli.first_checks import check, completed
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.compose import compose, yaml_of
 from hrl_comfort.config.overrides import Config, check_overrides, root_of
+from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
@@ -139,6 +140,9 @@ def main(words: list[str] | None = None) -> int:
             line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
         print(f"hrl-comfort: {line}", file=sys.stderr)
         return 1
+    except StoppedError as stopped:
+        print(f"hrl-comfort: stopped: {stopped}", file=sys.stderr)
+        return stopped.code
     except KeyboardInterrupt:
         print("hrl-comfort: interrupted", file=sys.stderr)
         return 130

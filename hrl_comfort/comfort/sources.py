@@ -69,6 +69,11 @@ class Live:
         """See `Levels`."""
         return np.full(len(time_s), float(self._signal.level(self.stream.read())))
 
+    @property
+    def stalled(self) -> bool:
+        """Whether no good value has come for `comfort.stream.stall_s`."""
+        return self._signal.stalled
+
 
 class Source:
     """The levels of N rows by a source that knows time alone."""

@@ -45,12 +45,17 @@ class Signal:
         good = [share for raw in arrived if (share := self._share(raw)) is not None]
         if good:  # only the newest of simultaneous values
             self._take(good[-1], now)
-        if self._smooth is None or now - self.last_good_s > self._config.stream.stall_s:
+        if self._smooth is None or self.stalled:
             since = f"for {self._config.stream.stall_s:g} s" if self._smooth is not None else "has come yet"
             self._warn("stall", f"no good value {since}: level {CAUTIOUS}")
             return CAUTIOUS
         self._warned.discard("stall")
         return round(1 + self._smooth * (self._config.levels - 1))
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the last good value is older than `stall_s`, or none has come."""
+        return self._clock() - self.last_good_s > self._config.stream.stall_s
 
     def _share(self, raw: str | float) -> float | None:
         """Return a value scaled to 0 (low) to 1 (high), or None, with a warning, if it is unusable."""

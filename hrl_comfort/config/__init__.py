@@ -6,13 +6,14 @@ Each part of the program is given its own section, never the root.
 
 from __future__ import annotations
 
-from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
+from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.commands import (
     DISTURBANCES,
     FIGURES,
     SPLITS,
+    DeployConfig,
     EnvConfig,
     EvaluateConfig,
     ExportConfig,
@@ -42,10 +43,10 @@ from hrl_comfort.config.task import COLOURS, SORTING, PrecisionConfig, RewardCon
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "POLICIES", "SCRIPTED_POLICIES", "SORTING",
-    "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED", "AgentConfig", "CellConfig",
-    "ComfortConfig", "ConfigError", "CurriculumConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig",
-    "FigureConfig", "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig",
-    "MetaControllerConfig", "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig",
-    "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "POLICIES", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
+    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
+    "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
+    "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
+    "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig",
+    "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

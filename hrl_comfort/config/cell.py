@@ -1,4 +1,4 @@
-"""Configuration of the robot, the cell and the simulation."""
+"""Configuration of the robot, the cell, the simulation and the connection to a real arm."""
 
 from __future__ import annotations
 
@@ -49,3 +49,13 @@ class EngineConfig:
     """Threads of the simulation."""
     substeps: Annotated[int, within(1, 100)]
     """Physics steps a control step of 20 ms."""
+
+
+@dataclass(frozen=True)
+class ConnectionConfig:
+    """The arm that a deployment moves."""
+
+    name: Annotated[str, choice("simulated", "ur")]
+    """`simulated`: an arm in MuJoCo that keeps the wall clock. `ur`: a robot of Universal Robots, by RTDE."""
+    host: str
+    """`ur`: address of the robot's controller."""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
-from hrl_comfort.config.cell import CellConfig, EngineConfig, RobotConfig
+from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import (
@@ -26,6 +26,8 @@ from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
+LIVE_MOTIONS = ("live", "recorded", "none")
+"""Motions of people beside a real arm."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
 """Tasks that pick a ball and then place it."""
 DRAWN_EPISODES = 10_000
@@ -205,6 +207,11 @@ class EvaluateConfig(EnvConfig):
         """Seed of the first episode."""
         return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
+    def _check_left_out(self) -> None:
+        for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None):
+            if (value := getattr(self, key)) != default:
+                raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
+
     def _check_disturbance(self) -> None:
         if self.disturbance == "drop" and self.task.name not in PICK_AND_PLACE:
             raise ConfigError(
@@ -249,13 +256,29 @@ class StudioConfig(EvaluateConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key, value, default in (
-            ("checkpoints", self.checkpoints, "none"),
-            ("levels", list(self.levels), []),
-            ("terminal_states", self.terminal_states, None),
-        ):
-            if value != default:
-                raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
+        self._check_left_out()
+
+
+@dataclass(frozen=True)
+class DeployConfig(EvaluateConfig):
+    """`hrl-comfort deploy`."""
+
+    connection: ConnectionConfig
+    confirm: Annotated[str, choice("ask", "yes")]
+    """`ask` waits for a typed word between the dry run and the first motion; `yes` does not, for a simulated arm."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_left_out()
+        if self.robot.rating == "paper":
+            raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
+        if self.safety.kind == "none":
+            raise ConfigError("safety.kind=none leaves the arm without its shield; choose safety=ssm")
+        if (real := self.connection.name != "simulated") and self.confirm == "yes":
+            raise ConfigError(f"confirm=yes is for connection=simulated; connection={self.connection.name} asks")
+        if real and self.human.motion not in LIVE_MOTIONS:
+            choices = ", ".join(LIVE_MOTIONS)
+            raise ConfigError(f"human.motion={self.human.motion} is nobody beside a real arm; choose one of {choices}")
 
 
 @dataclass(frozen=True)

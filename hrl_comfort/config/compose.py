@@ -41,9 +41,10 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "evaluate": _ALL_BUT_ENGINE,
     "studio": _ALL_BUT_ENGINE,
     "export": _ALL_BUT_ENGINE,
+    "deploy": ("robot.name", "cell", "human.clipping", "human.masked", "human.spawns_m", "comfort", "task", "reward"),
     "train_meta_controller": ("robot", "cell", "human"),
 }
-"""Sections that take their defaults from the run of the given policy, by root."""
+"""Sections and keys that take their defaults from the run of the given policy, by root."""
 
 
 def compose(root: str, overrides: Iterable[str] = ()) -> Config:
@@ -150,11 +151,11 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
         return []
     run, trained = load_config(folder), []
     for section in sections:
-        stated = set()
-        if section in parsed:
-            files = [file for file in (config_dir() / section).glob("*.yaml") if file.stem != "_shared"]
+        stated, group = set(), section.split(".")[0]
+        if group in parsed:
+            files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
-        for key, value in _fields(section, getattr(run, section)):
+        for key, value in _fields(section, attrgetter(section)(run)):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))
     return trained

@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import (
     ConfigError,
+    DeployConfig,
     EvaluateConfig,
     ExportConfig,
     FigureConfig,
@@ -37,6 +38,7 @@ Config = (
     | MetaControllerTrainConfig
     | EvaluateConfig
     | StudioConfig
+    | DeployConfig
     | ExportConfig
     | ReportConfig
     | FigureConfig
@@ -47,6 +49,7 @@ ROOTS: dict[str, type[Config]] = {
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
     "studio": StudioConfig,
+    "deploy": DeployConfig,
     "export": ExportConfig,
     "report": ReportConfig,
     "figure": FigureConfig,

@@ -58,7 +58,10 @@ def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Wal
             stride = pose_at(member, spawn[rows], traits[rows], np.zeros(len(rows), dtype=np.int64))
             position[rows], yaw[rows], limbs[rows] = stride.position, stride.yaw, stride.limbs
         elif member.motion == "live":
-            pose_source(member.file)  # a source that cannot be opened is refused before the first step
+            source = pose_source(member.file)  # one that cannot be opened is refused before the first step
+            if member.file is not None and (pose := source()) is not None:
+                position[rows] = pose[:2]
+                yaw[rows] = yaw[rows] if pose[2] is None else pose[2]
         elif member.motion in CARRIERS and member.acceleration_m_s2 is not None:
             limbs[rows] = POSTURE
         elif motion(member.motion) is none:

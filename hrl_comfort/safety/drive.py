@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
 from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -48,10 +48,7 @@ class Drive:
     """Set-points of N arms, one control step at a time."""
 
     def __init__(self, scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> None:
-        rated = RATINGS[config.robot.name][config.robot.rating]
-        self._rating = Rating(
-            np.radians(np.array(rated.speed_deg_s)), np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s
-        )
+        self._rating = rating_of(config.robot)
         self.arm, self._separation = separation.arm, separation
         self._low, self._high = scene.joint_range.T
         self._shield = None
@@ -125,6 +122,13 @@ class Drive:
         """Continue from `state_dict`."""
         if self._shield is not None:
             self._shield.load_state_dict(saved)
+
+
+def rating_of(robot: RobotConfig) -> Rating:
+    """Return the limits of a robot that has a rating."""
+    rated = RATINGS[robot.name][robot.rating]
+    speed = np.radians(np.array(rated.speed_deg_s))
+    return Rating(speed, np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s)
 
 
 def make_drive(scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> Drive | None:

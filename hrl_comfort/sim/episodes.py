@@ -66,6 +66,8 @@ class Episodes:
         self.reward_names = tuple(self.subtask.rewards)
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
         self.precision_m = config.task.precision.grasp_tolerance_m
+        self.planned_steps = config.task.action_repeat
+        """Control steps from one `apply_action` to the next."""
         self.action_dim = action_dim(scene, config.task)
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
@@ -183,7 +185,7 @@ class Episodes:
         if self.state is None or not self._ready.all():
             raise RuntimeError("there is no episode yet: call reset before step")
         task, substeps = self.config.task, self.config.engine.substeps
-        steps, joint_target = task.action_repeat, self.state.joint_target.numpy()
+        steps, joint_target = self.planned_steps, self.state.joint_target.numpy()
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         if self._hand is None:
             increment = action * np.radians(task.max_step_deg)
@@ -251,7 +253,7 @@ class Episodes:
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
-        first = np.arange(self.rows) * self.config.task.action_repeat
+        first = np.arange(self.rows) * self.planned_steps
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
         self.walk = self._walks.rows(first + last)
         if self._drive is not None:

@@ -31,15 +31,18 @@ def options_in(folder: Path) -> tuple[str, ...]:
 def with_defaults(overrides: Sequence[str]) -> list[str]:
     """Return the overrides of `hrl-comfort studio` with those that it adds.
 
-    Without a policy it plays the demo's chain where there is one, else the expert. `policies.*` are played by the
-    scripted controller.
+    Without a policy it plays the demo's chain where there is one, else the expert.
     """
-    keys = _values(overrides)
-    chained = any(key == "policies" or key.startswith("policies.") for key in keys)
-    if chained:
-        overrides = [*overrides, *(f"{key}={value}" for key, value in CHAIN.items() if key not in keys)]
-    elif "policy" not in keys and "replay" not in keys:
+    if not {"policy", "policies", "replay"} & {key.split(".")[0] for key in _values(overrides)}:
         overrides = [*overrides, f"policy={DEMO if options_in(DEMO) else 'expert'}"]
+    return with_controller(overrides)
+
+
+def with_controller(overrides: Sequence[str]) -> list[str]:
+    """Return `overrides` of which `policies.*`, or the folder of a chain, are played by the scripted controller."""
+    keys = _values(overrides)
+    if any(key == "policies" or key.startswith("policies.") for key in keys):
+        overrides = [*overrides, *(f"{key}={value}" for key, value in CHAIN.items() if key not in keys)]
     return as_chain(overrides)
 
 

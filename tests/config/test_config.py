@@ -59,7 +59,7 @@ def test_every_root_composes_to_frozen_dataclasses(root):
 
 def test_every_group_on_disk_belongs_to_a_command():
     folders = {path.name for path in config_dir().iterdir() if path.is_dir()}
-    assert folders == {group for root in ("train", "train_meta_controller", "evaluate") for group in groups(root)}
+    assert folders == {group for root in ("train", "train_meta_controller", "deploy") for group in groups(root)}
 
 
 def test_a_choice_does_not_repeat_a_line_of_the_shared_file():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 import warnings
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -96,6 +97,8 @@ class CheckedPoses:
         self._name, self._read = name, read
         self._pose: Pose | None = None
         self._warned = False
+        self.arrived_s = -math.inf
+        """Monotonic time at which the last good pose was read."""
 
     def __call__(self) -> Pose | None:
         """See `PoseSource`; the last good pose holds."""
@@ -104,6 +107,7 @@ class CheckedPoses:
                 continue
             try:
                 self._pose, self._warned = parse_pose(value), False
+                self.arrived_s = time.monotonic()
             except (TypeError, ValueError) as error:
                 if not self._warned:
                     warnings.warn(f"human.file={self._name!r}: {error}: not used", stacklevel=2)

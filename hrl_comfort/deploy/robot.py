@@ -1,0 +1,193 @@
+"""An engine whose arm is a robot: one cell in real time, its surroundings those of the simulated cell."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_comfort.comfort.sources import Live
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.deploy.arms import PERIOD_S
+from hrl_comfort.deploy.links import Link
+from hrl_comfort.deploy.stops import StoppedError
+from hrl_comfort.deploy.streamer import LEAD
+from hrl_comfort.humans import EvaluationSet
+from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
+from hrl_comfort.scene.workcell import CONTROL_SPEC
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.signals import COLLISIONS
+from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.tasks import State
+
+Array = NDArray[np.float64]
+APPROACH_SHARE, APPROACH_GAIN = 0.25, 1.5
+"""Way to the start of an episode: largest share of `task.max_step_deg`, and speed over the angle that is left, 1/s."""
+AT_START_RAD = 2e-3
+CHECKED_RAD = np.radians(1.0)
+"""Distance of the poses that are checked on the way."""
+AT_ONCE_M_S = 1e3
+"""Speed of a live person in the cell, who is where the source says."""
+
+
+class RobotEngine(Engine):
+    """One cell, whose arm is at the other end of a link and whose contacts are those of the model at its pose.
+
+    A decision is `task.action_repeat` control steps, each planned on the newest state of arm and person.
+
+    Args:
+      config: of the cell.
+      link: to the streamer of the arm.
+      entries: episodes of an evaluation split.
+      interrupted: returns whether somebody wants the arm to stop.
+      endure: shield stops do not end the run, and nothing is too old.
+    """
+
+    def __init__(
+        self, config: EnvConfig, link: Link, entries: EvaluationSet, interrupted: Callable[[], bool], endure: bool
+    ) -> None:
+        self._repeat, self.link = config.task.action_repeat, link
+        self._interrupted, self._endure = interrupted, endure
+        config = replace(config, engine=replace(config.engine, substeps=1))
+        if config.human.motion == "live":
+            config = replace(config, human=replace(config.human, speed_m_s=AT_ONCE_M_S))
+        super().__init__(config, 1, 0, entries, measure_arm=True)
+        self.episodes.planned_steps = 1
+        self._entries = entries
+        self._twin = mujoco.MjData(self.scene.model)
+        source = pose_source(config.human.file) if config.human.motion == "live" else None
+        self._person = source if isinstance(source, CheckedPoses) else None
+
+    def start(self, index: int) -> State:
+        """Take the arm to the start of the episode `index` of the entries and begin it; return its first state.
+
+        Raises:
+          StoppedError: the way there is not free, or the arm was stopped on it.
+        """
+        first = self._begin(index)
+        self._approach(first.joint_pos[0].numpy())
+        self._begin(index)
+        return self._follow()
+
+    def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
+        """Run one decision, action (1, A) in [-1, 1], and return its result.
+
+        Raises:
+          StoppedError: the arm has been brought to rest, or is about to be.
+        """
+        results: list[StepResult] = []
+        while len(results) < self._repeat and not (results and self._over(results)):
+            results.append(self._control_step(action))
+        return joined(results, self._repeat)
+
+    def _over(self, results: list[StepResult]) -> bool:
+        return bool(results[-1].done) or int(results[-1].state.stage) != self._stage
+
+    def _control_step(self, action: Array) -> StepResult:
+        assert self.episodes.state is not None
+        self._stage = int(self.episodes.state.stage)
+        self._check_fresh()
+        result = super().step(action)
+        state = self._follow()
+        if bool(state.braking) and not self._endure:
+            raise StoppedError("shield at zero: a person could reach the arm before it is slow")
+        return replace(result, state=state)
+
+    def _check_fresh(self) -> None:
+        """Raise StoppedError where somebody wants the arm to stop, or the person's position or the level is old."""
+        if self._interrupted():
+            raise StoppedError("interrupted", 130)
+        if self._endure:
+            return
+        if self._person is not None:
+            self._person()
+            age = time.monotonic() - self._person.arrived_s + LEAD * PERIOD_S
+            if age > self.episodes.config.safety.delay_s:
+                raise StoppedError(f"stale person: position {age:.3g} s old, safety.delay_s is "
+                                   f"{self.episodes.config.safety.delay_s:g}")  # fmt: skip
+        level = self.episodes.source.levels
+        if isinstance(level, Live) and level.stalled:
+            raise StoppedError(f"stale level: no good value for {self.episodes.config.comfort.stream.stall_s:g} s")
+
+    def _follow(self) -> State:
+        """Return the state with the set-points that were sent, which need not be those that were planned."""
+        assert self.episodes.state is not None
+        report = self.link.report
+        sent = {"joint_target": report.point, "target_vel": report.velocity}
+        self.episodes.state = self.episodes.state.with_(**{k: torch.from_numpy(v[None]) for k, v in sent.items()})
+        return self.episodes.state
+
+    def _begin(self, index: int) -> State:
+        return super().reset(np.zeros(1, dtype=np.int64), self._entries.part(index, index + 1))
+
+    def _approach(self, start: Array) -> None:
+        """Move the arm straight to the joint angles `start` (J,) rad, slowly and behind the shield."""
+        self._check_way(start)
+        largest = np.radians(self.episodes.config.task.max_step_deg)
+        assert self.episodes.state is not None
+        state = self.episodes.state
+        here = self.link.report.reading
+        measured = {"joint_pos": here.angles, "joint_vel": here.velocity}
+        self.episodes.state = state.with_(**{k: torch.from_numpy(v[None].copy()) for k, v in measured.items()})
+        state = self._follow()
+        while np.abs(left := start - self.link.report.point).max() > AT_START_RAD:
+            asked = APPROACH_GAIN * CONTROL_STEP_S * left / largest
+            result = self._control_step((asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE))[None])
+            if hit := [name for name in COLLISIONS if bool(getattr(result.state, name))]:
+                raise StoppedError(f"on the way to the start: {hit[0].replace('_', ' ')}")
+        self.link.rest()
+
+    def _check_way(self, start: Array) -> None:
+        """Raise StoppedError unless the arm can go straight to the joint angles `start` (J,) rad."""
+        here = self.link.report.reading.angles
+        count = int(np.ceil(np.abs(start - here).max() / CHECKED_RAD)) + 1
+        for share in np.linspace(0.0, 1.0, max(count, 2)):
+            sensed = self._sense(here + share * (start - here), np.zeros_like(here))
+            for key in ("table", "self"):
+                if sensed[self.scene.sensors[key]].any():
+                    degrees = np.degrees(here).round().astype(int).tolist()
+                    raise StoppedError(
+                        f"the way from {degrees} degrees to the start would touch the {key}: move the arm by hand"
+                    )
+
+    def _sense(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
+        """Return the sensors (nsensor,) of the model at joint angles and velocities (J,), beside those of `control`."""
+        twin, model = self._twin, self.scene.model
+        if control is not None:
+            mujoco.mj_setState(model, twin, control, CONTROL_SPEC)
+        twin.qpos[:], twin.qvel[:] = angles, velocity
+        mujoco.mj_forward(model, twin)
+        return twin.sensordata.copy()
+
+    def _probe(self, joints: Array, control: Array) -> Array:
+        return self._sense(joints[0, : len(self.scene.home)], joints[0, len(self.scene.home) :], control[0])[None]
+
+    def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
+        """Give the set-point of `control` (1, 1, ncontrol); return the state that the arm has reached, and sensors."""
+        report = self.link.step(control[0, 0, : len(self.scene.home)])
+        if report.stopped:
+            raise StoppedError(report.stopped)
+        reading = report.reading
+        sensed = self._sense(reading.angles, reading.velocity, control[0, 0])
+        reached = np.concatenate([[0.0], reading.angles, reading.velocity])
+        return reached[None, None], sensed[None, None]
+
+
+def joined(results: list[StepResult], count: int) -> StepResult:
+    """Return decisions of one control step each as one of at most `count`, those that did not come void."""
+    last, missing = results[-1], count - len(results)
+    padded = results + [last] * missing
+    instants = {name: torch.cat([getattr(each.instants, name) for each in padded]) for name in vars(last.instants)}
+    valid = torch.arange(count)[None] < len(results)
+    return replace(
+        last,
+        reward_terms=torch.stack([each.reward_terms for each in results]).sum(dim=0),
+        step_rewards=torch.cat([each.step_rewards for each in padded], dim=1) * valid,
+        valid=valid,
+        instants=State(**instants),
+    )

@@ -1,0 +1,213 @@
+"""`hrl-comfort deploy`: a dry run in simulation, a typed word, then the same plan on an arm, in real time."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import torch
+from pandas import DataFrame
+from rich.console import Console
+
+from hrl_comfort.analysis.summary import with_totals
+from hrl_comfort.analysis.tables import of_groups
+from hrl_comfort.config import ConfigError, DeployConfig
+from hrl_comfort.config.compose import environment, save_config
+from hrl_comfort.deploy.arms import Arm, SimulatedArm
+from hrl_comfort.deploy.links import Link, Lockstep, Paced
+from hrl_comfort.deploy.robot import RobotEngine
+from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
+from hrl_comfort.deploy.streamer import COLUMNS, Limits
+from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result, split
+from hrl_comfort.files.output import output_folder
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.progress import progress, success_of
+from hrl_comfort.safety.drive import rating_of
+from hrl_comfort.safety.geometry import ArmGeometry
+from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.sim.step_result import StepResult
+
+LOG = "setpoints.parquet"
+"""Set-points that were sent, and the measured angles, in the output folder."""
+WORD = "move"
+"""What is typed to let the arm move."""
+SPLIT = "live"
+"""Value of the column `split` of an episode."""
+OpenArm = Callable[[], Arm]
+
+
+def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
+    """Run the episodes of `config` on an arm, by default that of `connection`; return the folder of the tables.
+
+    The folder holds what `hrl-comfort evaluate record=true` writes, and LOG.
+
+    Raises:
+      ConfigError: a policy does not fit, the dry run touches something, the word is not typed, no connection.
+      StoppedError: the arm was brought to rest before the last episode was over; everything has been written.
+    """
+    torch.set_num_threads(1)
+    output = Path(config.output)
+    with output_folder(output, DeployConfig, "config.yaml"), interruption() as interrupted:
+        scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
+        limits = Limits(rating_of(config.robot), ArmGeometry(scene), *scene.joint_range.T)
+        simulated = partial(SimulatedArm, scene.model, scene.home)
+        rehearse(config, Lockstep(simulated, limits, Path(os.devnull)), interrupted)
+        confirm(config)
+        link = Paced(open_arm or arm_of(config, scene), limits, output / "setpoints.bin")
+        for name in (*STALE, "episodes.csv"):
+            (output / name).unlink(missing_ok=True)
+        save_config(config, output / "config.yaml")
+        run = Run(config, link, interrupted)
+        try:
+            run.all()
+        finally:
+            run.write(output)
+    print(output)
+    return output
+
+
+def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:
+    """Return what opens the connection of `config`."""
+    if config.connection.name == "simulated":
+        return partial(SimulatedArm, scene.model, scene.home)
+    raise ConfigError(f"connection={config.connection.name} is not there yet")
+
+
+class Run:
+    """Episodes of a configuration on the arm of a link.
+
+    Args:
+      config: of the episodes.
+      link: to the arm.
+      interrupted: returns whether somebody wants the arm to stop.
+      endure: see `RobotEngine`.
+    """
+
+    def __init__(self, config: DeployConfig, link: Link, interrupted: Callable[[], bool], endure: bool = False) -> None:
+        self.result = Result([], [], [])
+        self._config, self._link, self._entries = config, link, split(config)
+        self._engine = RobotEngine(environment(config), link, self._entries, interrupted, endure)
+        self._executor, self._choose = make_executor(config, None, self._engine, config.first_seed)
+
+    def all(self) -> None:
+        """Run every episode; bring the arm to rest at the end, and where one is stopped.
+
+        Raises:
+          StoppedError: an episode was stopped; its rows say that it was cut short.
+        """
+        try:
+            with progress(f"{self._config.connection.name} {self._config.task.name}", self._config.episodes) as show:
+                for index in range(self._config.episodes):
+                    self._episode(index)
+                    show(index + 1, success_of([episode.success for episode in self.result.episodes]))
+        except (StoppedError, ConnectionError) as error:
+            stopped = error if isinstance(error, StoppedError) else StoppedError(f"lost connection: {error}")
+            raise stopped from None
+        finally:
+            self._link.close()
+
+    def _episode(self, index: int) -> None:
+        old, entries = self._executor, self._entries.part(index, index + 1)
+        executor = OptionExecutor(old.options, old.time_limit, self._engine.episodes, old.retries)
+        recorder = EpisodeRecorder(self._config, None, self._engine, entries, self.result)
+        latest: StepResult | None = None
+        try:
+            recorder.begin(self._engine.start(index))
+            for executed in execute(self._engine, executor, self._choose):
+                latest = executed.result
+                recorder.add(latest, executed.active, executed.ended, executed.runs)
+            self._link.rest()
+            gc.collect()  # not while the arm moves
+        except StoppedError as error:
+            self._link.stop(str(error))
+            if latest is not None:
+                every = torch.ones(1, dtype=torch.bool)
+                recorder.add(replace(latest, valid=torch.zeros_like(latest.valid)), ~every, every, [])
+                recorder.finish()
+            raise
+        recorder.finish()
+
+    def write(self, output: Path) -> None:
+        """Write the tables of the episodes that began and the set-points."""
+        summary = None
+        if self.result.episodes:
+            self.result.episodes[:] = [replace(row, split=SPLIT) for row in self.result.episodes]
+            summary = self.result.write(output, self._config)
+        log = output / "setpoints.bin"
+        joints = len(self._engine.scene.home)
+        names = [*COLUMNS, *(f"sent{k}" for k in range(joints)), *(f"q{k}" for k in range(joints))]
+        rows = np.fromfile(log).reshape(-1, len(names))
+        DataFrame(rows, columns=names).to_parquet(output / LOG, index=False)
+        log.unlink()
+        if summary is not None:
+            Console().print(of_groups(with_totals(summary["groups"], self.result.table)))
+
+
+def rehearse(config: DeployConfig, link: Link, interrupted: Callable[[], bool]) -> None:
+    """Run the plan in simulation and tell what came out.
+
+    Raises:
+      ConfigError: the arm touches a table or itself, or its set-points break a limit.
+    """
+    run = Run(config, link, interrupted, endure=True)
+    try:
+        run.all()
+    except StoppedError as error:
+        if error.code == INTERRUPTED:
+            raise
+        raise ConfigError(f"dry run: {error}") from None
+    episodes = run.result.episodes
+    touched = [each.episode for each in episodes if each.other_collision != "none"]
+    if touched:
+        raise ConfigError(f"dry run: the arm touches a table or itself in episode {touched[0]}; nothing was moved")
+    done = sum(each.success for each in episodes)
+    touches = sum(each.contact for each in episodes)
+    print(f"dry run: {done} of {len(episodes)} episodes succeed, {touches} touch the person")
+
+
+def confirm(config: DeployConfig) -> None:
+    """Let somebody type WORD, unless `confirm=yes`; raise ConfigError where they do not."""
+    if config.confirm == "yes":
+        return
+    connection = config.connection
+    where = connection.host if connection.name == "ur" else "in simulation"
+    print(f"type {WORD} and Enter to move {config.robot.name} {where}: ", end="", flush=True)
+    if sys.stdin.readline().strip() != WORD:
+        raise ConfigError(f"{WORD!r} was not typed; nothing was moved")
+
+
+@dataclass
+class Interruption:
+    """Whether SIGINT has come."""
+
+    asked: bool = False
+
+    def __call__(self) -> bool:
+        """Return it."""
+        return self.asked
+
+
+@contextmanager
+def interruption() -> Iterator[Interruption]:
+    """Note the first SIGINT, so that the arm is braked; the next one has its usual effect."""
+    found, before = Interruption(), signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: FrameType | None) -> None:
+        found.asked = True
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield found
+    finally:
+        signal.signal(signal.SIGINT, before)

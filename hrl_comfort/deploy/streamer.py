@@ -1,0 +1,158 @@
+"""Set-points at 500 Hz between the control steps, checked against the rating before each is sent.
+
+The set-points of control steps are the control points of a quadratic spline. Its velocity runs linearly from one
+control step's to the next one's, so that its acceleration is within the rating wherever theirs is. It follows the
+polygon of the control steps half a control step later.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.deploy.arms import PERIOD_S, Arm, Reading
+from hrl_comfort.safety.geometry import ArmGeometry
+from hrl_comfort.safety.rating import Rating
+
+Array = NDArray[np.float64]
+TICKS = round(CONTROL_STEP_S / PERIOD_S)
+"""Set-points of a control step."""
+LEAD = 5
+"""Ticks before the end of a control step at which the state is read that the next one is planned on: 10 ms."""
+ROUNDING = 1e-6
+"""Share of a limit by which set-points may exceed it."""
+LATE_STEPS = 2
+"""Control steps in a row that came too late, at which the arm is stopped."""
+COLUMNS = ("time_s", "late_s", "step", "tick", "planned")
+"""Of the log, before the set-points (J), rad, and the measured angles (J), rad. `planned` is 1 under a planned control
+step, 0 where none was asked for, -1 where it was late and -2 in a stop."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What set-points must keep to."""
+
+    rating: Rating
+    arm: ArmGeometry
+    low: Array
+    high: Array
+    """(J,) rad, range of the joints."""
+
+    def broken(self, before: Array, velocity: Array, angles: Array) -> str:
+        """Return which limit the set-point `angles` (J,) breaks after `before` (J,) rad; empty for none.
+
+        `velocity` (J,) rad/s is that with which the set-points got to `before`.
+        """
+        speed = (angles - before) / PERIOD_S
+        over = {
+            "speed": np.abs(speed) / self.rating.speed_rad_s,
+            "acceleration": np.abs(speed - velocity) / PERIOD_S / self.rating.acceleration_rad_s2,
+        }
+        for name, share in over.items():
+            if not (share <= 1 + ROUNDING).all():  # NaN too
+                joint = int(np.argmax(share))
+                return f"{name} of joint {joint} at {100 * share[joint]:.4g} % of its limit"
+        if not ((angles >= self.low - ROUNDING) & (angles <= self.high + ROUNDING)).all():
+            return "a joint beyond its range"
+        fastest = float(self.arm.speeds(self.arm.pose(angles[None]), speed[None]).max())
+        if fastest > self.rating.tool_speed_m_s * (1 + ROUNDING):
+            return f"a point of the arm at {fastest:.3f} m/s"
+        return ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """State of the streamer, LEAD ticks before the end of a control step."""
+
+    step: int
+    point: Array
+    """(J,) rad, set-point of the control step, which the next one is planned from."""
+    velocity: Array
+    """(J,) rad/s, with which it is reached."""
+    reading: Reading
+    stopped: str
+    """Why the arm was stopped; empty while it follows the plan."""
+    at_rest: bool
+    """The set-points stand still."""
+
+
+class Streamer:
+    """Set-points of an arm, one a call of `tick`.
+
+    Args:
+      arm: that follows them.
+      limits: that they keep to; one that would break them is not sent, and the arm is stopped.
+      log: file of rows of COLUMNS and angles, float64.
+    """
+
+    def __init__(self, arm: Arm, limits: Limits, log: BinaryIO) -> None:
+        self.arm, self._limits, self._log = arm, limits, log
+        self._reading = arm.read()
+        self.step = 0
+        self.point = self._sent = self._reading.angles.copy()
+        self.velocity = np.zeros_like(self.point)
+        self._speed = np.zeros_like(self.point)
+        self._planned = 0
+        self._misses = 0
+        self.stopped = self._reading.trouble
+        self._brake = (self.point, self.velocity, 0.0)
+
+    def begin_step(self, target: Array | None, late: bool = False) -> None:
+        """Begin a control step to `target` (J,) rad; None, or a `late` plan, brakes as the rating says."""
+        self._from, self._before = self._sent, self.velocity
+        if target is None or late:
+            self.velocity = self._limits.rating.brake(self.velocity[None])[0]
+        else:
+            self.velocity = (target - self.point) / CONTROL_STEP_S
+        self.point = self.point + self.velocity * CONTROL_STEP_S
+        self._planned = -1 if late else int(target is not None)
+        self.step += abs(self._planned)
+        self._misses = self._misses + 1 if late else 0
+        if self._misses >= LATE_STEPS:
+            self.stop(f"late cycle: {LATE_STEPS} control steps in a row had no set-point in time")
+
+    def tick(self, number: int, late_s: float = 0.0) -> None:
+        """Send the set-point `number`, 0 to TICKS - 1, of the control step; `late_s` goes to the log."""
+        share = (number + 1) / TICKS
+        if not self.stopped:
+            way = self._before * share + (self.velocity - self._before) * share * share / 2
+            angles = self._from + way * CONTROL_STEP_S
+            if broken := self._limits.broken(self._sent, self._speed, angles):
+                self.stop(f"limit: the next set-point has {broken}")
+        if self.stopped:
+            angles = self._braked()
+        self._speed = (angles - self._sent) / PERIOD_S
+        self._sent = angles
+        try:
+            self.arm.send(angles)
+            self._reading = self.arm.read()
+            if self._reading.trouble:
+                self.stop(self._reading.trouble)
+        except ConnectionError as error:
+            self.stop(f"lost connection: {error}")
+        code = -2 if self.stopped else self._planned
+        row = [time.monotonic(), late_s, self.step, number, code, *self._sent, *self._reading.angles]
+        self._log.write(np.array(row, dtype=np.float64).tobytes())
+
+    def stop(self, why: str) -> None:
+        """Bring the set-points to rest by the rated brake and hold them there; the first reason counts."""
+        if not self.stopped:
+            self.stopped = why
+            self._brake = (self._sent, self._speed, 0.0)
+
+    def _braked(self) -> Array:
+        start, velocity, passed = self._brake
+        lasts = float(self._limits.rating.stopping_time(velocity[None])[0])
+        passed = min(passed + PERIOD_S, lasts)
+        self._brake = (start, velocity, passed)
+        return start + velocity * (passed - passed * passed / (2 * max(lasts, 1e-12)))
+
+    def report(self) -> Report:
+        """Return the state for the plan of the next control step."""
+        still = not self._speed.any() and (bool(self.stopped) or not self.velocity.any())
+        return Report(self.step, self.point, self.velocity, self._reading, self.stopped, still)

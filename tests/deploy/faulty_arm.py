@@ -1,0 +1,40 @@
+"""An arm in simulation that fails at a given set-point."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.deploy.arms import Reading, SimulatedArm
+
+FAULTS = ("protective stop", "emergency stop", "connection", "slow", "kill")
+
+
+class FaultyArm(SimulatedArm):
+    """See `SimulatedArm`; from the set-point `at` on it has a fault of FAULTS."""
+
+    def __init__(self, model: mujoco.MjModel, start: NDArray[np.float64], fault: str, at: int) -> None:
+        super().__init__(model, start)
+        self._fault, self._left = fault, at
+
+    def read(self) -> Reading:
+        reading = super().read()
+        stopped = self._left <= 0 and self._fault.endswith("stop")
+        return replace(reading, trouble=self._fault if stopped else "")
+
+    def send(self, angles: NDArray[np.float64]) -> None:
+        moving = bool(np.abs(angles - self._data.ctrl).max() > 1e-5)
+        self._left -= moving
+        if self._left <= 0 and self._fault == "connection":
+            raise ConnectionError("no answer")
+        if -25 < self._left <= 0 and self._fault == "slow":
+            time.sleep(0.012)
+        if self._left == 0 and self._fault == "kill":
+            os.kill(os.getppid(), signal.SIGKILL)
+        super().send(angles)

@@ -1,0 +1,157 @@
+"""A plan runs on an arm in real time as in simulation, and every stop leaves a record and lets the next run start."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hrl_comfort.cli.main import main
+from hrl_comfort.config import ConfigError, DeployConfig, EvaluateConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.deploy.runner import LOG, deploy
+from hrl_comfort.deploy.stops import StoppedError
+from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.tables import read_table
+from hrl_comfort.scene.workcell import build_scene
+from tests.deploy.faulty_arm import FaultyArm
+
+REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
+PICK = [f"policy={REFERENCE / 'pick'}", "human=still", "confirm=yes"]
+CHAIN = {f"policies.{name}": str(REFERENCE / name) for name in ("pick", "place", "return")}
+CYCLE = {"task": "cycle", "meta_controller": "scripted", "human": "still", **CHAIN}
+
+
+def config(output: Path, *more: str) -> DeployConfig:
+    found = compose("deploy", [*PICK, f"output={output}", *more])
+    assert isinstance(found, DeployConfig)
+    return found
+
+
+def under_way(output: Path) -> bool:
+    """Return whether an arm has followed set-points for about a second."""
+    log = output / "setpoints.bin"
+    return log.exists() and log.stat().st_size > 500 * 17 * 8
+
+
+def test_a_cycle_in_real_time_is_recorded_as_an_evaluation_is(tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    chain = [f"{key}={value}" for key, value in CYCLE.items()]
+    assert main(["deploy", *chain, "confirm=yes", f"output={output}", "episodes=1"]) == 0
+    episodes, paths = read_table(output / "episodes.csv"), read_table(output / "paths.csv")
+    assert episodes is not None and paths is not None
+    assert episodes["success"].all() and list(episodes["split"]) == ["live"]
+    choices = {"split": "validation", "episodes": 1, "safety": "ssm", "safety.delay_s": 0.1}
+    simulated = compose(
+        "evaluate", [f"{k}={v}" for k, v in {**CYCLE, **choices}.items()] + ["robot.rating=collaborative"]
+    )
+    assert isinstance(simulated, EvaluateConfig)
+    assert int(episodes["steps"][0]) == pytest.approx(rollout(simulated).episodes[0].steps, abs=20)
+    log = pd.read_parquet(output / LOG)
+    assert len(log) >= 10 * int(episodes["steps"][0])
+    moving = log[log["planned"] == 1]
+    lag = np.abs(moving.filter(regex=r"sent\d").to_numpy() - moving.filter(regex=r"q\d").to_numpy())
+    assert np.degrees(lag.max()) < 5.0
+    assert main(["report", f"run={output}", "video=false"]) == 0
+
+
+@pytest.mark.parametrize("fault", ["protective stop", "emergency stop", "connection", "slow"])
+def test_a_fault_of_the_arm_ends_the_run_with_its_record_and_the_next_run_starts(fault: str, tmp_path: Path) -> None:
+    asked = config(tmp_path / "out")
+    scene = build_scene(asked.robot, asked.cell, 10)
+    said = {"connection": "lost connection: no answer", "slow": "late cycle"}.get(fault, fault)
+    with pytest.raises(StoppedError, match=said):
+        deploy(asked, partial(FaultyArm, scene.model, scene.home, fault, 200))
+    log = pd.read_parquet(tmp_path / "out" / LOG)
+    assert log["planned"].iloc[-1] == -2
+    last = log.filter(regex=r"sent\d").to_numpy()[-2:]
+    assert (last[0] == last[1]).all()
+    episodes = read_table(tmp_path / "out" / "episodes.csv")
+    assert episodes is not None and list(episodes["truncated"]) == [True]
+    assert deploy(asked) == tmp_path / "out"
+
+
+def test_a_person_who_could_reach_a_fast_arm_stops_it(tmp_path: Path) -> None:
+    with pytest.raises(StoppedError, match="shield at zero"):
+        deploy(config(tmp_path / "out", "human=random_walk", "episodes=4"))
+
+
+def test_a_person_who_is_no_longer_seen_stops_the_arm(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    over = threading.Event()
+
+    def tell() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.is_set():
+                if under_way(tmp_path / "out"):
+                    return
+                sender.sendto(b"0.5 0.6 0", ("127.0.0.1", port))
+                time.sleep(0.02)
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        with pytest.raises(StoppedError, match=r"stale person: position 0\.\d+ s old"):
+            deploy(config(tmp_path / "out", "human=live", f"human.file='udp://127.0.0.1:{port}'", "episodes=5"))
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_a_level_that_no_longer_comes_stops_the_arm(tmp_path: Path) -> None:
+    more = ["comfort=conditioned", "comfort.source=udp", "comfort.stream.port=0", "comfort.stream.stall_s=0.5"]
+    with pytest.raises(StoppedError, match=r"stale level: no good value for 0.5 s"):
+        deploy(config(tmp_path / "out", *more))
+
+
+def test_ctrl_c_brakes_the_arm(tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    command = [sys.executable, "-m", "hrl_comfort", "deploy", *PICK, f"output={output}", "episodes=5"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ}) as running:
+        while running.poll() is None and not under_way(output):
+            time.sleep(0.05)
+        running.send_signal(signal.SIGINT)
+        assert running.stderr is not None
+        said = running.stderr.read()
+    assert (running.returncode, said.splitlines()[-1]) == (130, "hrl-comfort: stopped: interrupted")
+    assert (output / LOG).is_file() and not (output / "setpoints.bin").exists()
+
+
+def test_the_word_has_to_be_typed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))
+    with pytest.raises(ConfigError, match="'move' was not typed; nothing was moved"):
+        deploy(replace(config(tmp_path / "out"), confirm="ask"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("robot.rating=paper", "robot.rating=paper has no limits"),
+        ("safety=none", "leaves the arm without its shield"),
+        ("connection=ur", "confirm=yes is for connection=simulated"),
+        ("levels=[1]", "levels=.* is for hrl-comfort evaluate"),
+    ],
+)
+def test_what_does_not_go_with_an_arm_is_refused(override: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=said):
+        config(tmp_path, override)
+
+
+def test_nobody_walks_beside_a_real_arm_but_people_who_are_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"human.motion=still is nobody beside a real arm; choose one of live"):
+        config(tmp_path, "connection=ur", "confirm=ask")
