@@ -16,9 +16,9 @@ from typing import Any, TypedDict
 
 import numpy as np
 import pandas as pd
+import scipy  # its stats are loaded when they are needed
 from numpy.typing import NDArray
 from pandas import DataFrame
-from scipy import stats
 
 from hrl_comfort.files.tables import Floats, column
 
@@ -80,17 +80,17 @@ class Clusters:
             return statistic(*(total / count for total in totals))
 
         with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # all spawn points agree: no interval
+            warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # all spawn points agree: no interval
             if several:  # each seed's own number, NaN where it has no value
                 each = DataFrame(statistic(*(total / parts[-1] for total in parts[:-1])))
                 mean = each.mean().to_numpy()
-                half = each.sem().to_numpy() * stats.t.ppf(0.975, each.count() - 1)
+                half = each.sem().to_numpy() * scipy.stats.t.ppf(0.975, each.count() - 1)
                 return mean, mean - half, mean + half
             mean = np.asarray(whole(*parts))
             if len(parts[0]) < 2:
                 return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
             options: dict[str, Any] = {"n_resamples": RESAMPLES, "batch": 200, "rng": np.random.default_rng(0)}
-            found = stats.bootstrap(parts, whole, paired=True, method="percentile", **options).confidence_interval
+            found = scipy.stats.bootstrap(parts, whole, paired=True, method="percentile", **options).confidence_interval
         return mean, found.low, found.high
 
     def estimate(self, *columns: Floats, statistic: Statistic = itself, bounds: Bounds = UNBOUNDED) -> Estimate | None:

@@ -6,7 +6,6 @@ from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
 from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
 from hrl_comfort.hierarchy.options import Option, chain
-from hrl_comfort.hierarchy.q_learning import load_choice
 from hrl_comfort.hierarchy.sort import sorting_options
 from hrl_comfort.policies.load import Source, make_policy
 from hrl_comfort.sim.engine import Engine
@@ -76,4 +75,6 @@ def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
         return make_choice(config.meta_controller.name, seed)
     if "meta_controller" not in config.policies:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
+    from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl
+
     return load_choice(config.policies["meta_controller"], config.comfort.levels, options)

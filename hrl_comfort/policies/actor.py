@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
-from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import ConfigError
+
+if TYPE_CHECKING:
+    from hrl_comfort.agents.sac import SAC  # it imports torchrl, seconds
 
 SPEC: dict[str, type] = {
     "task": str, "observation_dim": int, "action_dim": int, "hidden": list, "normalise": bool, "environment": dict,

@@ -17,7 +17,8 @@ from hrl_comfort.tasks import State, Subtask
 def decision_clip(scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, after: Walk) -> Clip:
     """Return the clip of a decision in one cell, from the state and walk before it to those after it."""
     kept = np.flatnonzero(result.valid[0].numpy())
-    states = [before, *(result.steps[k] for k in kept)]
+    steps = result.steps
+    states = [before, *(steps[k] for k in kept)]
     x_y = np.concatenate([state.human_pos.numpy() for state in states])
     yaw = np.unwrap(np.concatenate([state.human_yaw.numpy() for state in states]))
     ends = np.array([np.concatenate([*gait(each), each.limbs.ravel()]) for each in (walk, after)])

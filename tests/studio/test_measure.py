@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,16 @@ def test_a_viewer_is_counted_and_a_key_reaches_the_policy(tmp_path: Path, monkey
     assert next(value for what, value in measured.items() if what.endswith("errors")) == "0"
     hand_ms = float(measured["from hand to the policy's action, ms, median (most)"].split()[0])
     assert 0 < hand_ms < 1000 * measure.PATIENCE_S
+    assert int(measured["from hand to the policy's observation, decisions, median (most)"].split()[0]) >= 1
+
+
+def test_what_trainings_need_alone_is_not_imported_before_the_first_picture() -> None:
+    code = (
+        "import sys, hrl_comfort.studio.server;"
+        "print(*sorted({'torchrl', 'tensordict', 'torch._dynamo', 'scipy.stats', 'matplotlib'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
 
 
 def test_a_replay_is_not_measured() -> None:
