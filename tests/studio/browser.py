@@ -20,11 +20,15 @@ HARMLESS = ("Unable to preventDefault inside passive event listener",)
 
 
 @contextmanager
-def opened(browser: Any, address: str) -> Iterator[tuple[Any, list[str]]]:
-    """Open a page; yield it, and a list of what goes wrong: errors, and requests to anything but the page's server."""
+def opened(browser: Any, address: str, script: str = "", **settings: Any) -> Iterator[tuple[Any, list[str]]]:
+    """Open a page, perhaps after a `script` of its own; yield it, and a list of what goes wrong.
+
+    That are errors, and requests to anything but the page's server.
+    """
     wrong: list[str] = []
     base = address.split("/?")[0]
-    page = browser.new_page(viewport=SIZE)
+    page = browser.new_page(**{"viewport": SIZE, **settings})
+    page.add_init_script(script)
     page.set_default_timeout(1000 * PATIENCE_S)
     page.on("pageerror", lambda error: wrong.append(f"pageerror {error}"))
     page.on("console", lambda line: wrong.append(line.text) if is_error(line) else None)

@@ -30,6 +30,7 @@ CHAIN = ("pick", "place", "return")
 WORDS = [*(f"policies.{name}={REFERENCE / name}" for name in CHAIN), "task=cycle", "meta_controller=scripted"]
 WEB = Path("hrl_comfort/studio/web")
 EPISODES = 2
+SIZE = {"width": 700, "height": 560}
 
 
 def configured(*words: str) -> StudioConfig:
@@ -54,7 +55,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def shown(browser: Any, file: Path) -> Iterator[tuple[Any, list[str]]]:
-    with opened(browser, file.resolve().as_uri()) as (tab, wrong):
+    with opened(browser, file.resolve().as_uri(), viewport=SIZE) as (tab, wrong):
         tab.context.set_offline(True)
         tab.wait_for_function("window.player")
         yield tab, wrong
@@ -70,6 +71,31 @@ def tab(shown: tuple[Any, list[str]]) -> Iterator[Any]:
     )
     yield tab
     assert wrong == []
+
+
+def place(tab: Any) -> list[float]:
+    """Return where the person is (x, y), m."""
+    return tab.evaluate("player.cell.person.walk.place")
+
+
+def walk(tab: Any, where: list[float]) -> None:
+    """Take the person to a place (x, y), m."""
+    tab.evaluate(
+        """(where) => { player.running = false; const { person } = player.cell; person.goTo(where);
+                        for (let k = 0; k < 150; k++) person.advance();
+                        player.view.show(player.after, player.after, 1); }""",
+        where,
+    )
+
+
+def pixel(tab: Any, x: float, y: float) -> tuple[float, float]:
+    """Return where on the page the middle of a person at (x, y) m is seen."""
+    return tab.evaluate(
+        """([x, y]) => { const { camera, world } = player.view; camera.updateMatrixWorld();
+             const seen = world.localToWorld(camera.position.clone().set(x, y, 0.2)).project(camera);
+             return [(innerWidth * (1 + seen.x)) / 2, (innerHeight * (1 - seen.y)) / 2]; }""",
+        [x, y],
+    )
 
 
 def test_a_whole_cycle_is_played_in_real_time_without_a_network(tab: Any) -> None:
@@ -161,6 +187,84 @@ def test_the_slider_sets_the_level_that_the_policy_sees(tab: Any) -> None:
         acts.append(tab.evaluate("() => { player.cell.state.level = player.cell.level; return player.cell.act(); }"))
     assert seen == [1, 10]
     assert np.abs(np.subtract(*acts)).max() > 0.1 * np.radians(2.0)
+
+
+def test_a_person_dragged_to_the_arm_is_nearer_and_the_arm_responds(tab: Any) -> None:
+    walk(tab, [0.2, -0.9])
+    far, action = tab.evaluate("[player.cell.distance, player.cell.act()]")
+    start, end = pixel(tab, 0.2, -0.9), pixel(tab, -0.1, -0.35)
+    tab.mouse.move(*start)
+    tab.mouse.down()
+    tab.mouse.move(*end, steps=4)
+    until(lambda: np.hypot(*tab.evaluate("player.cell.person.target.place")) < 0.45, "the person is dragged")
+    tab.mouse.up()
+    tab.evaluate("() => { for (let k = 0; k < 50; k++) player.cell.person.advance(); player.reset(); }")
+    assert np.hypot(*place(tab)) < 0.45
+    assert tab.evaluate("player.cell.distance") < far - 0.2
+    assert np.abs(np.subtract(action, tab.evaluate("player.cell.act()"))).max() > 0.1 * np.radians(2.0)
+
+
+def test_the_person_is_in_the_next_observation(tab: Any) -> None:
+    tab.evaluate("() => player.decide()")
+    walk(tab, [-0.5, -0.5])
+    assert tab.evaluate("player.cell.fields(0, 5).human_seen.data") == place(tab)
+    assert tab.evaluate("player.cell.decision") is None  # the next step asks the policy
+
+
+def test_keys_and_the_left_stick_of_a_gamepad_walk_the_person(tab: Any) -> None:
+    walk(tab, [-0.6, -0.9])
+    tab.evaluate("() => { player.running = true; }")
+    tab.keyboard.down("s")
+    until(lambda: np.hypot(*place(tab)) > 1.3, "the person walks backwards")
+    tab.keyboard.up("s")
+    before = np.array(place(tab))
+    tab.evaluate(
+        """() => { navigator.getGamepads = () => [{ mapping: "standard", axes: [0, -1, 0, 0],
+                   buttons: Array.from({ length: 17 }, (_, button) => ({ pressed: button === 5 })) }]; }"""
+    )
+    until(lambda: np.linalg.norm(np.array(place(tab)) - before) > 0.3, "the person walks away from the camera")
+    tab.evaluate("() => { navigator.getGamepads = () => []; }")
+    assert place(tab)[1] > before[1] + 0.1
+    assert tab.evaluate("player.cell.level") == 6
+
+
+def test_a_finger_drags_the_person(browser: Any, file: Path) -> None:
+    with opened(browser, file.resolve().as_uri(), has_touch=True, viewport=SIZE) as (tab, wrong):
+        tab.wait_for_function("window.player")
+        walk(tab, [0.2, -0.9])
+        touch = tab.context.new_cdp_session(tab)
+        start, end = np.array(pixel(tab, 0.2, -0.9)), np.array(pixel(tab, -0.1, -0.4))
+        for kind, share in (("touchStart", 0.0), ("touchMove", 0.5), ("touchMove", 1.0)):
+            x, y = start + share * (end - start)
+            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
+        until(lambda: np.hypot(*tab.evaluate("player.cell.person.target.place")) < 0.6, "the finger drags the person")
+        touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        assert wrong == []
+
+
+def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -> None:
+    emulator = (WEB / "node_modules/iwer/build/iwer.min.js").read_text(encoding="utf-8")
+    script = emulator + (
+        ";window.device = new IWER.XRDevice(IWER.metaQuest3); device.installRuntime({ forceInstall: true });"
+        "console.warn = () => {};"
+    )
+    with opened(browser, file.resolve().as_uri(), script) as (tab, wrong):
+        tab.wait_for_function("window.player")
+        tab.evaluate("() => { player.running = true; }")
+        tab.locator("#vr").click()
+        tab.wait_for_function("player.view.renderer.xr.isPresenting")
+        tab.wait_for_function("player.cell.person.byHand && player.cell.person.target.limbs[6] !== null")
+        began = place(tab)
+        tab.evaluate("() => device.position.set(0.4, 1.7, 0.3)")
+        until(lambda: np.linalg.norm(np.subtract(place(tab), began)) > 0.4, "the person goes where the head goes")
+        down = "player.cell.person.walk.limbs[14]"  # z of the left forearm
+        until(lambda: tab.evaluate(f"Number.isFinite({down})"), "the hands are tracked")
+        for height, sign in ((0.8, -1), (1.8, 1)):
+            tab.evaluate("height => device.controllers.left.position.set(0.3, height, 0.1)", height)
+            tab.wait_for_function(f"{sign} * {down} > 0.2")
+        tab.evaluate("() => player.view.renderer.xr.getSession().end()")
+        tab.wait_for_function("!player.view.renderer.xr.isPresenting")
+        assert wrong == []
 
 
 @pytest.mark.parametrize(

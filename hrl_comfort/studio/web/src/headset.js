@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { STANDING, reaching } from "./person.js";
 
 const MOVE_M_S = 1.0, TURN_RAD = Math.PI / 6, DEAD = 0.3;
+const BEHIND_M = 1.2, SIGN_M = 1.35;
 
 export class Headset {
   constructor(player) {
@@ -58,12 +59,16 @@ export class Headset {
 
   /** Let the person be where head and hands are. */
   update(seconds) {
-    const { view, cell } = this.player, { renderer, world } = view;
-    if (!renderer.xr.isPresenting) return;
-    this.buttons(seconds);
-    const camera = renderer.xr.getCamera(), head = new THREE.Vector3().setFromMatrixPosition(camera.matrixWorld);
-    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(camera.matrixWorld), yaw = Math.atan2(-ahead.z, ahead.x);
-    const place = world.worldToLocal(head), floor = cell.content.floor, hands = [null, null];
+    const { view, cell } = this.player, { world, rig, renderer: { xr } } = view;
+    const pose = xr.isPresenting && xr.getFrame()?.getViewerPose(xr.getReferenceSpace());
+    if (!pose) return;
+    const turn = new THREE.Matrix4().fromArray(pose.transform.matrix).premultiply(rig.matrixWorld);
+    this.buttons(seconds, turn);
+    rig.updateMatrixWorld(true);
+    const head = new THREE.Matrix4().fromArray(pose.transform.matrix).premultiply(rig.matrixWorld);
+    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(head), yaw = Math.atan2(-ahead.z, ahead.x);
+    const eyes = new THREE.Vector3().setFromMatrixPosition(head), place = world.worldToLocal(eyes.clone());
+    const floor = cell.content.floor, hands = [null, null];
     for (const grip of this.grips) {
       const source = grip.userData.source;
       if (!source || !grip.visible || source.handedness === "none") continue;
@@ -72,19 +77,19 @@ export class Headset {
       hands[source.handedness === "left" ? 0 : 1] = [dx * Math.cos(yaw) + dy * Math.sin(yaw), dy * Math.cos(yaw) - dx * Math.sin(yaw), hand.z - floor];
     }
     cell.person.goTo([place.x, place.y], yaw, reaching(hands, cell.content.body));
-    this.write();
+    this.write(eyes);
   }
 
   /** Left stick: walk; right stick: turn by 30°; A and B (X and Y): level up and down. */
-  buttons(seconds) {
+  buttons(seconds, head) {
     const { view, cell } = this.player;
     for (const { userData: { source } } of this.grips) {
       const pad = source?.gamepad;
       if (!pad) continue;
       const [x, y] = [pad.axes[2] ?? 0, pad.axes[3] ?? 0];
       if (source.handedness === "left" && Math.hypot(x, y) > DEAD) {
-        const way = new THREE.Vector3(x, 0, y).applyQuaternion(view.renderer.xr.getCamera().getWorldQuaternion(new THREE.Quaternion()));
-        view.rig.position.addScaledVector(way.setY(0), MOVE_M_S * seconds);
+        const way = new THREE.Vector3(x, 0, y).transformDirection(head).setY(0);
+        view.rig.position.addScaledVector(way, MOVE_M_S * Math.hypot(x, y) * seconds);
       }
       this.once(`${source.handedness} turn`, source.handedness === "right" && Math.abs(x) > 0.7, () => (view.rig.rotation.y -= Math.sign(x) * TURN_RAD));
       const change = (by) => (cell.level = Math.min(Math.max(cell.level + by, 1), cell.content.levels ?? cell.level));
@@ -98,20 +103,23 @@ export class Headset {
     this.pressed[name] = down;
   }
 
-  /** Make a board behind the robot that shows level, stage and distance. */
+  /** Make a board, behind the robot for the user, that shows level, stage and distance. */
   sign() {
     this.canvas = Object.assign(document.createElement("canvas"), { width: 512, height: 192 });
     this.texture = new THREE.CanvasTexture(this.canvas);
-    this.board = new THREE.Mesh(new THREE.PlaneGeometry(0.8, 0.3), new THREE.MeshBasicMaterial({ map: this.texture, side: THREE.DoubleSide }));
-    this.board.position.set(0, 1.75, 0);
+    this.texture.colorSpace = THREE.SRGBColorSpace;
+    const look = { map: this.texture, toneMapped: false, fog: false };
+    this.board = new THREE.Mesh(new THREE.PlaneGeometry(0.64, 0.24), new THREE.MeshBasicMaterial(look));
     this.board.visible = false;
     this.player.view.scene.add(this.board);
   }
 
-  write() {
-    const { cell, view } = this.player, text = [cell.content.levels === null ? "" : `level ${cell.level} of ${cell.content.levels}`, `${cell.outcome ?? cell.stage}   ${cell.distance.toFixed(1)} m`];
-    const head = new THREE.Vector3().setFromMatrixPosition(view.renderer.xr.getCamera().matrixWorld);
-    this.board.lookAt(head.x, this.board.position.y, head.z);
+  write(head) {
+    const { cell } = this.player;
+    const text = [cell.content.levels === null ? "" : `level ${cell.level} of ${cell.content.levels}`, `${cell.outcome ?? cell.stage}   ${cell.distance.toFixed(1)} m`];
+    const behind = -BEHIND_M / Math.max(Math.hypot(head.x, head.z), 1e-3);
+    this.board.position.set(behind * head.x, SIGN_M, behind * head.z);
+    this.board.lookAt(head.x, SIGN_M, head.z);
     if (text.join() === this.written) return;
     this.written = text.join();
     const pen = this.canvas.getContext("2d");

@@ -69,7 +69,7 @@ async function main() {
   const cell = new Cell(await loadMujoco({ wasmBinary: wasm }), JSON.parse(new TextDecoder().decode(packed)));
   const view = new View(document.getElementById("view"), cell), player = new Player(cell, view);
   const controls = new Controls(player), headset = new Headset(player);
-  let last = null;
+  let last = null, drawn = null;
   view.renderer.setAnimationLoop((time) => {
     const passed = last === null ? 0 : (time - last) / 1000;
     last = time;
@@ -77,7 +77,8 @@ async function main() {
     headset.update(passed);
     player.pass(passed);
     controls.refresh();
-    view.render();
+    view.render(player.running || drawn !== player.after);
+    drawn = player.after;
   });
   document.body.classList.add("ready");
   window.player = Object.assign(player, { limbPoses });

@@ -61,7 +61,7 @@ export class View {
     const sun = new THREE.DirectionalLight(0xffffff, 2.2);
     sun.position.set(1.5, 4, 2);
     sun.castShadow = true;
-    sun.shadow.mapSize.set(2048, 2048);
+    sun.shadow.mapSize.set(1024, 1024);
     Object.assign(sun.shadow.camera, { left: -2.5, right: 2.5, top: 2.5, bottom: -2.5, near: 0.5, far: 9 });
     sun.shadow.radius = 4;
     sun.shadow.bias = -0.0005;
@@ -134,6 +134,7 @@ export class View {
     this.camera.aspect = width / height;
     this.camera.fov = width < height ? 62 : 45;
     this.camera.updateProjectionMatrix();
+    this.stale = true;
   }
 
   /** Return where every body is now. */
@@ -195,6 +196,7 @@ export class View {
 
   /** Return the ray of a pointer event, in the cell frame. */
   ray(event) {
+    this.scene.updateMatrixWorld(); // the last picture may be older
     const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
     const caster = new THREE.Raycaster();
     caster.setFromCamera(new THREE.Vector2((2 * (event.clientX - left)) / width - 1, 1 - (2 * (event.clientY - top)) / height), this.camera);
@@ -215,8 +217,10 @@ export class View {
     return point && this.world.worldToLocal(point);
   }
 
-  render() {
-    if (!this.renderer.xr.isPresenting) this.orbit.update();
-    this.renderer.render(this.scene, this.camera);
+  /** Draw, unless nothing has moved since. */
+  render(moved) {
+    const turned = !this.renderer.xr.isPresenting && this.orbit.update();
+    if (moved || turned || this.stale || this.renderer.xr.isPresenting) this.renderer.render(this.scene, this.camera);
+    this.stale = false;
   }
 }
