@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 
 from hrl_comfort import __version__
 
-EXTRAS = ("", "gymnasium", "sb3", "studio", "streams", "export", "wandb", "submitit", "ray", "optuna")
+EXTRAS = ("", "gymnasium", "sb3", "studio", "streams", "export", "ur", "wandb", "submitit", "ray", "optuna")
 """Those whose packages are listed; the empty one stands for what every installation has."""
 PIN = re.compile(r"([\w.-]+)(?:\[\w+\])?==([^;\s]+)(?:.*extra == ['\"]([\w-]+)['\"])?")
 

@@ -27,7 +27,7 @@ from hrl_comfort.deploy.streamer import LEAD, TICKS, Limits, Report, Streamer
 Array = NDArray[np.float64]
 SLIP_S = 0.010
 """Delay of the set-points of a control step by which it counts as late."""
-OPEN_S = 30.0
+OPEN_S = 60.0
 """Longest time for the connection to the arm, or for an answer of the streamer."""
 
 

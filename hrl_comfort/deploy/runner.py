@@ -27,6 +27,7 @@ from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine
 from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, Limits
+from hrl_comfort.deploy.ur import UrArm
 from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result, split
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -80,7 +81,7 @@ def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:
     """Return what opens the connection of `config`."""
     if config.connection.name == "simulated":
         return partial(SimulatedArm, scene.model, scene.home)
-    raise ConfigError(f"connection={config.connection.name} is not there yet")
+    return partial(UrArm, config.connection.host, float(rating_of(config.robot).acceleration_rad_s2.min()))
 
 
 class Run:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from dataclasses import replace
 
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.deploy.arms import Reading, SimulatedArm
 
-FAULTS = ("protective stop", "emergency stop", "connection", "slow", "kill")
+FAULTS = ("protective stop", "emergency stop", "connection", "slow")
 
 
 class FaultyArm(SimulatedArm):
@@ -35,6 +33,4 @@ class FaultyArm(SimulatedArm):
             raise ConnectionError("no answer")
         if -25 < self._left <= 0 and self._fault == "slow":
             time.sleep(0.012)
-        if self._left == 0 and self._fault == "kill":
-            os.kill(os.getppid(), signal.SIGKILL)
         super().send(angles)

@@ -1,0 +1,188 @@
+"""Arms of Universal Robots: state by RTDE, set-points by RTDE input registers that a short URScript follows.
+
+The controller runs the script, so nothing has to be installed on it; it must be in remote control. Two guards stop an
+arm whose runner is dead: the script brakes once the counter has not changed for STALE_S, and the controller's own
+watchdog ends the program after 100 ms. RTDE guide and URScript manual: Universal Robots.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from contextlib import suppress
+
+import numpy as np
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.deploy.arms import PERIOD_S, Array, Reading
+
+RTDE_PORT, SCRIPT_PORT = 30004, 30002
+ANSWER_S = 5.0
+"""Longest time for an answer of the controller, and for the start of the script."""
+STALE_S = 0.05
+"""Age of the newest state, or of the newest set-point, at which the connection counts as lost."""
+FIRST = 24
+"""First of the registers: an integer, the counter, negative at the end, and six floats, the set-point, rad."""
+VARIABLES = ["timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state"]
+RUNNING, PLAYING = 7, 2
+"""Robot mode and runtime state."""
+SAFE = (1, 2)
+"""Safety modes in which the arm moves: normal, reduced."""
+SAFETY_MODES = {
+    3: "protective stop", 4: "recovery", 5: "safeguard stop", 6: "emergency stop", 7: "emergency stop",
+    8: "violation", 9: "fault", 10: "joint not validated", 11: "safety mode undefined", 12: "safeguard stop",
+    13: "safeguard stop",
+}  # fmt: skip
+"""Name of each safety mode in which the arm stands."""
+
+
+def script(acceleration_rad_s2: float) -> str:
+    """Return the program of the controller; it brakes with the acceleration when set-points cease."""
+    joints = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
+    return f"""def hrl_comfort():
+  rtde_set_watchdog("input_int_register_{FIRST}", 10, "stop")
+  stale = 0
+  count = read_input_integer_register({FIRST})
+  last = count
+  while (count >= 0) and (stale < {round(STALE_S / PERIOD_S)}):
+    servoj([{joints}], 0, 0, {PERIOD_S}, 0.03, 500)
+    last = count
+    count = read_input_integer_register({FIRST})
+    if count == last:
+      stale = stale + 1
+    else:
+      stale = 0
+    end
+  end
+  stopj({acceleration_rad_s2:.3f})
+end
+"""
+
+
+class Registers:
+    """Input registers of a controller, written at once: a counter and six floats (RTDE, protocol version 2).
+
+    Raises:
+      ConnectionError: the controller does not answer, or does not grant them.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._socket = _connect(host, RTDE_PORT)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._ask(b"V", struct.pack(">H", 2)) != b"\x01":
+            raise ConnectionError(f"{host} does not know version 2 of RTDE")
+        names = [f"input_int_register_{FIRST}", *(f"input_double_register_{FIRST + k}" for k in range(6))]
+        granted = self._ask(b"I", ",".join(names).encode())
+        if granted[0] == 0 or b"IN_USE" in granted or b"NOT_FOUND" in granted:
+            raise ConnectionError(f"{host} does not grant the registers from {FIRST} on: {granted[1:].decode()}")
+        self._recipe = granted[:1]
+        if self._ask(b"S", b"") != b"\x01":
+            raise ConnectionError(f"{host} does not start RTDE")
+        self._socket.settimeout(STALE_S)
+
+    def write(self, count: int, angles: Array) -> None:
+        """Write the counter and the set-point (6,) rad."""
+        try:
+            self._socket.sendall(_package(b"U", self._recipe + struct.pack(">i6d", count, *angles)))
+        except OSError as error:
+            raise ConnectionError(f"set-points cannot be sent ({error.strerror or error})") from error
+
+    def close(self) -> None:
+        """End the connection."""
+        self._socket.close()
+
+    def _ask(self, kind: bytes, payload: bytes) -> bytes:
+        """Return the answer to a request, messages of other kinds left out."""
+        self._socket.sendall(_package(kind, payload))
+        while True:
+            size, answered = struct.unpack(">Hc", self._receive(3))
+            content = self._receive(size - 3)
+            if answered == kind:
+                return content
+
+    def _receive(self, size: int) -> bytes:
+        found = b""
+        while len(found) < size:
+            part = self._socket.recv(size - len(found))
+            if not part:
+                raise ConnectionError("the controller has closed RTDE")
+            found += part
+        return found
+
+
+class UrArm:
+    """The arm of a controller.
+
+    Args:
+      host: address of the controller.
+      acceleration_rad_s2: with which its script brakes when set-points cease.
+
+    Raises:
+      ConfigError: ur_rtde is not installed.
+      ConnectionError: there is no controller, or it is not ready to move.
+    """
+
+    def __init__(self, host: str, acceleration_rad_s2: float) -> None:
+        try:
+            from rtde_receive import RTDEReceiveInterface
+        except ImportError as error:
+            raise ConfigError("connection=ur needs ur_rtde: pip install 'hrl-comfort[ur]'") from error
+        _connect(host, RTDE_PORT).close()  # in one line, where ur_rtde has many
+        self._receiver = RTDEReceiveInterface(host, 1 / PERIOD_S, VARIABLES)
+        self._stamp, self._since_s, self._playing = -1.0, time.monotonic(), False
+        reading = self.read()
+        if reading.trouble:
+            raise ConnectionError(f"{host} is not ready: {reading.trouble}")
+        if self._receiver.getRuntimeState() == PLAYING:
+            raise ConnectionError(f"a program runs on {host}: stop it first")
+        self._registers, self._count = Registers(host), 0
+        self._registers.write(0, reading.angles)
+        with _connect(host, SCRIPT_PORT) as sender:
+            sender.sendall(script(acceleration_rad_s2).encode())
+            deadline = time.monotonic() + ANSWER_S
+            while not self._playing:
+                self.send(reading.angles)
+                self.read()
+                self._playing = self._receiver.getRuntimeState() == PLAYING
+                if time.monotonic() > deadline:
+                    raise ConnectionError(f"{host} does not run the script: is it in remote control?")
+                time.sleep(PERIOD_S)
+
+    def read(self) -> Reading:
+        """See `Arm`."""
+        receiver, now = self._receiver, time.monotonic()
+        if (stamp := receiver.getTimestamp()) != self._stamp:
+            self._stamp, self._since_s = stamp, now
+        elif now - self._since_s > STALE_S:
+            raise ConnectionError(f"no state of the robot for {now - self._since_s:.2g} s")
+        mode, safety = receiver.getRobotMode(), receiver.getSafetyMode()
+        trouble = "" if safety in SAFE else SAFETY_MODES.get(safety, f"safety mode {safety}")
+        if not trouble and mode != RUNNING:
+            trouble = f"robot mode {mode}, not {RUNNING} (running)"
+        if not trouble and self._playing and receiver.getRuntimeState() != PLAYING:
+            trouble = "the program on the robot has ended"
+        return Reading(np.array(receiver.getActualQ()), np.array(receiver.getActualQd()), trouble)
+
+    def send(self, angles: Array) -> None:
+        """See `Arm`."""
+        self._count += 1
+        self._registers.write(self._count, angles)
+
+    def close(self) -> None:
+        """See `Arm`; the script ends, and the controller holds the arm."""
+        with suppress(ConnectionError):
+            self._registers.write(-1, np.array(self._receiver.getActualQ()))
+        self._registers.close()
+        self._receiver.disconnect()
+
+
+def _connect(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_connection((host, port), ANSWER_S)
+    except OSError as error:
+        raise ConnectionError(f"{host}:{port} does not answer ({error.strerror or error})") from error
+
+
+def _package(kind: bytes, payload: bytes) -> bytes:
+    return struct.pack(">Hc", 3 + len(payload), kind) + payload
