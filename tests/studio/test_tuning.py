@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hrl_comfort.config import ConfigError, StudioConfig, TrainConfig
@@ -14,7 +16,8 @@ from hrl_comfort.config.compose import compose
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.studio.server import LiveStudio
-from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
+from hrl_comfort.studio.tune.draft import Draft, compose_alone, overlay, overrides_of, training_overrides
+from hrl_comfort.studio.tune.training import Training
 from tests.studio.browser import opened, until
 
 
@@ -105,6 +108,53 @@ def test_a_parameter_takes_effect_at_the_next_reset_and_the_page_says_so(shown: 
     assert wrong == []
 
 
+def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
+    chain = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    config = compose_alone("studio", ["task=cycle", "meta_controller=scripted", *chain, "human=still", "port=0"])
+    assert isinstance(config, StudioConfig)
+    studio = LiveStudio(config)
+    studio.loop.running = False
+    studio.start()
+    try:
+        studio.tuning.draft.set("meta_controller.retries", "3")
+        studio.loop.ask(studio.play.reset)
+        until(lambda: studio.sessions[0].executor.retries == 3, "another number of retries")
+        studio.tuning.draft.set("meta_controller.options", "[pick,place]")
+        studio.loop.ask(studio.play.reset)
+        until(lambda: "meta_controller.options=['pick', 'place']" in studio.tuning._said.content, "refused")
+        assert studio.sessions[0].options == ["pick", "place", "return"]
+    finally:
+        studio.stop()
+
+
+def test_a_sweep_has_a_curve_for_each_job_and_goes_on_when_it_is_given_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr(Training, "_run", lambda self, words: started.append(words))
+    training = Training(tmp_path)
+    with pytest.raises(ConfigError, match="quot"):
+        training.start([], "train_seed='0,1")
+    folder = training.start(["task=reach", "train_seed=7"], "train_seed=0,1")
+    assert started[-1] == ["-m", "task=reach", "train_seed=0,1", f"output={folder}"]
+    for job in (0, 1):
+        (folder / str(job)).mkdir(parents=True)
+        (folder / str(job) / "policy.pt").touch()
+        rows = "".join(f"{100 * (row + 1)},0,0.1,{0.1 * job},0.0,9\n" for row in range(2 + job))
+        (folder / str(job) / "metrics.csv").write_text(
+            f"policy_steps,episodes,precision_m,success,return,steps\n{rows}"
+        )
+    os.utime(folder / "0" / "policy.pt", (0, 0))
+    assert training.newest() == str(folder / "1" / "policy.pt")
+    steps, first, second, *others = training.curves()
+    assert steps.tolist() == [100, 200, 300] and second.tolist() == [0.1] * 3
+    assert first[:2].tolist() == [0, 0] and np.isnan(first[2]) and np.isnan(others).all()
+    training.resume()
+    assert started[-1] == started[-2]
+    training.start(["task=reach"])
+    assert started[-1] == ["task=reach", f"output={training.folder}"]
+
+
 def test_how_the_person_moves_takes_effect_at_once(shown: tuple[LiveStudio, Any, Any]) -> None:
     studio, page, wrong = shown
     field(page, "human").click()
@@ -127,14 +177,14 @@ def test_a_training_is_started_watched_stopped_and_resumed(shown: tuple[LiveStud
     page.get_by_text("there is no checkpoint yet").first.wait_for()
     click(page, "Start training")
     until(lambda: training.folder is not None and list(training.folder.glob("checkpoints/step_*.pt")), "a checkpoint")
-    until(lambda: len(training.curve()["policy_steps"]) > 1, "a curve")
+    until(lambda: len(training.curves()[0]) > 1, "a curve")
     click(page, "Watch newest checkpoint")
     until(lambda: str(studio.sessions[0].config.policy).endswith("policy.pt"), "the checkpoint plays")
     click(page, "Stop training")
     until(lambda: not training.running, "it is stopped")
-    steps = training.curve()["policy_steps"][-1]
+    steps = training.curves()[0][-1]
     click(page, "Resume training")
-    until(lambda: training.curve()["policy_steps"][-1] > steps, "it goes on")
+    until(lambda: training.curves()[0][-1] > steps, "it goes on")
     training.stop()
     click(page, "Save overlay")
     until(lambda: list(training.folder.parent.glob("overlay.yaml")), "the overlay")  # type: ignore[union-attr]

@@ -1,7 +1,8 @@
-"""Trainings of the studio: each a process of its own, with its curve and its newest checkpoint."""
+"""Trainings and sweeps of the studio: each a process of its own, with its curves and its newest checkpoint."""
 
 from __future__ import annotations
 
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,10 +11,15 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.tables import read_table
 
+CURVES = 8
+"""Most curves of a sweep, those of its first jobs."""
 STOP_S = 60.0
 """Time that an interrupted training has to save its state."""
 
@@ -24,27 +30,36 @@ class Training:
     def __init__(self, output: Path) -> None:
         self._output = output
         self._process: subprocess.Popen[bytes] | None = None
+        self._sweep: list[str] = []
         self.folder: Path | None = None
-        """Run folder of the latest training."""
+        """Folder of the latest training or sweep."""
 
     @property
     def running(self) -> bool:
         """Whether the training runs."""
         return self._process is not None and self._process.poll() is None
 
-    def start(self, overrides: Iterable[str]) -> Path:
-        """Start `hrl-comfort train` with `overrides`; return its run folder.
+    def start(self, overrides: Iterable[str], sweep: str = "") -> Path:
+        """Start `hrl-comfort train` with `overrides`, as `-m` over the lists of `sweep` if given; return its folder.
 
         Raises:
-          ConfigError: one runs already.
+          ConfigError: one runs already, or `sweep` has an open quote.
         """
         if self.running:
             raise ConfigError(f"{self.folder} is being trained; stop it first")
+        try:
+            lists = shlex.split(sweep)
+        except ValueError as error:
+            raise ConfigError(f"sweep={sweep!r}: {error}") from None
         number = 1
         while (self._output / f"training_{number}").exists():
             number += 1
         self.folder = self._output / f"training_{number}"
-        self._run([*overrides, f"output={self.folder}"])
+        swept = {each.partition("=")[0] for each in lists}
+        fixed = [line for line in overrides if line.partition("=")[0] not in swept]
+        words = [*fixed, *lists, f"output={self.folder}"]
+        self._sweep = ["-m", *words] if lists else []
+        self._run(self._sweep or words)
         return self.folder
 
     def resume(self) -> None:
@@ -55,7 +70,7 @@ class Training:
         """
         if self.running or self.folder is None:
             raise ConfigError(f"{self.folder} is being trained" if self.running else "no training was started here")
-        self._run([f"resume={self.folder}"])
+        self._run(self._sweep or [f"resume={self.folder}"])  # a sweep given again goes on
 
     def stop(self) -> None:
         """Interrupt the training, which saves its state, and wait for it."""
@@ -72,10 +87,10 @@ class Training:
         Raises:
           ConfigError: there is none yet.
         """
-        policy = self.folder / "policy.pt" if self.folder else None
-        if policy is None or not policy.is_file():
+        policies = [*self.folder.rglob("policy.pt")] if self.folder else []
+        if not policies:
             raise ConfigError("there is no checkpoint yet; agent.checkpoint_every says how often one is written")
-        return str(policy)
+        return str(max(policies, key=lambda each: each.stat().st_mtime))
 
     def status(self) -> str:
         """Return a line about the latest training; the last line of its log where it failed."""
@@ -88,15 +103,18 @@ class Training:
         said = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return f"`{self.folder}` has stopped: {said[-1] if said else self._process.returncode}"
 
-    def curve(self) -> dict[str, list[float]]:
-        """Return columns of metrics.csv, empty before its first row."""
-        table = None
-        if self.folder is not None:
+    def curves(self) -> tuple[NDArray[np.float64], ...]:
+        """Return policy steps (T,) and the success (T,) of CURVES jobs, NaN where there is none; T may be 0."""
+        found: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        for folder in [self.folder, *sorted(self.folder.glob("[0-9]*"))] if self.folder else []:
             with suppress(ConfigError):
-                table = read_table(self.folder / "metrics.csv")
-        if table is None or not {"policy_steps", "success"} <= set(table.columns):
-            return {"policy_steps": [], "success": []}
-        return {name: table[name].astype(float).tolist() for name in ("policy_steps", "success")}
+                table = read_table(folder / "metrics.csv")
+                known = None if table is None else table.reindex(columns=["policy_steps", "success"]).dropna()
+                if known is not None and len(known):
+                    found.append((known["policy_steps"].to_numpy(float), known["success"].to_numpy(float)))
+        steps = np.unique(np.concatenate([np.zeros(0), *(each for each, _ in found[:CURVES])]))
+        curves = [np.interp(steps, at, success, np.nan, np.nan) for at, success in found[:CURVES]]
+        return steps, *curves, *[np.full_like(steps, np.nan)] * (CURVES - len(curves))
 
     @property
     def _log(self) -> Path:

@@ -13,14 +13,16 @@ import viser.uplot
 from hrl_comfort.config import ConfigError, EnvConfig, StudioConfig, TrainConfig
 from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
+from hrl_comfort.studio.curves import COLOURS
 from hrl_comfort.studio.tune.draft import Draft, compose_alone, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
-from hrl_comfort.studio.tune.training import Poll, Training
+from hrl_comfort.studio.tune.training import CURVES, Poll, Training
 
 if TYPE_CHECKING:
     from hrl_comfort.studio.server import LiveStudio
 
 CELL = tuple(field.name for field in fields(EnvConfig))
+CONTROLLER = "meta_controller"
 LEARNER = tuple(field.name for field in fields(TrainConfig) if field.name in groups("train") and field.name not in CELL)
 DRAWN = ("human.spawn", "human.keep_out", "human.held_out")
 """Keys of where a person begins."""
@@ -47,7 +49,7 @@ class Tuning:
         gui = studio.page.gui
         with gui.add_folder("Parameters", expand_by_default=False):
             self._said = gui.add_markdown("Nothing has been changed.")
-            Form(gui, self.draft, CELL, self._changed)
+            Form(gui, self.draft, (*CELL, CONTROLLER), self._changed)
         with gui.add_folder("Train", expand_by_default=False):
             self._add_training(gui)
         studio.play.renew = self._renew
@@ -93,8 +95,9 @@ class Tuning:
             return
         self._tried = config
         changed = dict(self.draft.changed)
+        controlled = any(key.partition(".")[0] == CONTROLLER for key in self._due)  # a swapped policy has its own
         try:
-            self._studio.rebuild({name: getattr(config, name) for name in CELL})
+            self._studio.rebuild({name: getattr(config, name) for name in (*CELL, *([CONTROLLER] * controlled))})
             self._applied = changed
         except ConfigError as refused:
             error = refused
@@ -103,8 +106,11 @@ class Tuning:
     def _add_training(self, gui: Any) -> None:
         self._training_said = gui.add_markdown("")
         Form(gui, self.learner, LEARNER, self._say_training)
+        sweep = gui.add_text(
+            "sweep", "", hint="lists of any keys, as train_seed=0,1,2 agent.gamma=0.98,0.99; one job each"
+        )
         for label, act in {
-            "Start training": lambda: self.training.start(self._overrides().values()),
+            "Start training": lambda: self.training.start(self._overrides().values(), sweep.value),
             "Stop training": self.training.stop,
             "Resume training": self.training.resume,
             "Watch newest checkpoint": self._watch,
@@ -112,8 +118,12 @@ class Tuning:
         }.items():
             gui.add_button(label).on_click(lambda _, act=act: self._do(act))
         self._chart = gui.add_uplot(
-            data=(np.zeros(1), np.zeros(1)),
-            series=(viser.uplot.Series(label="policy steps"), viser.uplot.Series(label="success", stroke="#1f77b4")),
+            data=tuple(np.zeros((CURVES + 1, 1))),
+            series=(
+                viser.uplot.Series(label="policy steps"),
+                *(viser.uplot.Series(label=str(job), stroke=COLOURS[job % len(COLOURS)]) for job in range(CURVES)),
+            ),
+            legend=viser.uplot.Legend(show=False),
             scales={"x": viser.uplot.Scale(time=False), "y": viser.uplot.Scale(auto=True)},
             title="share of episodes with success",
             height=150,
@@ -158,9 +168,9 @@ class Tuning:
     def _show(self) -> None:
         """Draw the curve of a training that goes on."""
         if self.training.folder is not None:
-            steps, success = self.training.curve().values()
-            if steps:
-                self._chart.data = (np.array(steps), np.array(success))
+            curves = self.training.curves()
+            if len(curves[0]):
+                self._chart.data = curves
             if self.training.status() not in self._training_said.content:
                 self._say_training()
 
