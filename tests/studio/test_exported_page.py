@@ -211,6 +211,16 @@ def test_the_person_is_in_the_next_observation(tab: Any) -> None:
     assert tab.evaluate("player.cell.decision") is None  # the next step asks the policy
 
 
+def test_an_episode_waits_for_a_person_in_the_arms_way(tab: Any) -> None:
+    walk(tab, [0.0, 0.0])
+    run = "() => { for (let k = 0; k < 10; k++) player.step(); return player.cell.state.steps; }"
+    tab.evaluate("() => player.reset()")
+    assert tab.evaluate(run) == 0
+    walk(tab, [1.2, -1.0])
+    assert tab.evaluate(run) in (9, 10)
+    assert tab.evaluate("player.cell.outcome") is None
+
+
 def test_keys_and_the_left_stick_of_a_gamepad_walk_the_person(tab: Any) -> None:
     walk(tab, [-0.6, -0.9])
     tab.evaluate("() => { player.running = true; }")
@@ -250,7 +260,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     )
     with opened(browser, file.resolve().as_uri(), script) as (tab, wrong):
         tab.wait_for_function("window.player")
-        tab.evaluate("() => { player.running = true; }")
+        tab.evaluate("() => { player.running = true; player.view.renderer.shadowMap.autoUpdate = false; }")
         tab.locator("#vr").click()
         tab.wait_for_function("player.view.renderer.xr.isPresenting")
         tab.wait_for_function("player.cell.person.byHand && player.cell.person.target.limbs[6] !== null")

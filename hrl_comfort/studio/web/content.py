@@ -85,7 +85,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "level": float(session.slider.value),
         "body": _body(),
         "person": _person(config),
-        "title": ", ".join(dict.fromkeys(sources.values())),
+        "title": ", ".join(dict.fromkeys("/".join(Path(source).parts[-2:]) for source in sources.values())),
         "robot": env.robot.name,
     }
     made["episodes"] = [_episode(session) for _ in range(EPISODES)]

@@ -122,6 +122,7 @@ export class Cell {
   step() {
     if (this.outcome) this.reset();
     const { content, state, data, model } = this, substeps = content.substeps;
+    if (state.steps === 0 && state.touching) return this.waitForPerson();
     if (!this.decision) {
       state.level = this.level;
       this.decision = { from: [...this.target], increment: this.act(), steps: 0 };
@@ -146,6 +147,16 @@ export class Cell {
     const ended = state.stage > before || failed || late || this.decision.steps === content.action_repeat;
     if (ended) this.endDecision(failed, late);
     return ended;
+  }
+
+  /** Let a person who stands in the way of the arm at its start walk on; the episode begins once they are gone. */
+  waitForPerson() {
+    this.person.advance();
+    this.control(this.target);
+    this.mujoco.mj_forward(this.model, this.data);
+    this.state.contact = false;
+    this.read();
+    return true;
   }
 
   endDecision(failed, late) {
