@@ -42,6 +42,7 @@ BUDGETS = {
     ),
     "evaluate": ("episodes=2",),
     "evaluate handover": ("episodes=2",),
+    "benchmark": ("task.max_episode_steps=100",),
     "bench": TRAINING,
 }  # fmt: skip
 """Overrides that are appended to a verb's commands; the last value of a key counts."""

@@ -50,6 +50,12 @@ COMMANDS = {
         "task=cycle meta_controller=scripted policies.pick=runs/cycle/pick policies.place=runs/cycle/place "
         "policies.return=runs/cycle/return output=runs/handover",
     ),
+    "benchmark": Command(
+        "benchmark",
+        "hrl_comfort.benchmarks.suite:benchmark",
+        "run the benchmark's shifts beside people for one policy; write its entry",
+        "policies.pick=expert policies.place=expert policies.return=expert output=runs/entry",
+    ),
     "report": Command(
         "report",
         "hrl_comfort.report.report:report",

@@ -26,9 +26,12 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import is_object, one_of
 from hrl_comfort.config.overrides import Config, override
-from hrl_comfort.studio.policies import as_chain, with_controller, with_defaults
+from hrl_comfort.studio.policies import as_chain, as_skills, with_controller, with_defaults
 
-BARE = {"evaluate": "policy", "evaluate handover": "policy", "studio": "policy", "deploy": "policy", "report": "run"}
+BARE = {
+    **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
+    "report": "run",
+}
 """Key of a word without `=`, by command: `evaluate runs/pick`."""
 
 
@@ -50,6 +53,8 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
         return with_defaults(overrides)
     if command == "deploy":
         return with_controller(overrides)
+    if command == "benchmark":
+        return as_skills(overrides)
     return as_chain(overrides) if key == "policy" else overrides
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hrl_comfort.comfort.frightened import level_rate
 from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, read_recording, udp
 from hrl_comfort.config import ComfortConfig
 
@@ -31,6 +32,8 @@ class SourceInput:
     """Horizontal distance from the tool to the human's axis."""
     speed_m_s: Floats
     """Mean speed of the tool in the decision."""
+    arm_distance_m: Floats
+    """Smallest distance between any link and any body part; NaN where it is not measured."""
 
 
 def constant(level: int | None) -> Levels:
@@ -103,11 +106,7 @@ class Source:
 
 
 class Simulated(Source):
-    """A level that starts at N_c, falls with closeness and speed of the tool and recovers with time.
-
-    d(level)/dt = -2 (N_c - 1) stress / stress_s + (N_c - level) / recovery_s, with
-    stress = max(0, 1 - d / near) (1 + min(v / fast, 1)) / 2. A model for tests, not fitted to people.
-    """
+    """A level that starts at N_c, falls with closeness and speed of the robot and recovers with time."""
 
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         super().__init__(config, rows)
@@ -119,12 +118,8 @@ class Simulated(Source):
 
     def advance(self, now: SourceInput) -> Floats:
         """See `Source`."""
-        person, top = self.config.person, float(self.config.levels)
-        close = np.maximum(0.0, 1.0 - now.distance_m / person.near_m)
-        stress = close * (1.0 + np.minimum(now.speed_m_s / person.fast_m_s, 1.0)) / 2.0
-        fall = 2.0 * (top - 1.0) * stress / person.stress_s
-        rise = (top - self._exact) / person.recovery_s
-        self._exact = np.clip(self._exact + (rise - fall) * now.passed_s, 1.0, top)
+        rate = RATES[self.config.source](self._exact, now, self.config)
+        self._exact = np.clip(self._exact + rate * now.passed_s, 1.0, float(self.config.levels))
         self.level = np.round(self._exact)
         return self.level.copy()
 
@@ -138,6 +133,23 @@ class Simulated(Source):
         self._exact = saved["exact"].numpy().copy()
 
 
+def stressed(level: Floats, now: SourceInput, config: ComfortConfig) -> Floats:
+    """Return d(level)/dt = (N_c - level) / recovery_s - 2 (N_c - 1) stress / stress_s, (N,) 1/s.
+
+    stress = max(0, 1 - d / near) (1 + min(v / fast, 1)) / 2. A model for tests, not fitted to people.
+    """
+    person, top = config.person, float(config.levels)
+    close = np.maximum(0.0, 1.0 - now.distance_m / person.near_m)
+    stress = close * (1.0 + np.minimum(now.speed_m_s / person.fast_m_s, 1.0)) / 2.0
+    rate: Floats = (top - level) / person.recovery_s - 2.0 * (top - 1.0) * stress / person.stress_s
+    return rate
+
+
+RATES: dict[str, Callable[[Floats, SourceInput, ComfortConfig], Floats]] = {
+    "simulated": stressed,
+    "frightened": lambda level, now, config: level_rate(level, now.arm_distance_m, now.speed_m_s, config),
+}
+"""Changes (N,) of levels (N,), 1/s, of people who react to the robot."""
 SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "none": lambda config: constant(None),
     "fixed": lambda config: constant(config.level),
@@ -147,10 +159,10 @@ SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "file": lambda config: recorded(read_recording(config)),
     "udp": lambda config: Live(config, udp(config)),
     "lsl": lambda config: Live(config, Lsl(config)),
-    "simulated": lambda config: constant(config.levels),
+    **dict.fromkeys(RATES, lambda config: constant(config.levels)),
 }
 
 
 def make_source(config: ComfortConfig, rows: int) -> Source:
     """Return the source `config.source` for N rows; raise ConfigError at a bad recording or stream."""
-    return (Simulated if config.source == "simulated" else Source)(config, rows)
+    return (Simulated if config.source in RATES else Source)(config, rows)

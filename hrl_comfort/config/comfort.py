@@ -8,7 +8,7 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import ConfigError, between, choice, named, within
 
-SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated")
+SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated", "frightened")
 FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
@@ -43,10 +43,10 @@ class StreamConfig:
 
 @dataclass(frozen=True)
 class PersonConfig:
-    """The simulated human of `source=simulated`."""
+    """The simulated human of `source=simulated` and `frightened`."""
 
     near_m: Annotated[float, within(0.01, 10.0)]
-    """Horizontal distance to the tool below which the tool causes stress, m."""
+    """Distance below which the robot causes stress, m: horizontal to the tool, or `frightened` to the nearest link."""
     fast_m_s: Annotated[float, within(0.01, 10.0)]
     """Tool speed of full stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]

@@ -48,6 +48,7 @@ ROOTS: dict[str, type[Config]] = {
     "train_hierarchy": HierarchyTrainConfig,
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
+    "benchmark": EvaluateConfig,
     "studio": StudioConfig,
     "deploy": DeployConfig,
     "export": ExportConfig,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pandas import DataFrame
 
 from hrl_comfort.analysis.summary import summarise
+from hrl_comfort.comfort.frightened import mean_level
 from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
@@ -216,6 +217,7 @@ class EpisodeRecorder:
             through = Course(**kept, balls_placed=episode.balls_placed, protective_stops=stops, human_here=here)
             values = metrics(Trajectory(tool, human, through.joint_target, through.arm_distance, here))
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
+            values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
             if self.engine.episodes.subtask.repeats:
                 values |= shift_rates(through, shielded)
             measures = {name: None if value is None else rounded(value) for name, value in values.items()}

@@ -58,9 +58,9 @@ class Episodes:
         disturbance: str = "none",
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
-        plain = subtask(config.task.name, config.task.observation, config.task.balls)
-        plain = replace(plain, terminate_on=config.task.terminate_on)
-        seen = with_comfort(plain, config.comfort, config.task.max_step_deg)
+        task, source = config.task, config.comfort.source
+        plain = replace(subtask(task.name, task.observation, task.balls), terminate_on=task.terminate_on)
+        seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
         weights = reward_weights(config.reward, config.comfort.scale)
         self.reward_names = tuple(self.subtask.rewards)
@@ -84,7 +84,7 @@ class Episodes:
         self.draw = self.sampler.blank(rows)
         """What was drawn for the episode of each row."""
         self.source = make_source(config.comfort, rows)
-        paid = config.comfort.distance == "arm" and config.comfort.source != "none"
+        paid = source == "frightened" or (config.comfort.distance == "arm" and source != "none")
         self._separation = Separation(scene)
         self._sensors = Sensors(scene, self._separation, measure_arm or paid)
         self._drive = make_drive(scene, self._separation, config, rows)

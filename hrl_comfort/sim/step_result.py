@@ -131,6 +131,7 @@ def source_input(before: State, result: StepResult) -> SourceInput:
         passed_s=taken.numpy() * CONTROL_STEP_S,
         distance_m=human_distance(result.state.tcp_pos, result.state.human_pos).numpy(),
         speed_m_s=(travelled / (taken * CONTROL_STEP_S)).numpy(),
+        arm_distance_m=result.state.arm_distance.numpy(),
     )
 
 

@@ -58,6 +58,16 @@ def as_chain(overrides: Sequence[str]) -> list[str]:
     return list(overrides)
 
 
+def as_skills(overrides: Sequence[str]) -> list[str]:
+    """Return `overrides` with the policy of every skill in place of `policy=`, the folder of a chain or one for all."""
+    source = _values(overrides).get("policy")
+    if source is None:
+        return list(overrides)
+    chain = options_in(Path(source)) == CYCLE
+    skills = (override(f"policies.{name}", str(Path(source) / name) if chain else source) for name in CYCLE)
+    return [*(line for line in overrides if not line.startswith("policy=")), *skills]
+
+
 def _values(overrides: Sequence[str]) -> dict[str, str]:
     """Return the value of each override, as written, by key."""
     return {line.lstrip("+").split("=")[0]: line.partition("=")[2].strip("'\"") for line in overrides}

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hrl_comfort.comfort.frightened import level_rate, mean_level
 from hrl_comfort.comfort.sources import DRAWS, SourceInput, make_source
 from hrl_comfort.comfort.streams import Signal, read_recording, udp
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
@@ -25,7 +26,7 @@ def comfort(*overrides: str) -> ComfortConfig:
 
 def at(seconds: float, rows: int, distance_m: float = 1.0, speed_m_s: float = 0.0) -> SourceInput:
     whole = np.ones(rows)
-    return SourceInput(seconds * whole, 0.1 * whole, distance_m * whole, speed_m_s * whole)
+    return SourceInput(seconds * whole, 0.1 * whole, distance_m * whole, speed_m_s * whole, distance_m * whole)
 
 
 def begun(config: ComfortConfig, rows: int, seed: int = 0):
@@ -95,8 +96,34 @@ def test_simulated_level_falls_near_a_fast_robot_and_recovers() -> None:
     assert source.level.item() == 10
 
 
+def test_a_near_arm_frightens_when_it_moves_and_not_at_rest() -> None:
+    source = begun(comfort("comfort.source=frightened"), 1)
+    for _ in range(50):
+        source.advance(at(0.0, 1, distance_m=0.1, speed_m_s=0.0))
+    assert source.level.item() == 10
+    for _ in range(20):
+        source.advance(at(0.0, 1, distance_m=0.1, speed_m_s=1.0))
+    assert source.level.item() <= 4
+    for _ in range(300):
+        source.advance(at(0.0, 1, distance_m=0.9, speed_m_s=2.0))
+    assert source.level.item() == 10
+
+
+def test_the_mean_level_of_a_path_is_that_of_the_source_along_it() -> None:
+    config, rng = comfort("comfort.source=frightened"), np.random.default_rng(0)
+    tool = np.cumsum(rng.normal(0, 0.01, (400, 3)), axis=0)
+    arm = rng.uniform(0.0, 1.0, 400)
+    speed = np.linalg.norm(np.diff(tool, axis=0), axis=-1) / 0.02
+    level, levels = np.full(1, 10.0), []
+    for distance, moving in zip(arm[1:], speed, strict=True):
+        rate = level_rate(level, np.array([distance]), np.array([moving]), config)
+        level = np.clip(level + 0.02 * rate, 1.0, 10.0)
+        levels.append(level.item())
+    assert mean_level(arm, tool, config) == pytest.approx(np.mean(levels))
+
+
 def test_a_source_continues_from_its_state() -> None:
-    for name in ("random", "changing", "simulated"):
+    for name in ("random", "changing", "simulated", "frightened"):
         first = begun(comfort(f"comfort.source={name}"), 8)
         first.advance(at(0.5, 8, 0.3, 1.0))
         second = make_source(first.config, 8)

@@ -87,7 +87,19 @@ WORLD = ("robot", "cell", "human", "comfort", "task", "reward")
 PLAIN = [str(n) for n in (0, 1e-3, 0.01, 0.1, 0.5, 0.9, 1, 2, 3, 5, 8, 60, 100, 1000, -1, -0.5, -100)]
 WORDS = sorted(
     {*allowed.FORMS, *allowed.THRESHOLDS, *allowed.SPEED_FORMS, *allowed.DISTANCES, *humans.MOTIONS}
-    | {"none", "fixed", "random", "changing", "simulated", "cartesian", "paper", "full", "partial", "points"}
+    | {
+        "none",
+        "fixed",
+        "random",
+        "changing",
+        "simulated",
+        "frightened",
+        "cartesian",
+        "paper",
+        "full",
+        "partial",
+        "points",
+    }
     | {"anywhere", "true", "null"}
 )
 PLACES = [f"[{x},{y}{z}]" for x in (0, 0.3, -2, 1e9) for y in (0.1, -1e300) for z in ("", ",0.2")]

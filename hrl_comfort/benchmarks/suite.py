@@ -1,0 +1,110 @@
+"""`hrl-comfort benchmark`: the suite of conf/benchmark.yaml for one policy, beside the entries of others."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pandas import json_normalize
+
+from hrl_comfort.analysis.summary import summarise
+from hrl_comfort.analysis.tables import Quantity, cells, markdown
+from hrl_comfort.config import EvaluateConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.evaluation.ledger import FILE, hash_of
+from hrl_comfort.files.atomic import write_json, write_text
+from hrl_comfort.files.documents import read_json
+from hrl_comfort.files.provenance import commit
+from hrl_comfort.files.tables import read_table
+from hrl_comfort.plots.benchmark import front
+from hrl_comfort.plots.style import save_png
+
+ENTRIES = FILE.parent / "benchmark"
+"""Folder of the entries, a JSON each."""
+OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime")
+"""Keys that a policy may set without leaving the suite."""
+QUANTITIES = {
+    "balls_per_min": Quantity("balls a minute", digits=2),
+    "discomfort_per_min": Quantity("discomfort, s a minute", digits=2),
+    "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2),
+    "contacts_per_h": Quantity("contacts an hour", digits=1),
+    "other_collisions_per_h": Quantity("other collisions an hour", digits=1),
+    "protective_stops_per_min": Quantity("protective stops a minute", digits=2),
+    "arm_distance_mean_m": Quantity("arm distance, m", digits=2),
+    "tool_speed_beside_m_s": Quantity("tool speed within 1 m, m/s", digits=2),
+    "person_level_mean": Quantity("level of a frightened person", digits=2),
+}
+"""Columns of the table."""
+
+
+def benchmark(config: EvaluateConfig) -> Path:
+    """Run the suite; write benchmark.json, the entry, and benchmark.md and .png, which have those of ENTRIES too.
+
+    Return the entry's file.
+    """
+    output = evaluate(config)
+    entry = entry_of(config, output)
+    every = [*(read_json(file, dict) for file in sorted(ENTRIES.glob("*.json"))), entry]
+    write_json(output / "benchmark.json", entry)
+    write_text(output / "benchmark.md", table(every))
+    save_png(front(every), output / "benchmark.png")
+    print(table([entry]), end="")
+    return output / "benchmark.json"
+
+
+def entry_of(config: EvaluateConfig, folder: Path) -> dict[str, Any]:
+    """Return the entry of the evaluation in `folder`: policy, what differs from the suite, means by level."""
+    episodes = read_table(folder / "episodes.csv")
+    assert episodes is not None, "an evaluation has episodes"
+    groups = summarise(episodes, [], config.task.max_episode_steps)["groups"]
+    return {
+        "policy": name_of(config),
+        "policies": {name: hash_of(source) for name, source in config.policies.items()},
+        "commit": commit(),
+        "changed": changed(config),
+        "levels": [
+            {
+                "level": group["comfort_level"],
+                "shifts": group["episodes"],
+                **{name: group["metrics"][name] for name in QUANTITIES if name in group["metrics"]},
+            }
+            for group in groups
+        ],
+    }
+
+
+def name_of(config: EvaluateConfig) -> str:
+    """Return the name of an entry: its one policy, or the folder of its policies."""
+    sources = set(config.policies.values())
+    parents = {str(Path(source).parent) for source in sources}
+    return " ".join(sorted(sources if len(sources) == 1 or len(parents) > 1 else parents))
+
+
+def changed(config: EvaluateConfig) -> dict[str, Any]:
+    """Return the keys of a configuration that are not as in the suite, with their values."""
+    suite, asked = (json_normalize(asdict(each)).iloc[0].to_dict() for each in (compose("benchmark"), config))
+    return {
+        key: value
+        for key, value in asked.items()
+        if key not in OWN and not key.startswith("policies.") and (key not in suite or str(suite[key]) != str(value))
+    }
+
+
+def table(entries: list[dict[str, Any]]) -> str:
+    """Return the entries as a Markdown table, a line a level; a star marks one of another suite or split."""
+    heads = ["policy", "level", "shifts", *(each.label for each in QUANTITIES.values())]
+    return markdown(
+        heads,
+        (
+            [
+                entry["policy"] + "*" * bool(entry["changed"]),
+                str(at["level"]),
+                str(at["shifts"]),
+                *cells(at, QUANTITIES),
+            ]
+            for entry in entries
+            for at in entry["levels"]
+        ),
+    )
