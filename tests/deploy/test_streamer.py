@@ -120,6 +120,34 @@ def test_a_stop_takes_the_rated_time() -> None:
     assert needed - PERIOD_S < ticks * PERIOD_S < needed + 3 * PERIOD_S
 
 
+@pytest.mark.parametrize("kind", ["asked for", "limit", "late", "protective stop", "emergency stop", "connection"])
+def test_every_stop_at_any_moment_comes_to_rest_in_the_rated_time(kind: str) -> None:
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        steps, tick = int(rng.integers(4, 9)), int(rng.integers(TICKS))
+        stream, log = streamer(kind, 10 * steps + tick)
+        push(stream, steps, seed)
+        if kind == "late":
+            run(stream, None, late=True)
+        target = stream.point + stream.velocity * CONTROL_STEP_S
+        stream.begin_step(target + (9.0 if kind == "limit" else 0.0), late=kind == "late")
+        needed = float(
+            limits().rating.stopping_time(np.maximum(np.abs(stream.velocity), np.abs(stream._speed))[None])[0]
+        )
+        passed, at_rest_s = 0, None
+        while at_rest_s is None or passed * PERIOD_S < at_rest_s + 0.3:
+            if passed == tick and kind == "asked for":
+                stream.stop("asked for")
+            stream.tick(min(passed, TICKS - 1))
+            passed += 1
+            if stream.stopped and at_rest_s is None and stream.report().at_rest:
+                at_rest_s = passed * PERIOD_S
+        assert at_rest_s is not None and "\n" not in stream.stopped
+        assert at_rest_s <= needed + (tick + 3) * PERIOD_S
+        assert max(shares(log)) <= 1 + 1e-6
+        assert kind == "connection" or np.abs(stream.arm.read().velocity).max() < 0.02
+
+
 def test_the_simulated_arm_follows() -> None:
     arm = SimulatedArm(scene().model, scene().home)
     for _ in range(200):
