@@ -14,7 +14,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 REASON = "no Chromium here; on Debian or Ubuntu: apt-get install chromium"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 640, "height": 320}
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 HARMLESS = ("Unable to preventDefault inside passive event listener",)
 """Lines of viser's own page, which camera-controls writes where a scripted mouse scrolls or drags."""
 
