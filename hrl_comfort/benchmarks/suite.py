@@ -10,7 +10,7 @@ from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.analysis.tables import Quantity, cells, markdown
-from hrl_comfort.config import EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.ledger import FILE, hash_of
@@ -43,7 +43,12 @@ def benchmark(config: EvaluateConfig) -> Path:
     """Run the suite; write benchmark.json, the entry, and benchmark.md and .png, which have those of ENTRIES too.
 
     Return the entry's file.
+
+    Raises:
+      ConfigError: the task is another than the suite's.
     """
+    if config.task.name != "shift":
+        raise ConfigError(f"task={config.task.name}: the benchmark's figures are of task=shift alone")
     output = evaluate(config)
     entry = entry_of(config, output)
     every = [*(read_json(file, dict) for file in sorted(ENTRIES.glob("*.json"))), entry]

@@ -135,6 +135,7 @@ class Subtask:
 
     def ball(self, stage: int) -> Ball:
         """Return the location of the ball in a stage, or after the last one."""
+        stage = stage % len(self.stages) if self.repeats else stage
         return self.stages[stage].ball if stage < len(self.stages) else self.stages[-1].ball_after
 
     def grasping(self, stage: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import pytest
 
 from hrl_comfort.benchmarks import suite
 from hrl_comfort.cli.first_checks import completed
-from hrl_comfort.config import EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 
 SHORT = ("split=validation", "episodes=2", "levels=[1,10]", "task.max_episode_steps=150")
@@ -41,6 +41,12 @@ def test_the_suite_is_on_the_test_split_and_says_what_was_changed() -> None:
     other = asked("policy=expert", "split=validation", "human=still", "safety=none")
     assert {"split", "human.motion", "safety.kind"} <= set(suite.changed(other))
     assert suite.changed(replace(config, episodes=3)) == {"episodes": 3}
+
+
+def test_another_task_than_the_suites_is_refused_before_it_runs(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"task=cycle: the benchmark's figures are of task=shift alone"):
+        suite.benchmark(asked("policy=expert", "task=cycle", f"output='{tmp_path / 'entry'}'"))
+    assert not (tmp_path / "entry").exists()
 
 
 def test_an_entry_has_its_levels_a_table_and_a_figure_with_the_others(

@@ -160,3 +160,8 @@ def test_the_same_shift_comes_out_of_a_batch_of_any_size(tmp_path: Path) -> None
     asked = ("human=patrol", "task.max_episode_steps=400")
     alone, three = rows(tmp_path / "a", *asked, "episodes=1"), rows(tmp_path / "b", *asked, "episodes=3")
     assert alone[0] == three[0]
+
+
+def test_the_ball_is_where_it_is_in_the_round_of_the_stage() -> None:
+    count = len(SHIFT.stages)
+    assert [SHIFT.ball(stage) for stage in range(count, 2 * count)] == [stage.ball for stage in SHIFT.stages]

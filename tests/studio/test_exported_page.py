@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.config.compose import compose, environment
@@ -22,6 +24,7 @@ from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web import content, page
+from hrl_comfort.studio.web.trace import traced
 from tests.studio.browser import opened, until
 
 REFERENCE = Path("runs/reference/comfort/seed0")
@@ -279,6 +282,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     [
         (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
         (["robot.rating=collaborative"], r"robot.rating=collaborative: a page of export= has robot.rating=paper alone"),
+        (["task=shift"], r"task=shift: a page of export= shows one policy"),
         (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),
     ],
 )
@@ -292,3 +296,22 @@ def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeyp
     with pytest.raises(ConfigError, match=r"the page's program is not built; run make page"):
         page.export_page(configured(f"export={tmp_path / 'page.html'}"))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: x.long() + 1,
+        lambda x: x.bool(),
+        lambda x: torch.linalg.vector_norm(x, 1.0, dim=-1),
+        lambda x: x[torch.tensor([0]), torch.tensor([1])],
+        lambda x: x.cumsum(0),
+    ],
+)
+def test_what_the_page_would_compute_otherwise_is_refused(function: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    class Graph(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return function(x)
+
+    with pytest.raises(ConfigError, match="the page cannot compute"):
+        traced(Graph(), SimpleNamespace(tcp_pos=torch.ones(1, 3)), ["tcp_pos"])  # type: ignore[arg-type]

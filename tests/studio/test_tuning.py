@@ -127,6 +127,19 @@ def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
         studio.stop()
 
 
+def test_the_curves_of_a_sweep_are_in_the_order_of_its_jobs(tmp_path: Path) -> None:
+    training = Training(tmp_path)
+    training.folder = tmp_path / "training_1"
+    for job in (0, 1, 2, 10):
+        (training.folder / str(job)).mkdir(parents=True)
+        rows = "" if job == 1 else f"100,0,0.1,{job / 10},0.0,9\n"
+        (training.folder / str(job) / "metrics.csv").write_text(
+            f"policy_steps,episodes,precision_m,success,return,steps\n{rows}"
+        )
+    _, *curves = training.curves()
+    np.testing.assert_equal([curve[-1] for curve in curves[:5]], [0.0, np.nan, 0.2, 1.0, np.nan])
+
+
 def test_a_sweep_has_a_curve_for_each_job_and_goes_on_when_it_is_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -104,17 +104,27 @@ class Training:
         return f"`{self.folder}` has stopped: {said[-1] if said else self._process.returncode}"
 
     def curves(self) -> tuple[NDArray[np.float64], ...]:
-        """Return policy steps (T,) and the success (T,) of CURVES jobs, NaN where there is none; T may be 0."""
+        """Return policy steps (T,) and success (T,) of the first CURVES jobs, NaN where there is none; T may be 0."""
         found: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-        for folder in [self.folder, *sorted(self.folder.glob("[0-9]*"))] if self.folder else []:
+        for folder in self._jobs[:CURVES]:
+            at = success = np.full(1, np.nan)
             with suppress(ConfigError):
                 table = read_table(folder / "metrics.csv")
                 known = None if table is None else table.reindex(columns=["policy_steps", "success"]).dropna()
                 if known is not None and len(known):
-                    found.append((known["policy_steps"].to_numpy(float), known["success"].to_numpy(float)))
-        steps = np.unique(np.concatenate([np.zeros(0), *(each for each, _ in found[:CURVES])]))
-        curves = [np.interp(steps, at, success, np.nan, np.nan) for at, success in found[:CURVES]]
+                    at, success = known["policy_steps"].to_numpy(float), known["success"].to_numpy(float)
+            found.append((at, success))
+        steps = np.unique(np.concatenate([np.zeros(0), *(at[np.isfinite(at)] for at, _ in found)]))
+        curves = [np.interp(steps, at, success, np.nan, np.nan) for at, success in found]
         return steps, *curves, *[np.full_like(steps, np.nan)] * (CURVES - len(curves))
+
+    @property
+    def _jobs(self) -> list[Path]:
+        """The folders of the latest sweep's jobs, by their numbers; of a single training its own."""
+        if self.folder is None:
+            return []
+        jobs = [each for each in self.folder.glob("*") if each.name.isdecimal()]
+        return sorted(jobs, key=lambda each: int(each.name)) or [self.folder]
 
     @property
     def _log(self) -> Path:

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, StudioConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, SORTING, ConfigError, StudioConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.hierarchy.options import Option
 from hrl_comfort.humans import body, walk
@@ -107,8 +107,8 @@ def refuse(config: StudioConfig) -> None:
     for key, value, only in allowed:
         if value != only:
             raise ConfigError(f"{key}={value}: a page of export= has {key}={'null' if only is None else only} alone")
-    if config.task.name == "sort":
-        raise ConfigError("task=sort: a page of export= shows one policy, or a chain of them")
+    if config.task.name in SORTING:
+        raise ConfigError(f"task={config.task.name}: a page of export= shows one policy, or a chain of them, once")
     for source in [config.policy] if config.policy else config.policies.values():
         if source is None or not Path(source).exists():
             raise ConfigError(f"policy={source!r}: export= takes a run folder, a checkpoint or a policy.pt")

@@ -81,13 +81,26 @@ def constant(tensor: Tensor) -> dict[str, Any]:
 
 def _call(name: str, node: fx.Node) -> tuple[str, list[Any]]:
     """Return the operation and the arguments of a node."""
-    if name in PLAIN:
+    if name in PLAIN and not _narrows(node):
         return "same", [_argument(node.args[0])]
-    if (name != "getitem" and name not in OPS) or node.kwargs.keys() - KINDS:
+    if (name != "getitem" and name not in OPS) or node.kwargs.keys() - KINDS or _unlike_the_page(name, node.args):
         raise ConfigError(
             f"the page cannot compute {node.target} of a policy; export= takes the project's observations"
         )
     return name, [_argument(each) for each in node.args]
+
+
+def _narrows(node: fx.Node) -> bool:
+    """Return whether a cast changes values: to an integer or a bool."""
+    (source, *_), target = node.args, node.kwargs.get("dtype")
+    return target is not None and not torch.can_cast(source.meta["val"].dtype, target)  # type: ignore
+
+
+def _unlike_the_page(name: str, args: tuple[Any, ...]) -> bool:
+    """Return whether the page's operation of this name computes something else for these arguments."""
+    if name == "linalg_vector_norm":
+        return args[1:2] not in ((), (2,))
+    return name == "index" and (len(args[1]) > 1 or args[1][0].meta["val"].dtype == torch.bool)
 
 
 def _argument(value: Any) -> Any:
