@@ -54,7 +54,8 @@ COMMANDS = {
         "benchmark",
         "hrl_comfort.benchmarks.suite:benchmark",
         "run the benchmark's shifts beside people for one policy; write its entry",
-        "policy=expert split=validation episodes=2 output=runs/entry",
+        "policies.pick=expert policies.place=expert policies.return=expert split=validation episodes=2 "
+        "output=runs/entry",
     ),
     "report": Command(
         "report",
