@@ -17,6 +17,7 @@ import torch
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.provenance import is_finished
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.trainer import train
 from tests.point_env import make_points, small_config
@@ -71,10 +72,6 @@ def stopped(folder: Path) -> float:
     return time.monotonic() - told
 
 
-def finished(folder: Path) -> bool:
-    return (folder / "policy.pt").exists() and not (folder / "checkpoints" / "latest.pt").exists()
-
-
 def same_end(folder: Path, whole: Path) -> None:
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
     for name in ("policy.pt", "checkpoints/best.pt"):
@@ -88,7 +85,7 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: Path, tmp_path: Pa
     rng, kills, round_ = np.random.default_rng(0), 0, 0
     while kills < KILLS:
         folder = tmp_path / str(round_)
-        while not finished(folder):
+        while not is_finished(folder):
             if kills == KILLS:
                 go_on(folder)
                 break
