@@ -173,7 +173,7 @@ def serve(pipe: Connection, open_arm: Callable[[], Arm], limits: Limits, log: Pa
     prefer(STREAMER)
     try:
         arm = open_arm()
-    except (ConnectionError, RuntimeError) as error:
+    except (ConfigError, OSError, RuntimeError) as error:
         pipe.send(f"connection: {' '.join(str(error).split())}")
         return
     with log.open("wb") as file:

@@ -56,6 +56,7 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
       ConfigError: a policy does not fit, the dry run touches something, the word is not typed, no connection.
       StoppedError: the arm was brought to rest before the last episode was over; everything has been written.
     """
+    refuse(config)
     torch.set_num_threads(1)
     output = Path(config.output)
     with output_folder(output, DeployConfig, "config.yaml"), interruption() as interrupted:
@@ -75,6 +76,19 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
             run.write(output)
     print(output)
     return output
+
+
+def refuse(config: DeployConfig) -> None:
+    """Raise ConfigError for what an arm is not run with."""
+    robot, human, name = config.robot.name, config.human, config.connection.name
+    if config.task.name == "shift":
+        raise ConfigError("task.name=shift goes on after failures, which deploy does not; choose task=cycle")
+    if config.split == "test":
+        raise ConfigError("split=test is for hrl-comfort evaluate, which keeps its ledger; choose split=validation")
+    if name == "ur" and not robot.startswith("ur"):
+        raise ConfigError(f"robot.name={robot} is no arm of connection=ur; choose robot=ur3e, ur5e or ur10e")
+    if name == "ur" and human.motion == "live" and human.file is None:
+        raise ConfigError("human.file=null tells nobody's place beside a real arm; give human.file=udp://… or lsl:…")
 
 
 def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:

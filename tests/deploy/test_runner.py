@@ -156,6 +156,20 @@ def test_what_does_not_go_with_an_arm_is_refused(override: str, said: str, tmp_p
         config(tmp_path, override)
 
 
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["task=shift"], "task.name=shift goes on after failures"),
+        (["split=test"], "split=test is for hrl-comfort evaluate"),
+        (["connection=ur", "confirm=ask", "human=live", "robot=jaco"], "robot.name=jaco is no arm of connection=ur"),
+        (["connection=ur", "confirm=ask", "human=live"], "human.file=null tells nobody's place"),
+    ],
+)
+def test_what_an_arm_is_not_run_with_is_refused(overrides: list[str], said: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=said):
+        deploy(config(tmp_path, *overrides))
+
+
 def test_nobody_walks_beside_a_real_arm_but_people_who_are_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"human.motion=still is nobody beside a real arm; choose one of live"):
         config(tmp_path, "connection=ur", "confirm=ask")
