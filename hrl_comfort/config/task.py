@@ -65,6 +65,8 @@ class TaskConfig:
     """`point_to_point`: fixed second point, m."""
     start: str
     """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
+    arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
+    """Speed of the joints (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
     """Contact with the human that ends an episode; after another one it goes on."""
     resample_start_probability: Annotated[float, within(0.0, 1.0)]

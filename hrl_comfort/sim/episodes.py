@@ -59,7 +59,8 @@ class Episodes:
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         task, source = config.task, config.comfort.source
-        plain = replace(subtask(task.name, task.observation, task.balls), terminate_on=task.terminate_on)
+        known = subtask(task.name, task.observation, task.balls)
+        plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
         seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
         weights = reward_weights(config.reward, config.comfort.scale)
@@ -71,7 +72,6 @@ class Episodes:
         self.action_dim = action_dim(scene, config.task)
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
-
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
         self._drops = self.sampler.goals[1:]
         at_home = mujoco.MjData(scene.model)

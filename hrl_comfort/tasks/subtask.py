@@ -86,6 +86,8 @@ class Subtask:
     start: Start = Start.HOME
     terminate_on: str = "contact"
     """Contact with the human that is a failure: `contact` or `unsafe_contact`."""
+    arrival_speed: float | None = None
+    """A stage is done only while the joints are slower than this, rad/s, Euclidean norm; None: at any speed."""
     repeats: bool = False
     """The stages begin again after the last one: `State.stage` counts on, and only the time limit ends an episode."""
 
@@ -107,7 +109,9 @@ class Subtask:
         stage, own = state.stage, self.in_round(state.stage)
         for index, item in enumerate(self.stages):
             stage = torch.where((own == index) & item.done(state), state.stage + 1, stage)
-        return stage
+        if self.arrival_speed is None:
+            return stage
+        return torch.where(vector_norm(state.joint_vel, dim=-1) < self.arrival_speed, stage, state.stage)
 
     def in_round(self, stage: Tensor) -> Tensor:
         """Return the stages (N,) counted from the first of their round, if stages are repeated."""
