@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask
 from hrl_comfort.tasks.rewards import arrival_speed, overtime, return_shaping
@@ -66,6 +68,37 @@ def test_pick_is_done_just_inside_take_and_not_just_outside() -> None:
     outside = state.with_(tcp_pos=state.ball_pos + offset * (state.grasp_tolerance[:, None] + 1e-6))
     assert (pick.next_stage(inside) == 1).all()
     assert (pick.next_stage(outside) == 0).all()
+
+
+def test_a_stage_with_an_arrival_speed_is_done_by_a_slower_arm_only() -> None:
+    state = Engine(configured("task=pick", "task.arrival_speed_rad_s=0.5"), 4, 0).reset()
+    at_ball = state.with_(tcp_pos=state.ball_pos)
+    moving = torch.full_like(state.joint_vel, 0.5 / math.sqrt(6))
+    task = replace(subtask("pick"), arrival_speed=0.5)
+    assert (task.next_stage(at_ball.with_(joint_vel=0.99 * moving)) == 1).all()
+    assert (task.next_stage(at_ball.with_(joint_vel=1.01 * moving)) == 0).all()
+    assert (subtask("pick").next_stage(at_ball.with_(joint_vel=2 * moving)) == 1).all()
+
+
+def test_an_episode_ends_no_sooner_than_its_arm_is_slow() -> None:
+    ended = []
+    for speed in ("null", "0.3"):
+        said = configured("task=pick", "human=none", f"task.arrival_speed_rad_s={speed}")
+        engine = Engine(said, 8, 0)
+        act = make_policy("expert", engine.episodes.subtask, engine.scene, said, 0)
+        state = engine.reset()
+        done = torch.zeros(8, dtype=torch.bool)
+        rates = torch.zeros(8, dtype=torch.float64)
+        while not done.all():
+            result = engine.step(act(state).numpy())
+            now = result.success & ~done
+            rates[now] = torch.linalg.vector_norm(result.state.joint_vel[now], dim=-1)
+            done |= result.done
+            state = engine.reset(np.flatnonzero(result.done.numpy()))
+        ended.append(rates)
+        engine.close()
+    free, slow = ended
+    assert free.max() > 0.5 and (slow < 0.3).all()
 
 
 def test_place_goes_to_the_drop_point_of_the_balls_colour() -> None:
