@@ -9,7 +9,7 @@ from hrl_comfort.config.checks import XY, XYZ, ConfigError, choice, within
 
 COLOURS = ("orange", "pink")
 """By number in `State.colour`."""
-OBSERVATIONS = ("default", "paper")
+OBSERVATIONS = ("default", "proximity", "paper")
 SORTING = ("sort", "shift")
 """Tasks of several balls."""
 

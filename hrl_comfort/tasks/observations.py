@@ -16,6 +16,8 @@ from hrl_comfort.tasks.subtask import Ball, Stage, StateFunction, by_stage
 
 HORIZON_M = 2.0
 """Largest coordinate of the human that is observed; the arm reaches about 0.7 m."""
+PERSONAL_M = 1.2
+"""Reach of personal space (Hall 1966); `nearness` is zero beyond it."""
 SERVO_SPEED = math.radians(100.0)
 """rad/s: 2 degrees every 20 ms."""
 
@@ -49,6 +51,18 @@ def human_from_tool(state: State) -> Tensor:
     """Return (N, 3): m, the human as seen from the tool (x, y), and the horizontal distance."""
     offset = human(state) - state.tcp_pos[:, :2]
     return torch.cat([offset, offset.norm(dim=-1, keepdim=True)], dim=-1)
+
+
+def nearness(state: State) -> Tensor:
+    """Return (N, 3): from 0 where the human as seen is `PERSONAL_M` or more from the tool to 1 at the tool, and that
+    times the horizontal direction to the human.
+
+    A policy that sees this alone does the same beside a person in any place, and the same as alone where nobody is near.
+    """
+    offset = human(state) - state.tcp_pos[:, :2]
+    distance = offset.norm(dim=-1, keepdim=True)
+    near = (1 - distance / PERSONAL_M).clamp(min=0.0)
+    return torch.cat([near * offset / distance.clamp(min=1e-6), near], dim=-1)
 
 
 def share(state: State) -> Tensor:
@@ -93,6 +107,12 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     return terms
 
 
+def proximity(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
+    """Return the project's observation with nearness in the place of the human's position."""
+    terms = {name: term for name, term in standard(stages).items() if name not in ("human", "human_from_tool")}
+    return {**terms, "nearness": nearness}
+
+
 def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     """Return the 18 numbers of the paper's released code.
 
@@ -123,4 +143,4 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     return {"paper": term}
 
 
-LAYOUTS = {"default": standard, "paper": paper}
+LAYOUTS = {"default": standard, "proximity": proximity, "paper": paper}
