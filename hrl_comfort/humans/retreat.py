@@ -30,7 +30,8 @@ def begin_retreat(walk: Walk, touching: NDArray[np.int64]) -> Walk:
 def retreat(config: HumanConfig, walk: Walk, stride: Stride, around: Surroundings) -> Stride:
     """Return `stride` with the proposals of those who retreat replaced: away from the nearest point of the arm.
 
-    They keep to the bounds of their motion on speed and acceleration, and to the keep-out discs.
+    They keep to the bounds of their motion on speed and acceleration, and to the keep-out discs. Their hands stay as
+    they are: one that went on would press against the arm, and who presses is held and cannot step back.
     """
     (rows,) = walk.retreat.nonzero()
     if not len(rows) or config.motion in STAYING:
@@ -46,4 +47,9 @@ def retreat(config: HumanConfig, walk: Walk, stride: Stride, around: Surrounding
     position, yaw = stride.position.copy(), stride.yaw.copy()
     position[rows] = going.position + velocity * CONTROL_STEP_S
     yaw[rows] = steering.turn(going, going.yaw)
-    return replace(stride, position=position, yaw=yaw)
+    kept = {name: getattr(stride, name) for name in ("limbs", "memory")}
+    for name, value in kept.items():
+        if value is not None:
+            kept[name] = value.copy()
+            kept[name][rows] = getattr(going, name)
+    return replace(stride, position=position, yaw=yaw, **kept)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,8 +10,13 @@ import pytest
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.humans import body
 from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.people import stop_at_contact
+from hrl_comfort.sim.signals import limbs_of
 
 SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
 NOWHERE = humans.around(np.zeros((0, 2)), 0.35, 2)
@@ -40,6 +46,34 @@ def test_who_touches_the_arm_steps_back_half_a_metre(name):
     assert (np.abs(farthest - 0.3 - 0.5) < 0.1).all()
     assert np.linalg.norm(np.diff(velocity, axis=0), axis=-1).max() <= 2.0 * CONTROL_STEP_S + 1e-9
     assert not walk.retreat.any()
+
+
+def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
+    said = ["task=pick", "human=worker", "robot.rating=collaborative", "task.terminate_on=unsafe_contact"]
+    env = environment(compose("train", said))
+    engine = Engine(env, 1, 0)
+    scene, separation = engine.scene, Separation(engine.scene)
+    rng, n = np.random.default_rng(0), 512
+    angles = scene.home + rng.uniform(-1.5, 1.5, (n, len(scene.home)))
+    walk = humans.begin(env.human, rng.uniform(-1, 1, (n, 2)), rng.random((n, humans.TRAITS)))
+    hands = np.array([[0.4, 0.1, 1.15], [0.4, -0.1, 1.15]]) + rng.uniform(-0.2, 0.2, (n, 2, 3))
+    walk = replace(walk, yaw=rng.uniform(-3, 3, n), limbs=body.reaching(hands), memory=rng.uniform(0.1, 1.1, (n, 3)))
+    gap = separation.gap(angles, limbs_of(scene, walk))
+    near = np.flatnonzero((gap > 0.0) & (gap < 0.1))
+    angles, walk = angles[near], walk.rows(near)
+    points = separation.arm.points(angles, np.zeros_like(angles))
+    offset = points[0][..., :2] - walk.position[:, None]
+    towards = offset[np.arange(len(near)), np.linalg.norm(offset, axis=-1).argmin(axis=1)]
+    for _ in range(50):
+        pressing = replace(walk, position=walk.position + 0.01 * towards)
+        walk, _, now = stop_at_contact(scene, separation, angles, walk, pressing)
+    touching = now.apart.min(axis=0) <= 0.0
+    assert touching.sum() > 20
+    noise, nowhere = np.full((len(near), humans.NOISE), 0.5), humans.around(np.zeros((0, 2)), 0.35, len(near))
+    for _ in range(RETREAT_STEPS):
+        ahead = humans.advance(env.human, walk, noise, np.zeros((len(near), 2)), nowhere, lambda: points)
+        walk, _, now = stop_at_contact(scene, separation, angles, walk, ahead)
+    assert (now.apart.min(axis=0)[touching] > 0.0).all()
 
 
 @pytest.mark.parametrize("name", [*STAYING[:1], "still"])
