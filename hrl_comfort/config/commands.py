@@ -157,8 +157,8 @@ class EvaluateConfig(EnvConfig):
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
-    """The committed evaluation set (`paper`), or episodes drawn as in training (`train`, `validation`) or from a part
-    of the world that no training with `human.partitioned` sees (`test`, which the ledger records)."""
+    """`paper`: the committed evaluation set. `train`, `validation`: episodes drawn as in training. `test`: episodes
+    from a part of the world that no training with `human.partitioned` sees; the ledger records each evaluation."""
     episodes: int
     """Number of episodes (at each level)."""
     episode_seed: int | None

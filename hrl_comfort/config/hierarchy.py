@@ -67,7 +67,7 @@ class HierarchyConfig:
     """Budgets and steps of a hierarchy's trainings."""
 
     shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
-    """Budget of each option's training, as a multiple of `agent.policy_steps`; so of every stage."""
+    """Budget of each option's training, as a multiple of `agent.policy_steps`; its stages scale with it."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Episodes that record the starts of the next option."""
     refinement: list[StageConfig]

@@ -54,8 +54,8 @@ class HumanConfig:
     mixture: dict[str, dict[str, Any]]
     """`mixture`: motions, one of which is drawn an episode, and for each the values of this section that it changes."""
     partitioned: bool
-    """Keep sectors around the robot, traits of people, recordings and arm starts of the splits `train`, `validation`
-    and `test` apart; training sees those of `train`."""
+    """Give each of the splits `train`, `validation` and `test` sectors around the robot, traits of people, recordings
+    and arm starts of its own; training sees those of `train`."""
     file: str | None
     """`recorded`: CSV of t, x, y, yaw in s, m, m, rad, BVH file, or folder of such files. `live`: udp://HOST:PORT,
     lsl:NAME or package.module:callable; null is the person of `hrl-comfort studio`."""

@@ -68,7 +68,7 @@ class AgentConfig:
     updates_per_policy_step: Annotated[float, within(0.0, 16.0)]
     """Updates a policy step."""
     critic_warmup_updates: Annotated[int, within(0, 1e9)]
-    """First updates of a training or stage that train the critics alone, for rewards that the policy does not know."""
+    """First updates of a training or stage, of the critics alone: they learn its rewards before the policy moves."""
     batch_size: Annotated[int, within(1, 65536)]
     """Transitions a batch."""
     buffer_size: int
@@ -102,9 +102,9 @@ class AgentConfig:
     demonstrator_envs: Annotated[int, within(0, 65535)]
     """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
     bc_weight: Annotated[float, within(0.0, 1e6)]
-    """Weight of the actor's squared distance from demonstrated actions that the critics prefer."""
+    """Weight of the actor's squared distance from demonstrated actions, where the critics rate these higher."""
     next_skill: str | None
-    """Run folder of the policy that follows a success; its value of the terminal state adds to the target."""
+    """Run folder of the policy that acts after a success; its value of the terminal state is added to the target."""
     log_every: Annotated[int, within(1, 1e9)]
     """Policy steps between two rows of metrics.csv."""
     checkpoint_every: Annotated[int, within(1, 1e9)]

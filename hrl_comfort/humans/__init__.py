@@ -92,6 +92,8 @@ def advance(
     ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
     """
     seen = Surroundings(tcp, keep_out, arm or partial(_tool, tcp))
+    if not config.mixture:
+        return _advance(config, walk, noise, seen)
     parts = _members(config, walk.traits)
     if len(parts) == 1:
         return _advance(parts[0][1], walk, noise, seen)

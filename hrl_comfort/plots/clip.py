@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pandas import DataFrame
+from pandas import DataFrame, Series
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig
-from hrl_comfort.files.tables import column
-from hrl_comfort.plots.video import gait
+from hrl_comfort.files.tables import Floats, column
+from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import Ball, subtask
@@ -63,6 +63,14 @@ class Clip:
         directions = person[5:].reshape(-1, 3) if len(person) > 5 else None
         x, y, yaw, phase, swing = person[:5]
         return Frame(joints, limb_poses(x, y, yaw, phase, swing, self.floor_z, directions), props)
+
+
+def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return the simulated phase and swing (steps,), rad, of a person who walks along x, y (steps,), m."""
+    walked = np.hypot(*(np.diff(values, prepend=values[0]) for values in (x, y)))
+    speed = Series(walked / CONTROL_STEP_S).ewm(alpha=SPEED_SMOOTHING, adjust=False).mean().to_numpy()
+    swing = FULL_SWING_RAD * np.minimum(speed / FULL_SWING_SPEED_M_S, 1.0)
+    return 2 * math.pi * np.cumsum(walked) / STRIDE_M, swing
 
 
 def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour: str, balls: bool) -> Clip:

@@ -36,6 +36,11 @@ class Recording:
         return all(take.success for take in self.takes)
 
     @property
+    def ends(self) -> list[Take]:
+        """The takes of the lowest and the highest level, or the only one."""
+        return list(dict.fromkeys((self.takes[0], self.takes[-1])))
+
+    @property
     def duration_s(self) -> float:
         """Duration of the longest take, s."""
         return max(take.clip.duration_s for take in self.takes)
@@ -59,10 +64,10 @@ class Tape:
         if not {"robot", "cell", "task"} <= run.config.keys():
             raise ConfigError(f"{str(run.folder)!r} has no config.yaml, which says what robot and cell it was")
         try:
-            robot, self.cell = section(RobotConfig, run.config["robot"]), section(CellConfig, run.config["cell"])
+            self.robot, self.cell = section(RobotConfig, run.config["robot"]), section(CellConfig, run.config["cell"])
         except ConfigError as error:
             raise ConfigError(f"{str(run.folder)!r} has another config.yaml: {error}") from None
-        self.scene = build_scene(robot, self.cell, substeps=2)
+        self.scene = build_scene(self.robot, self.cell, substeps=2)
         found: dict[int, list[Take]] = {}
         for (episode, level), path in paths.items():
             found.setdefault(episode, []).append(Take(self, path, row_of(run, (episode, level)) or {}, level))
@@ -91,10 +96,14 @@ class Take:
     level: int | None
 
     @property
+    def ended(self) -> str:
+        """How it ended, in words."""
+        return str(terminations(DataFrame([self.row])).iloc[0]) if self.row else "not in episodes.csv"
+
+    @property
     def title(self) -> str:
         """Level and how it ended."""
-        ended = terminations(DataFrame([self.row])).iloc[0] if self.row else "not in episodes.csv"
-        return ended if self.level is None else f"level {self.level} {ended}"
+        return self.ended if self.level is None else f"level {self.level} {self.ended}"
 
     @property
     def success(self) -> bool:
@@ -106,10 +115,18 @@ class Take:
         """(T, 3) m, tool centre point."""
         return np.column_stack([column(self.path, f"tcp_{axis}") for axis in "xyz"])
 
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        return str(self.row.get("task") or self.tape.run.config["task"]["name"])
+
+    @property
+    def colour(self) -> str:
+        """Colour of the first ball."""
+        return str(self.row.get("colour") or "orange")
+
     @cached_property
     def clip(self) -> Clip:
         """Its pictures."""
-        tape, row = self.tape, self.row
-        task = str(row.get("task") or tape.run.config["task"]["name"])
-        colour = str(row.get("colour") or "orange")
-        return path_clip(self.path, tape.scene, tape.cell, task, colour, tape.knows_balls)
+        tape = self.tape
+        return path_clip(self.path, tape.scene, tape.cell, self.task, self.colour, tape.knows_balls)

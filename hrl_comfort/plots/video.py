@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from itertools import zip_longest
@@ -13,15 +12,13 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pandas import DataFrame, Series
+from pandas import DataFrame
 
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, RobotConfig
+from hrl_comfort.config import FAR_AWAY_M, CellConfig, RobotConfig
 from hrl_comfort.files.atomic import write_atomically
-from hrl_comfort.files.tables import Floats, column
-from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
-from hrl_comfort.scene import LIMBS, build_scene, limb_poses
+from hrl_comfort.plots.clip import path_clip, set_pose
+from hrl_comfort.scene import build_scene
 from hrl_comfort.scene.camera import Camera
-from hrl_comfort.tasks import Ball, subtask
 
 FRAMES_PER_S = 25
 ELEVATION_DEG, DISTANCE_M = -27.0, 2.9
@@ -29,38 +26,6 @@ ALONE_DEG = 75.0
 """Azimuth of the camera where nobody is there."""
 APART_M, WITHIN_M = 0.5, 1.1
 """Person and tool so far apart across the view are seen well; so far to its side is still in the picture."""
-
-
-def resample(path: DataFrame, frames_per_s: float = FRAMES_PER_S) -> dict[str, Floats]:
-    """Return the columns (steps,) of a recorded episode at the times of the video's frames (frames,).
-
-    Linear between control steps, yaw without its jumps; a stage is held until the next begins.
-    """
-    time = column(path, "step") * CONTROL_STEP_S
-    frames = np.arange(time[0], time[-1] + 1e-9, 1 / frames_per_s)
-    out = {}
-    for name in path:
-        values = column(path, name)
-        if name == "stage":
-            out[name] = values[np.searchsorted(time, frames + 1e-9, side="right") - 1]
-        else:
-            out[name] = np.interp(frames, time, np.unwrap(values) if name == "human_yaw" else values)
-    return out
-
-
-def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return the simulated phase and swing (steps,), rad, of a person who walks along x, y (steps,), m."""
-    walked = np.hypot(*(np.diff(values, prepend=values[0]) for values in (x, y)))
-    speed = Series(walked / CONTROL_STEP_S).ewm(alpha=SPEED_SMOOTHING, adjust=False).mean().to_numpy()
-    swing = FULL_SWING_RAD * np.minimum(speed / FULL_SWING_SPEED_M_S, 1.0)
-    return 2 * math.pi * np.cumsum(walked) / STRIDE_M, swing
-
-
-def _with_gait(path: DataFrame) -> DataFrame:
-    """Return a path with the gait; a human who is absent stands where absent things do."""
-    path = path.fillna({"human_x": FAR_AWAY_M, "human_y": 0.0, "human_yaw": 0.0})
-    phase, swing = gait(column(path, "human_x"), column(path, "human_y"))
-    return path.assign(phase=phase, swing=swing)
 
 
 def azimuth_deg(path: DataFrame) -> float:
@@ -100,23 +65,12 @@ def frames(
       PicturesUnavailableError: there is no off-screen OpenGL.
     """
     scene = build_scene(robot, cell, substeps=2)
-    model, data = scene.model, mujoco.MjData(scene.model)
-    shown = resample(_with_gait(path), FRAMES_PER_S / speed)
-    x, y, yaw, phase, swing = (shown[name] for name in ("human_x", "human_y", "human_yaw", "phase", "swing"))
-    limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
-    goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
-    joints = [model.joint(name).qposadr[0] for name in scene.joints]
-    ball = scene.mocap.index(f"{colour}_ball")
+    clip, data = path_clip(path, scene, cell, task, colour, balls=True), mujoco.MjData(scene.model)
     view_deg = azimuth_deg(path) if view_deg is None else view_deg
-    with closing(Camera(model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
-        for i in range(len(shown["step"])):
-            data.qpos[joints] = [shown[f"q{j}"][i] for j in range(len(joints))]
-            data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[i, :, :3], limbs[i, :, 3:]
-            tool = [shown[f"tcp_{axis}"][i] for axis in "xyz"]
-            where = subtask(task).ball(int(shown["stage"][i]))
-            if where != Ball.NOWHERE:
-                data.mocap_pos[ball] = goals.get(where, tool)
-            mujoco.mj_forward(model, data)
+    with closing(Camera(scene.model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
+        for time_s in np.arange(0.0, clip.duration_s + 1e-9, speed / FRAMES_PER_S):
+            set_pose(data, scene, clip.frame(time_s))
+            mujoco.mj_forward(scene.model, data)
             yield camera.picture(data)
 
 

@@ -52,7 +52,7 @@ def replays(runs: Sequence[Run]) -> tuple[dict[str, Any] | None, str]:
         shapes = Shapes(tape)
         scenes.append(shapes.still())
         for recording in chosen(tape):
-            takes = [shapes.take(take) for take in ends(recording)]
+            takes = [shapes.take(take) for take in recording.ends]
             left -= sum(len(take["frames"]) for take in takes)
             if left < 0 and episodes:
                 return {"scenes": scenes, "episodes": episodes}, ""
@@ -66,11 +66,6 @@ def chosen(tape: Tape) -> list[Recording]:
     """Return the first recordings with a failure, then the first without."""
     kinds = [[each for each in tape.recordings if each.success == success][:OF_A_KIND] for success in (False, True)]
     return kinds[0] + kinds[1]
-
-
-def ends(recording: Recording) -> list[Take]:
-    """Return the takes of the lowest and the highest level, or the only one."""
-    return list(dict.fromkeys((recording.takes[0], recording.takes[-1])))
 
 
 class Shapes:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pandas import DataFrame
+from hrl_comfort.config import ConfigError, ReportConfig
+from hrl_comfort.files.run_folder import Run, recorded_paths
 
-from hrl_comfort.analysis.episodes import terminations
-from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
-from hrl_comfort.config.structured import section
-from hrl_comfort.files.run_folder import Recorded, Run, recorded_paths, row_of
-from hrl_comfort.files.tables import column
+if TYPE_CHECKING:
+    from hrl_comfort.plots.tape import Recording, Take
 
 FILES = {"failure": "failure.mp4", "success": "video.mp4"}
 """Files in `eval/`; the second is also that of an episode that was asked for."""
@@ -61,61 +60,39 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
     Raises:
       PicturesUnavailableError: there is no off-screen OpenGL, or the run does not say what was where.
     """
+    from hrl_comfort.plots.tape import Tape
     from hrl_comfort.scene.camera import PicturesUnavailableError
 
     assert run.paths is not None
-    task = run.config["task"]
-    if task.get("balls", 1) > 1 or task.get("ball_jitter_m", 0.0) > 0:
-        raise PicturesUnavailableError(f"No video: {run.name} has its balls in other places than the picture knows of.")
-    if config.episode is not None:
-        chosen = {"success": next(iter(recorded_paths(run, 1, [config.episode])))}
-    else:
-        chosen = {kind: key for kind in FILES if (key := _first(run, kind == "success")) is not None}
-    if not chosen:
-        chosen = {"success": next(iter(recorded_paths(run, 1)))}
-    found = []
-    for kind, key in chosen.items():
-        file = run.paths.parent / FILES[kind]
-        found.append((file, _draw(run, key, file, config.speed)))
-    return found
-
-
-def _first(run: Run, success: bool) -> Recorded | None:
-    """Return the first recorded episode that succeeded, or failed."""
-    if run.episodes is None:
-        return None
-    rows = run.episodes[(column(run.episodes, "success") > 0) == success]
-    recorded = recorded_paths(run, episodes=rows["episode"].unique().tolist())
-    return next((key for key in recorded if (row := row_of(run, key)) and bool(row["success"]) == success), None)
-
-
-def _draw(run: Run, key: Recorded, file: Path, speed: float) -> str:
-    """Draw an episode and return a caption; of one recorded at several levels, first and last beside each other."""
-    from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video  # seconds, for torch
-    from hrl_comfort.scene.camera import PicturesUnavailableError
-
-    recorded = recorded_paths(run, episodes=[key[0]])
-    ends = [next(iter(recorded)), list(recorded)[-1]]
-    shown = ends if len(recorded) > 1 and key in ends else [key]
     try:
-        robot, cell = section(RobotConfig, run.config["robot"]), section(CellConfig, run.config["cell"])
+        tape = Tape(run)
     except ConfigError as error:
-        why = f"No video: {run.name}/config.yaml does not fit this version ({error})"
-        raise PicturesUnavailableError(why) from None
-    row = row_of(run, key) or {}
-    task, colour = row.get("task") or run.config["task"]["name"], row.get("colour") or "orange"
-    view = azimuth_deg(recorded[key])
-    write_video(file, beside([frames(recorded[each], robot, cell, task, colour, speed, view) for each in shown]))
+        raise PicturesUnavailableError(f"No video: {error}") from None
+    if not tape.knows_balls:
+        raise PicturesUnavailableError(f"No video: {run.name} has its balls in other places than the picture knows of.")
+    takes = [(recording, take) for recording in tape.recordings for take in recording.takes]
+    if config.episode is not None:
+        chosen = {"success": next(each for each in takes if each[0].episode == config.episode)}
+    else:
+        told = [each for each in takes if each[1].row]
+        first = {kind: [each for each in told if each[1].success == (kind == "success")][:1] for kind in FILES}
+        chosen = {kind: each[0] for kind, each in first.items() if each} or {"success": takes[0]}
+    files = {kind: run.paths.parent / FILES[kind] for kind in chosen}
+    return [(files[kind], _draw(*each, files[kind], config.speed)) for kind, each in chosen.items()]
+
+
+def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
+    """Draw a take and return a caption; of one at the first or last of several levels, both beside each other."""
+    from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
+
+    tape, view = take.tape, azimuth_deg(take.path)
+    shown = recording.ends if take in recording.ends else [take]
+    pictures = [frames(each.path, tape.robot, tape.cell, each.task, each.colour, speed, view) for each in shown]
+    write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:
         sides = zip(shown, ("left", "right"), strict=True)
-        how = " and".join(f" at level {each[1]} ({side}: {_ended(run, each)})" for each, side in sides)
+        how = " and".join(f" at level {each.level} ({side}: {each.ended})" for each, side in sides)
     else:
-        how = ("" if key[1] is None else f" at level {key[1]}") + f", {_ended(run, key)}"
-    return f"{run.name}, episode {key[0]}{how}; drawn from its joint angles, {pace}."
-
-
-def _ended(run: Run, key: Recorded) -> str:
-    """Return how a recorded episode ended, in words."""
-    row = row_of(run, key)
-    return "end unknown" if row is None else str(terminations(DataFrame([row])).iloc[0])
+        how = ("" if take.level is None else f" at level {take.level}") + f", {take.ended}"
+    return f"{tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."

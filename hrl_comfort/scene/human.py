@@ -76,26 +76,25 @@ def limb_poses(
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
-    angle = swing_rad * np.sin(phase)
+    angle, cos_yaw, sin_yaw = swing_rad * np.sin(phase), np.cos(yaw), np.sin(yaw)
     if directions is not None:  # legs that are given do not walk
         angle = np.where(np.isnan(directions[..., 0, :1]), angle, 0.0)
-    swung = angle / 2
-    sink = (HIP_M - LEG_RADIUS_M) * (1 - np.cos(angle))
-    half = yaw / 2
+    swung, half, cos_angle = angle / 2, yaw / 2, np.cos(angle)
+    sink = (HIP_M - LEG_RADIUS_M) * (1 - cos_angle)
     upright = np.where(_SWING == 0.0, 1.0, np.cos(swung))
     leaning, cos_half, sin_half = np.sin(swung) * _SWING, np.cos(half), np.sin(half)
     poses = np.empty((*np.broadcast(x, y, yaw, upright, floor_z).shape, 7))
-    poses[..., 0] = x - _SIDE * np.sin(yaw)
-    poses[..., 1] = y + _SIDE * np.cos(yaw)
+    poses[..., 0] = x - _SIDE * sin_yaw
+    poses[..., 1] = y + _SIDE * cos_yaw
     poses[..., 2] = floor_z + _TOP - sink
     poses[..., 3] = cos_half * upright
     poses[..., 4] = -sin_half * leaning
     poses[..., 5] = cos_half * leaning
     poses[..., 6] = sin_half * upright
     forward = -UPPER_ARM_M * np.sin(angle * _SWING[_SHOULDERS])
-    poses[..., _ELBOWS, 0] += np.cos(yaw) * forward
-    poses[..., _ELBOWS, 1] += np.sin(yaw) * forward
-    poses[..., _ELBOWS, 2] -= UPPER_ARM_M * np.cos(angle)
+    poses[..., _ELBOWS, 0] += cos_yaw * forward
+    poses[..., _ELBOWS, 1] += sin_yaw * forward
+    poses[..., _ELBOWS, 2] -= UPPER_ARM_M * cos_angle
     if directions is not None and not np.isnan(directions).all():
         _direct(poses, yaw, directions)
     return poses

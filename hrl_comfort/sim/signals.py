@@ -39,18 +39,20 @@ def pack_controls(
     places = joints + 3 * len(scene.mocap)
     control = np.empty((n, steps, targets.shape[1] // steps, scene.ncontrol))
     control[..., :joints] = targets.reshape(*control.shape[:3], joints)
-    position = control[..., joints:places].reshape(*control.shape[:3], -1, 3)
-    quaternion = control[..., places:].reshape(*control.shape[:3], -1, 4)
-    limbs = limbs.reshape(n, steps, 1, len(LIMBS), 7)
-    position[..., : len(LIMBS), :], quaternion[..., : len(LIMBS), :] = limbs[..., :3], limbs[..., 3:]
-    props = position[..., len(LIMBS) :, :]
-    props[...], quaternion[..., len(LIMBS) :, :] = (FAR_AWAY_M, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    # Whole runs of numbers at once: numpy is slow on many short ones.
+    position, quaternion = control[..., joints:places], control[..., places:]
+    props, limbs = len(scene.mocap) - len(LIMBS), limbs.reshape(n, steps, 1, len(LIMBS), 7)
+    position[..., : 3 * len(LIMBS)] = limbs[..., :3].reshape(n, steps, 1, -1)
+    position[..., 3 * len(LIMBS) :] = np.tile((FAR_AWAY_M, 0.0, 0.0), props)
+    quaternion[..., : 4 * len(LIMBS)] = limbs[..., 3:].reshape(n, steps, 1, -1)
+    quaternion[..., 4 * len(LIMBS) :] = np.tile((1.0, 0.0, 0.0, 0.0), props)
+    balls_at = position[..., 3 * len(LIMBS) :].reshape(*control.shape[:3], props, 3)
     if count := points.shape[1]:
-        props[..., 2 : 2 + count, :] = points[:, None, None]
+        balls_at[..., 2 : 2 + count, :] = points[:, None, None]
     else:
         for index in range(balls.shape[1]):
             prop = ball_props(index)[colours[:, index]]
-            props[np.arange(n), :, :, prop] = balls[:, index, None, None]
+            balls_at[np.arange(n), :, :, prop] = balls[:, index, None, None]
     return control.reshape(n, -1, scene.ncontrol)
 
 
@@ -73,17 +75,21 @@ class Sensors:
         `readings` (r * K, substeps, nsensor) are those of `rows` (r,), all by default; the other rows stay as they
         are. `planned` are the fields known beforehand, and `limbs`.
         """
-        n, sensed = len(before.steps), readings[:, -1]
-        rows = np.arange(n) if rows is None else rows
-        count = len(sensed) // len(rows)
+        if rows is None:
+            return self._read_all(readings, planned, before)
+        n, count = len(before.steps), len(readings) // len(rows)
         at = (rows[:, None] * count + np.arange(count)).reshape(-1)
-        fields = self._read(sensed, {name: value[at] for name, value in planned.items()})
-        fields |= self._contacts(readings, planned["limbs"][at], before, rows, fields["touching"])
+        part = {name: value[at] for name, value in planned.items()}
+        fields = self._read_all(readings, part, before.rows(torch.from_numpy(rows)))
         if len(rows) < n:
             for name, value in fields.items():
                 still = getattr(before, name).repeat_interleave(count, dim=0)
                 fields[name] = still.index_copy(0, torch.from_numpy(at), value)
         return fields
+
+    def _read_all(self, readings: Array, planned: dict[str, NDArray[Any]], before: State) -> dict[str, Tensor]:
+        fields = self._read(readings[:, -1], planned)
+        return fields | self._contacts(readings, planned["limbs"], before, fields["touching"])
 
     def _read(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
         """Return the fields (n, ...) of readings (n, nsensor); `planned` are those known beforehand, and `limbs`."""
@@ -95,15 +101,17 @@ class Sensors:
             fields["arm_distance"] = self._separation.gap(fields["joint_pos"], planned["limbs"])
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
 
-    def _contacts(
-        self, readings: Array, limbs: Array, before: State, rows: NDArray[np.int64], touching: Tensor
-    ) -> dict[str, Tensor]:
-        """Return `contact` and `unsafe_contact` (r * K,) of a decision of `rows` (r,), `touching` (r * K,) in it.
+    def _contacts(self, readings: Array, limbs: Array, before: State, touching: Tensor) -> dict[str, Tensor]:
+        """Return `contact` and `unsafe_contact` (n * K,) of a decision, `touching` (n * K,) in it.
 
-        `readings` (r * K, substeps, nsensor), people at `limbs` (r * K, L, 7), the state `before` of all rows.
+        `readings` (n * K, substeps, nsensor), people at `limbs` (n * K, L, 7), the state `before` (n rows).
         """
-        touching = touching.view(len(rows), -1)
-        began = touching & ~torch.cat([before.touching[rows, None], touching[:, :-1]], dim=1)
+        n = len(before.steps)
+        found = {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
+        if not touching.any():
+            return {name: old.repeat_interleave(len(touching) // n) for name, old in found.items()}
+        touching = touching.view(n, -1)
+        began = touching & ~torch.cat([before.touching[:, None], touching[:, :-1]], dim=1)
         unsafe = torch.zeros_like(began)
         at = torch.nonzero(began.flatten())[:, 0].numpy()
         if len(at):
@@ -113,5 +121,5 @@ class Sensors:
             moving = sensed[:, self._at["joint_pos"]], sensed[:, self._at["joint_vel"]]
             speed = self._separation.closing_speed(*moving, limbs[at])
             unsafe.view(-1)[at] = torch.from_numpy(speed > UNSAFE_SPEED_M_S)
-        found = {"contact": (before.contact, touching), "unsafe_contact": (before.unsafe_contact, unsafe)}
-        return {name: (old[rows, None] | (new.cumsum(dim=1) > 0)).flatten() for name, (old, new) in found.items()}
+        new = {"contact": touching, "unsafe_contact": unsafe}
+        return {name: (old[:, None] | (new[name].cumsum(dim=1) > 0)).flatten() for name, old in found.items()}

@@ -22,11 +22,13 @@ from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import read_table, records_of
 from hrl_comfort.plots import training, video
+from hrl_comfort.plots.clip import gait, path_clip
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
 from hrl_comfort.report import videos as module
 from hrl_comfort.report.videos import videos
 from hrl_comfort.scene.camera import PicturesUnavailableError
+from hrl_comfort.scene.workcell import build_scene
 
 CONFIG = """\
 robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0], rating: paper}
@@ -292,13 +294,16 @@ def test_a_folder_without_runs_is_named(tmp_path):
         report.report(ReportConfig(run=str(tmp_path / "no"), output=None, video=False))
 
 
-def test_video_frames_are_real_time_and_the_yaw_does_not_spin():
-    yaw = np.where(np.arange(101) < 50, 3.1, -3.1)
-    path = DataFrame({"step": np.arange(101), "human_yaw": yaw, "stage": np.arange(101) // 60})
-    shown = video.resample(path, frames_per_s=25)
-    assert len(shown["step"]) == 2 * 25 + 1
-    assert np.abs(np.diff(shown["human_yaw"])).max() < 0.2
-    assert set(shown["stage"]) == {0.0, 1.0}
+def test_the_pictures_of_a_path_are_in_time_and_the_yaw_does_not_spin(demo):
+    run = run_folder.find_runs(demo)[0]
+    path = run_folder.recorded_paths(run, 1)[0, None].iloc[[0] * 101].reset_index(drop=True)
+    path = path.assign(step=np.arange(101), human_yaw=np.where(np.arange(101) < 50, 3.1, -3.1))
+    robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
+    clip = path_clip(path.assign(stage=np.arange(101) // 60), build_scene(robot, cell, 2), cell, "pick", "orange", True)
+    assert clip.duration_s == pytest.approx(2.0)
+    assert np.abs(np.diff(clip.person[:, 2])).max() < 0.2
+    before, after = (clip.frame(time_s).props[0] for time_s in (1.19, 1.21))
+    assert before == pytest.approx(cell.ball_m) and after == pytest.approx(path[["tcp_x", "tcp_y", "tcp_z"]].iloc[0])
 
 
 def test_the_gait_is_the_one_that_was_simulated():
@@ -310,7 +315,7 @@ def test_the_gait_is_the_one_that_was_simulated():
     for _ in range(200):
         walk = humans.advance(config, walk, rng.random((1, humans.NOISE)), np.zeros((1, 2)), nobody)
         walks.append(walk)
-    phase, swing = video.gait(*np.concatenate([each.position for each in walks]).T)
+    phase, swing = gait(*np.concatenate([each.position for each in walks]).T)
     simulated = [humans.gait(each) for each in walks]
     assert phase == pytest.approx([float(each[0][0]) for each in simulated])
     assert swing == pytest.approx([float(each[1][0]) for each in simulated])
