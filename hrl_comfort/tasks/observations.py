@@ -54,10 +54,9 @@ def human_from_tool(state: State) -> Tensor:
 
 
 def nearness(state: State) -> Tensor:
-    """Return (N, 3): from 0 where the human as seen is `PERSONAL_M` or more from the tool to 1 at the tool, and that
-    times the horizontal direction to the human.
+    """Return (N, 3): the horizontal direction from the tool to the human as seen, times their nearness, and nearness.
 
-    A policy that sees this alone does the same beside a person in any place, and the same as alone where nobody is near.
+    Nearness falls from 1 at the tool to 0 at `PERSONAL_M`, beyond which it is the same as beside nobody.
     """
     offset = human(state) - state.tcp_pos[:, :2]
     distance = offset.norm(dim=-1, keepdim=True)
