@@ -144,11 +144,11 @@ def times_ours(theirs: Series, ours: Series) -> str:
 def success(env: EnvConfig, act: Act) -> float:
     """Return the success share of CHECK_EPISODES episodes drawn as in training, always the same."""
     engine = Engine(env, CHECK_EPISODES, CHECK_SEED)
-    state = engine.reset()
+    engine.reset()
     ended, won = np.zeros(CHECK_EPISODES, dtype=bool), np.zeros(CHECK_EPISODES, dtype=bool)
     while not ended.all():
-        outcome = engine.step(act(engine.episodes.subtask.observe(state).float().numpy()).astype(np.float64))
-        state, done = outcome.state, outcome.done.numpy()
+        outcome = engine.step(act(engine.episodes.observe().float().numpy()).astype(np.float64))
+        done = outcome.done.numpy()
         won |= outcome.success.numpy() & done & ~ended
         ended |= done
     engine.close()

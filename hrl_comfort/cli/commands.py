@@ -81,6 +81,12 @@ COMMANDS = {
         "move an arm in real time by a policy or a chain, behind the shield",
         "policy=expert connection=simulated output=runs/deploy",
     ),
+    "identify": Command(
+        "identify",
+        "hrl_comfort.deploy.identify:identify",
+        "fit lag and latency of an arm's servos to a log of deploy",
+        "run=runs/deploy",
+    ),
     "export": Command(
         "export",
         "hrl_comfort.deploy.export:export",

@@ -19,6 +19,7 @@ from hrl_comfort.config import (
     EvaluateConfig,
     FigureConfig,
     HierarchyTrainConfig,
+    IdentifyConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     StudioConfig,
@@ -82,7 +83,7 @@ def check(config: Config) -> None:
 
             for name in config.group_by:
                 one_of("group_by", name, COLUMNS)
-        case ReportConfig() if not Path(config.run).is_dir():
+        case ReportConfig() | IdentifyConfig() if not Path(config.run).is_dir():
             raise ConfigError(f"run={config.run!r} is not a folder")
         case FigureConfig():
             for pattern in config.evaluations:

@@ -6,19 +6,19 @@ Each part of the program is given its own section, never the root.
 
 from __future__ import annotations
 
-from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RobotConfig
+from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.commands import (
     DISTURBANCES,
     FIGURES,
-    SPLITS,
     DeployConfig,
     EnvConfig,
     EvaluateConfig,
     ExportConfig,
     FigureConfig,
     HierarchyTrainConfig,
+    IdentifyConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     StudioConfig,
@@ -32,6 +32,7 @@ from hrl_comfort.config.constants import (
     FIRST_SEED,
     POLICIES,
     SCRIPTED_POLICIES,
+    SPLITS,
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
@@ -46,7 +47,7 @@ __all__ = [
     "POLICIES", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
     "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
     "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
-    "HierarchyTrainConfig", "HumanConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
-    "MetaControllerTrainConfig", "PrecisionConfig", "ReportConfig", "RewardConfig", "RobotConfig", "SafetyConfig",
-    "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
+    "MetaControllerTrainConfig", "PrecisionConfig", "RandomiseConfig", "ReportConfig", "RewardConfig", "RobotConfig",
+    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

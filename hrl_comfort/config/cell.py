@@ -1,12 +1,22 @@
-"""Configuration of the robot, the cell, the simulation and the connection to a real arm."""
+"""Configuration of the robot, the cell, the simulation, how cells differ, and the connection to a real arm."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
-from hrl_comfort.config.checks import XYZ, Coordinate, choice, within
+from pydantic import Field
+
+from hrl_comfort.config.checks import XYZ, ConfigError, Coordinate, choice, within
 from hrl_comfort.config.constants import MAX_ENVS
+
+Pair = Field(min_length=2, max_length=2)
+Delay = Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
+Factor = Annotated[list[Annotated[float, within(0.5, 2.0)]], Pair]
+Share = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]
+Noise = Annotated[list[Annotated[float, within(0.0, 100.0)]], Pair]
+Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
+
 
 
 @dataclass(frozen=True)
@@ -59,3 +69,61 @@ class ConnectionConfig:
     """`simulated`: an arm in MuJoCo that keeps the wall clock. `ur`: a robot of Universal Robots, by RTDE."""
     host: str
     """`ur`: address of the robot's controller."""
+
+
+@dataclass(frozen=True)
+class RandomiseConfig:
+    """Ranges [low, high] from which each episode draws how its cell differs from the model, uniformly.
+
+    Equal ends fix a value. Noise is normal, cut off at three standard deviations.
+    """
+
+    servo_lag_s: Delay
+    """Lag of the servos behind a ramp, s, besides that of the model (0.03)."""
+    latency_s: Delay
+    """Time from a set-point until the servos have it, s."""
+    link_mass: Factor
+    """Factor of mass and inertia, drawn for each link."""
+    joint_friction: Share
+    """Coulomb friction over the largest torque, drawn for each joint."""
+    joint_noise_deg: Noise
+    """Standard deviation of observed joint angles, and so of the observed tool, degrees."""
+    joint_velocity_noise_deg_s: Noise
+    """Standard deviation of observed joint velocities, degrees/s."""
+    person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
+    """Standard deviation of the person's observed position along x and along y, m."""
+    person_rate_hz: Rate
+    """Frames of the person's tracker a second; the last one holds. 50 is one a control step."""
+    person_dropout: Share
+    """Probability that a frame is lost; at most two in a row are."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            low, high = getattr(self, field.name)
+            if low > high:
+                raise ConfigError(f"randomise.{field.name}=[{low:g}, {high:g}] is not [low, high]")
+
+    @property
+    def sensors(self) -> bool:
+        """Whether joints are observed with noise."""
+        return max(self.joint_noise_deg[1], self.joint_velocity_noise_deg_s[1]) > 0
+
+    @property
+    def servos(self) -> bool:
+        """Whether set-points reach the servos late."""
+        return max(self.servo_lag_s[1], self.latency_s[1]) > 0
+
+    @property
+    def tracker(self) -> bool:
+        """Whether the person is observed late or with noise."""
+        return max(self.person_noise_m[1], self.person_dropout[1]) > 0 or self.person_rate_hz[0] < 50
+
+    @property
+    def links(self) -> bool:
+        """Whether the arm differs from the model."""
+        return self.link_mass != [1, 1] or self.joint_friction[1] > 0
+
+    @property
+    def differs(self) -> bool:
+        """Whether any cell differs from the model."""
+        return self.sensors or self.servos or self.tracker or self.links

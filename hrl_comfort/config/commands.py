@@ -7,17 +7,10 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
-from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RobotConfig
+from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import (
-    EVALUATION_EPISODES,
-    FIRST_SEED,
-    TERMINAL_STATES_SEED,
-    TEST_SEED,
-    TRAIN_SEED,
-    VALIDATION_SEED,
-)
+from hrl_comfort.config.constants import SPLITS, VALIDATION_SEED
 from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
@@ -30,14 +23,6 @@ LIVE_MOTIONS = ("live", "recorded", "none")
 """Motions of people beside a real arm."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
 """Tasks that pick a ball and then place it."""
-DRAWN_EPISODES = 10_000
-SPLITS = {
-    "paper": (FIRST_SEED, 2**31, EVALUATION_EPISODES),
-    "train": (TRAIN_SEED, TEST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
-    "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
-    "test": (TEST_SEED, FIRST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
-}
-"""Smallest and largest seed of the first episode, and the largest number of episodes, by split."""
 FIGURES = (
     "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
     "handover",
@@ -63,6 +48,7 @@ class EnvConfig(CommandConfig):
     reward: RewardConfig
     engine: EngineConfig
     safety: SafetyConfig
+    randomise: RandomiseConfig
 
 
 @dataclass(frozen=True)
@@ -274,6 +260,8 @@ class DeployConfig(EvaluateConfig):
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":
             raise ConfigError("safety.kind=none leaves the arm without its shield; choose safety=ssm")
+        if self.randomise.differs:
+            raise ConfigError("randomise= is for simulated cells, not for an arm; choose randomise=none")
         if (real := self.connection.name != "simulated") and self.confirm == "yes":
             raise ConfigError(f"confirm=yes is for connection=simulated; connection={self.connection.name} asks")
         if real and self.human.motion not in LIVE_MOTIONS:
@@ -311,6 +299,16 @@ class ReportConfig(CommandConfig):
     """Recorded episode of the video, in place of both."""
     speed: Annotated[float, within(0.1, 1.0)] = 1.0
     """Speed of the video; 0.5 is half."""
+
+
+@dataclass(frozen=True)
+class IdentifyConfig(CommandConfig):
+    """`hrl-comfort identify`."""
+
+    run: str
+    """Folder that `hrl-comfort deploy` wrote."""
+    output: str | None
+    """JSON file of the table; null is identify.json in `run`."""
 
 
 @dataclass(frozen=True)

@@ -26,3 +26,11 @@ FIRST_SEED = 1_000_000
 """First episode seed of the evaluation set."""
 EVALUATION_EPISODES = 1000
 """Entries of the evaluation set."""
+DRAWN_EPISODES = 10_000
+SPLITS = {
+    "paper": (FIRST_SEED, 2**31, EVALUATION_EPISODES),
+    "train": (TRAIN_SEED, TEST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
+    "validation": (VALIDATION_SEED, TERMINAL_STATES_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
+    "test": (TEST_SEED, FIRST_SEED - DRAWN_EPISODES, DRAWN_EPISODES),
+}
+"""Smallest and largest seed of the first episode, and the largest number of episodes, by split."""

@@ -25,6 +25,7 @@ from hrl_comfort.config import (
     ExportConfig,
     FigureConfig,
     HierarchyTrainConfig,
+    IdentifyConfig,
     MetaControllerTrainConfig,
     ReportConfig,
     StudioConfig,
@@ -40,6 +41,7 @@ Config = (
     | StudioConfig
     | DeployConfig
     | ExportConfig
+    | IdentifyConfig
     | ReportConfig
     | FigureConfig
 )
@@ -52,6 +54,7 @@ ROOTS: dict[str, type[Config]] = {
     "studio": StudioConfig,
     "deploy": DeployConfig,
     "export": ExportConfig,
+    "identify": IdentifyConfig,
     "report": ReportConfig,
     "figure": FigureConfig,
 }

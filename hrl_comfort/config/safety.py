@@ -24,5 +24,9 @@ class SafetyConfig:
     """Speed below which a moving arm may meet the person, m/s (ISO 10218-1: 0.25)."""
     delay_s: Annotated[float, within(0.0, 1.0)]
     """Age of the person's measured position, s."""
+    lag_s: Annotated[float, within(0.0, 2.0)]
+    """Lag of the servos behind a ramp of set-points, s."""
+    latency_s: Annotated[float, within(0.0, 2.0)]
+    """Time from a set-point until the servos have it, s."""
     margin_m: Annotated[float, within(0.0, 0.5)]
     """Error of measured positions of person and arm, m."""

@@ -16,7 +16,10 @@ from hrl_comfort.config.overrides import check_overrides, one_line, override
 from hrl_comfort.config.structured import freeze
 
 T = TypeVar("T", bound=TrainConfig)
-SETTABLE = ("agent", "comfort", "curriculum", "human", "reward", "task.precision", "task.resample_start_probability")
+SETTABLE = (
+    "agent", "comfort", "curriculum", "human", "randomise", "reward", "task.precision",
+    "task.resample_start_probability",
+)  # fmt: skip
 FIXED = (
     "agent.policy_steps", "agent.learning_starts", "agent.batch_size", "agent.buffer_size", "agent.hidden",
     "agent.critic_layer_norm", "agent.entropy_coefficient", "agent.normalise", "agent.device", "agent.log_every",

@@ -97,13 +97,12 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
     rows = len(entries.episode)
     engine = Engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
     executor, choose = make_executor(config, None, engine, int(entries.episode_seed[0]))
-    observe = engine.episodes.subtask.observe
     state = engine.reset()
-    observations, rewards, terminated, given_up, actions, active = [observe(state)], [], [], [], [], []
+    observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []
     infos = [_infos(state.level, state.stage, torch.full((rows,), NO_OPTION))]
     for executed in execute(engine, executor, choose):
         result = executed.result
-        observations.append(observe(result.state))
+        observations.append(engine.episodes.observe())
         actions.append(executed.action)
         rewards.append(result.reward)
         terminated.append(result.terminated)

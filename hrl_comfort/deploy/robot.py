@@ -167,7 +167,7 @@ class RobotEngine(Engine):
     def _probe(self, joints: Array, control: Array) -> Array:
         return self._sense(joints[0, : len(self.scene.home)], joints[0, len(self.scene.home) :], control[0])[None]
 
-    def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
+    def _run(self, physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
         """Give the set-point of `control` (1, 1, ncontrol); return the state that the arm has reached, and sensors."""
         report = self.link.step(control[0, 0, : len(self.scene.home)])
         if report.stopped:

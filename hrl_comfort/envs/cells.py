@@ -104,8 +104,7 @@ class Cells:
 
     def _observe(self) -> Array:
         episodes = self.engine.episodes
-        assert episodes.state is not None
-        observed: Array = episodes.subtask.observe(episodes.state).float().numpy()
+        observed: Array = episodes.observe().float().numpy()
         return observed.copy()
 
     def pictures(self) -> list[NDArray[np.uint8]]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed
 from hrl_comfort.scene.camera import PACKAGES, PicturesUnavailableError
+from hrl_comfort.scene.links import vary_links
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -97,6 +98,9 @@ class CellTask(control.Task):
         """Start the next episode of the row."""
         self.outcome = None
         self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
+        if self.episodes.config.randomise.links:
+            values = self.episodes.values()
+            vary_links(physics.model.ptr, self.episodes.scene.model, values.mass[0], values.friction[0])
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
         """Queue the controls of the decision; raise ValueError unless `action` is (A,) finite numbers."""
@@ -117,8 +121,8 @@ class CellTask(control.Task):
         """Return the named observation terms, unbatched."""
         state = self.episodes.state
         assert state is not None
-        terms = self.episodes.subtask.observations
-        return OrderedDict((name, term(state)[0].numpy().copy()) for name, term in terms.items())
+        terms, seen = self.episodes.subtask.observations, self.episodes.observed(state)
+        return OrderedDict((name, term(seen)[0].numpy().copy()) for name, term in terms.items())
 
     def get_reward(self, physics: CellPhysics) -> float:
         """Return the reward of the decision."""

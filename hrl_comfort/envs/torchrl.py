@@ -43,8 +43,8 @@ class CellEnv(EnvBase):
 
     def _make_specs(self, config: EnvConfig) -> None:
         n = self.batch_size
-        state = self.engine.reset()
-        width = self.engine.episodes.subtask.observe(state).shape[-1]
+        self.engine.reset()
+        width = self.engine.episodes.observe().shape[-1]
         flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=(*n, width), dtype=torch.float32),
@@ -64,7 +64,7 @@ class CellEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             rows = np.flatnonzero(tensordict["_reset"].reshape(-1).numpy())
         state = self.engine.reset(rows)
-        observation = self.engine.episodes.subtask.observe(state).float()
+        observation = self.engine.episodes.observe().float()
         return TensorDict(
             {
                 "observation": observation,
@@ -87,7 +87,7 @@ class CellEnv(EnvBase):
         columns |= {name: getattr(outcome, name) for name in _FLAGS[4:]}
         return TensorDict(
             {
-                "observation": self.engine.episodes.subtask.observe(outcome.state).float(),
+                "observation": self.engine.episodes.observe().float(),
                 "reward": outcome.reward[:, None].float(),
                 **{name: value[:, None] for name, value in columns.items()},
                 "reward_terms": outcome.reward_terms.float(),

@@ -40,6 +40,7 @@ NEEDED: dict[str, dict[str, str]] = {
     "paths": dict.fromkeys(("episode", "step"), "int")
     | dict.fromkeys(("tcp_x", "tcp_y", "tcp_z"), "float")
     | dict.fromkeys(("human_x", "human_y", "human_distance_m"), "float?"),
+    "setpoints": {"time_s": "float"},
     "handover_episodes": {"subtask": "text", "start": "text", "episode": "int", "spawn_id": "int", "success": "bool"},
     "chain": {"options": "int", "success": "float"},
 }

@@ -148,8 +148,12 @@ class OptionExecutor:
         return self._episodes.state
 
     def act(self, state: State, acting: Tensor | None = None) -> Tensor:
-        """Return the actions (N, A) of the options in force; rows not `acting` (N,) bool stand still."""
+        """Return the actions (N, A) of the options in force in the present `state`.
+
+        Rows not `acting` (N,) bool stand still.
+        """
         everyone = torch.ones_like(self.option, dtype=torch.bool)
+        state = self._episodes.observed(state)
         return act(self.options, self.option, state, everyone if acting is None else acting)
 
     def ended(self, result: StepResult) -> EndedOptions:

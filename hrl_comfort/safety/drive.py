@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
+from hrl_comfort.safety.allowances import check_allowances
 from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -44,6 +45,20 @@ class SetPoints:
         return cls(angles, velocity, np.ones(n), steps.astype(float), none, np.zeros(n, dtype=np.int64))
 
 
+    def ramp(self, before: Array, substeps: int) -> Array:
+        """Return the targets (N, K * substeps, J) rad of K set-points of N arms each, from `before` (N, J) rad on."""
+        ends = self.angles.reshape(len(before), -1, 1, before.shape[1])
+        starts = np.concatenate([before[:, None, None], ends[:, :-1]], axis=1)
+        share = np.arange(1, substeps + 1)[:, None] / substeps
+        return np.asarray((starts + share * (ends - starts)).reshape(len(before), -1, before.shape[1]))
+
+    @classmethod
+    def along(cls, steps: list[SetPoints]) -> SetPoints:
+        """Return K set-points of N arms each as N * K, those of an arm together."""
+        joined = (np.stack([getattr(each, name) for each in steps], axis=1) for name in vars(steps[0]))
+        return cls(*(each.reshape(-1, *each.shape[2:]) for each in joined))
+
+
 class Drive:
     """Set-points of N arms, one control step at a time."""
 
@@ -75,11 +90,11 @@ class Drive:
         if self._shield is not None:
             self._shield.end_decision(last)
 
-    def step(self, before: SetPoints, asked: Array, now: Encounter) -> SetPoints:
+    def step(self, before: SetPoints, asked: Array, now: Encounter, limbs: Array | None = None) -> SetPoints:
         """Return the set-points of the next control step.
 
         `asked` (N, J) rad/s is the motion that the policy wants, `now` the arms at the set-points
-        `before` beside the people.
+        `before` beside the people. The shield sees the people at `limbs` (N, L, 7) instead, if given.
         """
         angles, velocity = before.angles, before.velocity
         limited = self._rating.limited(self.arm, now.pose, asked)
@@ -87,7 +102,7 @@ class Drive:
         wanted = self._rating.follow(velocity, limited)
         braking = np.zeros(len(wanted), dtype=bool)
         if self._shield is not None:
-            wanted, passed = self._shield.step(now, velocity, wanted)
+            wanted, passed = self._shield.step(self._seen(now, limbs), velocity, wanted)
             braking = passed == 0.0
         wanted = self._yielding(angles, velocity, wanted, now)
         kept = self._rating.keeps(self._low, self._high, angles, wanted)
@@ -97,6 +112,12 @@ class Drive:
         stops = before.protective_stops + (braking & ~before.braking)
         angles = np.clip(angles + wanted * CONTROL_STEP_S, self._low, self._high)
         return SetPoints(angles, wanted, share, before.share_sum + share, braking, stops)
+
+    def _seen(self, now: Encounter, limbs: Array | None) -> Encounter:
+        if limbs is None:
+            return now
+        person = self._separation.person.ends(limbs)
+        return Encounter(now.pose, person, gaps(self.arm, now.pose.ends, self._separation.person, person))
 
     def _yielding(self, angles: Array, before: Array, wanted: Array, now: Encounter) -> Array:
         """Return `wanted` (N, J) rad/s, or the rated brake where the arm touches the person and would press on.
@@ -135,10 +156,11 @@ def make_drive(scene: Scene, separation: Separation, config: EnvConfig, rows: in
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
     Raises:
-      ConfigError: a rating or a shield is asked for of an arm without a known rating, or a shield of the paper's
-        arm, which has no brake.
+      ConfigError: a rating or a shield is asked for of an arm without a known rating, a shield of the paper's arm,
+        which has no brake, or one that allows for less than `randomise` does.
     """
     robot, kind = config.robot, config.safety.kind
+    check_allowances(config)
     if robot.name not in RATINGS and (robot.rating, kind) != ("paper", "none"):
         raise ConfigError(
             f"robot.name={robot.name} has no rating: robot.rating={robot.rating} safety.kind={kind} are for "

@@ -17,13 +17,12 @@ from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
 from hrl_comfort.safety.geometry import norm
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.separation import Encounter, Separation
-from hrl_comfort.scene.servos import SERVO_LAG_S
 
 Array = NDArray[np.float64]
 SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
 """Shares that are tried where all is not safe; nothing else than the brake is share 0."""
 LAGS = 3.0
-"""Servo lags until the arm's speed has followed its set-points."""
+"""Lags until the arm's speed has followed its set-points."""
 SERVO_SHARE = 0.7
 """Part of the safe speed that set-points may use: the servos swing around them while they brake."""
 
@@ -57,6 +56,9 @@ class Shield:
         self.arm, self._person = separation.arm, separation.person
         self._rating, self._config = rating, config
         self._bound = PersonBound(config)
+        self._late_s = config.latency_s + config.lag_s
+        self._trailing = np.exp(-CONTROL_STEP_S / self._late_s)
+        """Share of a speed that the arm still has after a control step."""
         parts = len(self._person.radius)
         self._seen = np.zeros((3, parts, 2, rows))
         """Ends of the person's capsules at the control step before."""
@@ -111,7 +113,7 @@ class Shield:
             safe = self._safe(velocity, speeds, now.apart[:, at], self._trail[:, at], pace[at])
             share[rows] = np.where(safe, tried, 0.0).reshape(len(SHARES), -1).max(axis=0)
         velocity = brake + share[:, None] * (wanted - brake)
-        self._trail = np.maximum(slow + share * (fast - slow), self._trail * np.exp(-CONTROL_STEP_S / SERVO_LAG_S))
+        self._trail = np.maximum(slow + share * (fast - slow), self._trail * self._trailing)
         self._decision.append((self._seen, self._trail))
         return velocity, share
 
@@ -127,9 +129,10 @@ class Shield:
         fastest = speeds + bend * (CONTROL_STEP_S + braking / 2)
         # Until the capsule is slower than the safe speed, servo lag included, the person must not reach it.
         left = np.minimum(SERVO_SHARE * config.safe_speed_m_s / np.maximum(fastest, 1e-9), 1.0)
-        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + LAGS * SERVO_LAG_S, 0.0)
+        late = config.latency_s + LAGS * config.lag_s
+        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + late, 0.0)
         travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
-        behind = np.maximum(trail, fastest) * SERVO_LAG_S
+        behind = np.maximum(trail, fastest) * self._late_s
         reach = self._bound.distance(until, pace)
         clear = (until == 0.0) | (apart > travel + behind + reach + config.margin_m)
         return np.asarray(clear.all(axis=0))

@@ -105,6 +105,14 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     )
 
 
+def tool_at(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the tool centre point (3,) m at joint angles (J,) rad."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = joints
+    mujoco.mj_kinematics(scene.model, data)
+    return np.array(data.site("robot/tcp").xpos)
+
+
 def _set_options(root: mjcf.RootElement, substeps: int) -> None:
     root.compiler.angle = "radian"
     root.option.timestep = CONTROL_STEP_S / substeps

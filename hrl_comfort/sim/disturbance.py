@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import DISTURBANCES
 from hrl_comfort.config.checks import one_of
+from hrl_comfort.sim.episode_sampler import Draw
+from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
 HELD = (2, 5)
@@ -30,9 +32,23 @@ class Disturbance:
         self.kind = kind
         self._left = np.zeros(rows, dtype=np.int64)
 
-    def begin(self, row: int, rng: np.random.Generator) -> None:
-        """Draw when the ball will be lost in the episode that begins in `row`."""
-        self._left[row] = rng.integers(HELD[0], HELD[1] + 1)
+    def begin(self, row: int, draw: Draw, drops: Array, keep_out_m: float, rng: np.random.Generator) -> None:
+        """Begin the episode `draw` in `row`: draw when the ball will be lost, or put the person in the way.
+
+        `drops` (2, 3) m are the drop points of the colours.
+        """
+        if self.kind == "drop":
+            self._left[row] = rng.integers(HELD[0], HELD[1] + 1)
+        elif self.kind == "block":
+            draw.spawn_id[row] = -1
+            draw.spawn[row] = blocking_place(drops[draw.colours[row, 0], :2], keep_out_m)
+
+    def applied(self, state: State, task: Subtask) -> State:
+        """Return the state after a decision with the balls knocked out of the gripper back on their table."""
+        if self.kind != "drop":
+            return state
+        lost = torch.from_numpy(self.drops(task.releasing(state.stage).numpy()))
+        return state.with_(stage=state.stage - lost.long())
 
     def drops(self, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return (N,) whether the ball is lost after a decision at whose end it is held (N,)."""

@@ -1,5 +1,6 @@
 """The batched engine: N cells stepped together by `mujoco.rollout`, with partial resets."""
 
+from copy import copy
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.humans import EvaluationSet
+from hrl_comfort.scene.links import vary_links
 from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -24,7 +26,7 @@ def physics_of(joints: Array) -> Array:
 
 
 class Engine:
-    """N cells of one model; `reset` starts episodes, `step` runs a decision."""
+    """N cells of one model, or of N whose links differ; `reset` starts episodes, `step` runs a decision."""
 
     def __init__(
         self,
@@ -38,6 +40,8 @@ class Engine:
         self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance)
         self.num_envs = rows
+        self._models = [copy(self.scene.model) for _ in range(rows if config.randomise.links else 0)]
+        """One a row, where links differ from the model."""
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
         self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)
         self.physics = np.zeros((rows, self.scene.nstate))
@@ -55,6 +59,7 @@ class Engine:
             else:
                 start = self.episodes.replay(rows, entries, self._probe)
             self.physics[rows] = physics_of(start)
+            self._vary(rows)
         assert self.episodes.state is not None
         return self.episodes.state
 
@@ -66,7 +71,7 @@ class Engine:
         """
         at = slice(None) if rows is None else rows
         control = self.episodes.apply_action(action)
-        states, sensed = self._run(self.physics[at], control[at])
+        states, sensed = self._run(self.physics[at], control[at], rows)
         result = self.episodes.advance(sensed, rows)
         taken = result.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
         self.physics[at] = states[np.arange(len(taken)), taken - 1]
@@ -74,11 +79,26 @@ class Engine:
 
     def _probe(self, joints: Array, control: Array) -> Array:
         # Readings belong to the instant before a physics step is integrated: one step senses the start.
-        return self._run(physics_of(joints), control[:, None])[1][:, 0]
+        # Another mass or friction makes no difference to them.
+        sensed = self._rollout.rollout(
+            self.scene.model, self._data, physics_of(joints), control[:, None], control_spec=CONTROL_SPEC
+        )[1]
+        return sensed[:, 0]
 
-    def _run(self, physics: Array, control: Array) -> tuple[Array, Array]:
-        run = self._rollout.rollout(self.scene.model, self._data, physics, control, control_spec=CONTROL_SPEC)
+    def _run(self, physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
+        """Return states and sensors (r, K * substeps, ...) of `rows` (r,), all by default."""
+        model: Any = self.scene.model
+        if self._models:
+            model = self._models if rows is None else [self._models[row] for row in rows]
+        run = self._rollout.rollout(model, self._data, physics, control, control_spec=CONTROL_SPEC)
         return run[0], run[1]
+
+    def _vary(self, rows: NDArray[np.int64]) -> None:
+        """Give the links of `rows` the mass and friction of their episodes."""
+        if self._models:
+            values = self.episodes.values()
+            for row in rows:
+                vary_links(self._models[row], self.scene.model, values.mass[row], values.friction[row])
 
     def close(self) -> None:
         """Stop the threads."""
@@ -92,3 +112,4 @@ class Engine:
         """Continue from `state_dict`."""
         self.physics = saved["physics"].numpy().copy()
         self.episodes.load_state_dict(saved["episodes"])
+        self._vary(np.arange(self.num_envs))

@@ -12,6 +12,7 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.randomisation import draws, sizes
 from hrl_comfort.sim.starts import PARTS, start_states
 from hrl_comfort.tasks import Subtask
 
@@ -23,9 +24,9 @@ TABLE_CLEARANCE_M = 0.25
 ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
-LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM = 1, 2, 3, 4, 5
-"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls, disturbances and traits: with or
-without any of them, the rest of an episode is the same."""
+LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
+"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls, disturbances, traits and domain
+randomisation: with or without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,10 @@ class Draw:
     """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
     points: Array
     """(2, 3) m, of `reach` and `point_to_point`."""
+    world: Array
+    readings: Array
+    frames: Array
+    """Of how the cell differs from the model: see `sim.randomisation`."""
 
 
 class EpisodeSampler:
@@ -82,7 +87,8 @@ class EpisodeSampler:
                 f"comfort.levels={config.comfort.levels}; at most {LONGEST_STEPS} are allowed"
             )
         self.horizon = longest + config.task.action_repeat
-        self._arm = PARTS * len(scene.joints)
+        self._joints = len(scene.joints)
+        self._arm = PARTS * self._joints
         self._starts = start_states(scene, config, task.start)
         self._solved = replace(config, task=replace(config.task, start="ik"))
         if self._drawn:
@@ -91,6 +97,7 @@ class EpisodeSampler:
     def blank(self, rows: int) -> Draw:
         """Return the draws of `rows` cells, to be filled in."""
         balls = self._config.task.balls
+        world, readings, frames = sizes(self._config.randomise, self._joints)
         return Draw(
             balls=np.zeros((rows, balls, 3)),
             colours=np.zeros((rows, balls), dtype=np.int64),
@@ -103,6 +110,9 @@ class EpisodeSampler:
             spawn=np.zeros((rows, 2)),
             start=np.zeros((rows, self._arm)),
             points=np.zeros((rows, 2, 3)),
+            world=np.zeros((rows, *world)),
+            readings=np.zeros((rows, *readings)),
+            frames=np.zeros((rows, *frames)),
         )
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
@@ -128,6 +138,7 @@ class EpisodeSampler:
         traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
         traits[1:] = low + (high - low) * traits[1:]
         balls, colours, arriving = self._balls(colour, self.generator(row, episode, BALL_STREAM))
+        other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         for attempt in range(ATTEMPTS):
             banks = (
                 self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
@@ -144,7 +155,7 @@ class EpisodeSampler:
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(balls, colours, arriving, noise, traits, told, *ids, spawn, start[: self._arm], points)
+            yield Draw(balls, colours, arriving, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.

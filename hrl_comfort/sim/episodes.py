@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,17 +20,19 @@ from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
 from hrl_comfort.comfort.sources import make_source
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
-from hrl_comfort.safety.drive import SetPoints, make_drive
+from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
-from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.scene.workcell import Scene, tool_at
 from hrl_comfort.sim.balls import go_on, rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
-from hrl_comfort.sim.disturbance import Disturbance, blocking_place
+from hrl_comfort.sim.disturbance import Disturbance
 from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
 from hrl_comfort.sim.people import stop_at_contact
+from hrl_comfort.sim.randomisation import Servos, Values, observed
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
 from hrl_comfort.sim.state_fields import first_fields, planned_fields
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
+from hrl_comfort.sim.tracker import Tracker
 from hrl_comfort.tasks import State, Subtask, subtask
 from hrl_comfort.tasks.observations import share
 
@@ -74,10 +75,7 @@ class Episodes:
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
         self._drops = self.sampler.goals[1:]
-        at_home = mujoco.MjData(scene.model)
-        at_home.qpos[:] = scene.home
-        mujoco.mj_kinematics(scene.model, at_home)
-        self._tcp_home = at_home.site("robot/tcp").xpos.copy()
+        self._tcp_home = tool_at(scene, scene.home)
 
         self.episode = np.full(rows, -1, dtype=np.int64)
         self._ready = np.zeros(rows, dtype=bool)
@@ -88,8 +86,14 @@ class Episodes:
         self._separation = Separation(scene)
         self._sensors = Sensors(scene, self._separation, measure_arm or paid)
         self._drive = make_drive(scene, self._separation, config, rows)
-        self._people_stop = config.task.terminate_on == "unsafe_contact"
         self._disturbance = Disturbance(disturbance, rows)
+        self._servos = Servos(config.randomise, rows, len(scene.joints), config.engine.substeps)
+        self._tracker = Tracker(config.randomise, rows)
+        drives = [] if self._drive is None else [self._drive]
+        self._planning: list[Servos | Tracker | Drive] = [self._servos, self._tracker, *drives]
+        self._parts: list[Any] = [self.source, self._disturbance, *self._planning]
+        """Parts with a state that an exact continuation needs."""
+        self._people_stop = config.task.terminate_on == "unsafe_contact"
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
@@ -122,7 +126,8 @@ class Episodes:
             for row in pending:
                 for name, value in vars(next(attempts[row])).items():
                     getattr(self.draw, name)[row] = value
-                self._disturb(int(row))
+                rng = self.sampler.generator(int(row), int(self.episode[row]), DISTURBANCE_STREAM)
+                self._disturbance.begin(row, self.draw, self._drops, self.config.human.keep_out_m, rng)
             self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
             fresh = humans.begin(self.config.human, self.draw.spawn[pending], self.draw.traits[pending])
@@ -132,7 +137,10 @@ class Episodes:
             velocity = begun[:, moving // 2 : moving]
             still = np.zeros_like(targets) if self._drive is None else self._drive.rated(velocity)
             steps = np.zeros(len(pending), dtype=np.int64)
-            planned = self._plan(fresh, limbs, SetPoints.unshielded(targets, still, steps), steps)
+            values = self.values(pending)
+            self._servos.begin(pending, values, targets)
+            seen = self._tracker.begin(pending, values, self.draw.frames[pending], fresh.position, limbs)
+            planned = self._plan(fresh, seen, limbs, SetPoints.unshielded(targets, still, steps), steps)
             # The control holds the robot and the human where they begin.
             control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
             sensed = probe(self.draw.start[pending, :moving], control)
@@ -164,15 +172,6 @@ class Episodes:
         self.episode[:] = -1
         self._ready[:] = False
 
-    def _disturb(self, row: int) -> None:
-        if self._disturbance.kind == "drop":
-            rng = self.sampler.generator(row, int(self.episode[row]), DISTURBANCE_STREAM)
-            self._disturbance.begin(row, rng)
-        elif self._disturbance.kind == "block":
-            drop = self._drops[self.draw.colours[row, 0], :2]
-            self.draw.spawn_id[row] = -1
-            self.draw.spawn[row] = blocking_place(drop, self.config.human.keep_out_m)
-
     def apply_action(self, action: Array) -> Array:
         """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, A) in [-1, 1].
 
@@ -192,27 +191,27 @@ class Episodes:
         else:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
-        joints = joint_target.shape[1]
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
         self._arm = cache(partial(self._separation.arm.points, *seen))
+        self._tracker.begin_decision()
         if self._drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
             lowest, highest = self.scene.joint_range.T
             targets = np.minimum(np.maximum(targets, lowest), highest)
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
-            ends = targets[:, substeps - 1 :: substeps].reshape(-1, joints)
+            ends = targets[:, substeps - 1 :: substeps].reshape(-1, joint_target.shape[1])
             points = SetPoints.unshielded(ends, velocity, times.reshape(-1) + 1)
             self._walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self._walks)
+            self._tracker.follow(times + 1, self.draw.frames, self._walks.position, limbs)
         else:
             points, limbs = self._driven(increment / CONTROL_STEP_S, times)
-            ends = points.angles.reshape(self.rows, steps, 1, joints)
-            starts = np.concatenate([joint_target[:, None, None], ends[:, :-1]], axis=1)
-            ramp = np.arange(1, substeps + 1)[:, None] / substeps
-            targets = (starts + ramp * (ends - starts)).reshape(self.rows, -1, joints)
-        self._planned = self._plan(self._walks, limbs, points, times.reshape(-1) + 1)
-        return self._controls(targets, self._planned["limbs"], rendered_positions(self.state, self.subtask))
+            targets = points.ramp(joint_target, substeps)
+        places = self._tracker.seen(self._walks.position)
+        self._planned = self._plan(self._walks, places, limbs, points, times.reshape(-1) + 1)
+        balls = rendered_positions(self.state, self.subtask)
+        return self._controls(self._servos.follow(targets), self._planned["limbs"], balls)
 
     def _driven(self, asked: Array, times: NDArray[np.int64]) -> tuple[SetPoints, Array]:
         """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
@@ -226,15 +225,15 @@ class Episodes:
         now = self._separation.encounter(points[0].angles, limbs[0])
         self._drive.begin_decision()
         for k in range(times.shape[1]):
-            points.append(self._drive.step(points[-1], asked, now))
+            points.append(self._drive.step(points[-1], asked, now, self._tracker.shown))
             walk = self._walk_on(walks[-1], times[:, k])
             walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
             walks.append(walk)
             limbs.append(poses)
+            self._tracker.see(times[:, k] + 1, self.draw.frames, walk.position, poses)
         self._walks = humans.Walk.along(walks[1:])
-        n, beside = times.size, np.stack(limbs[1:], axis=1)
-        joined = (np.stack([getattr(point, name) for point in points[1:]], axis=1) for name in vars(points[0]))
-        return SetPoints(*(each.reshape(n, *each.shape[2:]) for each in joined)), beside.reshape(n, *beside.shape[2:])
+        beside = np.stack(limbs[1:], axis=1)
+        return SetPoints.along(points[1:]), beside.reshape(-1, *beside.shape[2:])
 
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Return the result of a decision from its sensor readings (N, K * substeps, nsensor).
@@ -249,17 +248,30 @@ class Episodes:
         limit = self.max_episode_steps(self.state.level)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state.with_(level=self._next_level(result))
-        state = self._disturbed(update_placed(state, self.state.stage, self.subtask))
+        state = self._disturbance.applied(update_placed(state, self.state.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
         first = np.arange(self.rows) * self.planned_steps
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
         self.walk = self._walks.rows(first + last)
-        if self._drive is not None:
-            self._drive.end_decision(last)
+        for part in self._planning:
+            part.end_decision(last)
         self.state = state
         return replace(result, state=state)
+
+    def values(self, rows: Any = slice(None)) -> Values:
+        """Return how the cells of `rows`, all by default, differ from the model."""
+        return Values(self.config.randomise, self.draw.world[rows])
+
+    def observe(self) -> Tensor:
+        """Return the observations (N, D) of the cells as they are now."""
+        assert self.state is not None
+        return self.subtask.observe(self.observed(self.state))
+
+    def observed(self, state: State) -> State:
+        """Return the present `state` (N rows) as the sensors report it, for policies."""
+        return observed(self.config.randomise, self.values(), self.draw.readings, state, self._separation.arm)
 
     def aim(self, rows: Tensor, ball: Tensor) -> None:
         """Make the balls (r,) the targets of `rows` (r,).
@@ -300,14 +312,6 @@ class Episodes:
             level, task.max_episode_steps, replace(comfort, beta=0.0) if self.subtask.repeats else comfort
         )
 
-    def _disturbed(self, state: State) -> State:
-        """Return the state with the balls that a disturbance knocks out of the gripper back on their table."""
-        if self._disturbance.kind != "drop":
-            return state
-        held = self.subtask.releasing(state.stage)
-        lost = torch.from_numpy(self._disturbance.drops(held.numpy()))
-        return state.with_(stage=state.stage - lost.long())
-
     def _next_level(self, result: StepResult) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
         assert self.state is not None
@@ -316,9 +320,9 @@ class Episodes:
         return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
     def _plan(
-        self, walk: humans.Walk, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
+        self, walk: humans.Walk, places: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
     ) -> dict[str, NDArray[Any]]:
-        seen = humans.seen_position(self.config.human, walk.position, self.sampler.spawns)
+        seen = humans.seen_position(self.config.human, places, self.sampler.spawns)
         return planned_fields(walk, seen, limbs, points, steps)
 
     def state_dict(self) -> dict[str, Any]:
@@ -330,9 +334,7 @@ class Episodes:
             "draw": {name: torch.from_numpy(value.copy()) for name, value in vars(self.draw).items()},
             "walk": {name: torch.from_numpy(value.copy()) for name, value in vars(self.walk).items()},
             "state": dict(vars(self.state)),
-            "source": self.source.state_dict(),
-            "disturbance": self._disturbance.state_dict(),
-            "drive": {} if self._drive is None else self._drive.state_dict(),
+            "parts": [part.state_dict() for part in self._parts],
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -343,8 +345,6 @@ class Episodes:
             getattr(self.draw, name)[:] = value.numpy()
         self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
         self.state = State(**saved["state"])
-        self.source.load_state_dict(saved["source"])
-        self._disturbance.load_state_dict(saved["disturbance"])
-        if self._drive is not None:
-            self._drive.load_state_dict(saved["drive"])
+        for part, its in zip(self._parts, saved["parts"], strict=True):
+            part.load_state_dict(its)
         self._ready[:] = True

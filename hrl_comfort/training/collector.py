@@ -167,7 +167,7 @@ def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
 
     def demonstrator() -> Tensor:
         assert episodes.state is not None
-        return act(episodes.state.rows(rows))
+        return act(episodes.observed(episodes.state).rows(rows))
 
     return demonstrator
 

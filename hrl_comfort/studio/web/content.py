@@ -102,6 +102,7 @@ def refuse(config: StudioConfig) -> None:
         ("task.action", config.task.action, "joint"),
         ("human.clipping", config.human.clipping, "off"),
         ("disturbance", config.disturbance, "none"),
+        ("randomise", "given" if config.randomise.differs else "none", "none"),
         ("beside", config.beside, None),
     )
     for key, value, only in allowed:

@@ -1,0 +1,108 @@
+"""The person as a tracker reports them: at a rate of its own, with noise, and with frames that are lost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_comfort.config import CONTROL_STEP_S, RandomiseConfig
+from hrl_comfort.safety.allowances import MOST_LOST
+from hrl_comfort.scene.human import LIMBS
+from hrl_comfort.sim.randomisation import Values
+
+Array = NDArray[np.float64]
+
+
+class Tracker:
+    """The newest frame of the person of N cells, which holds until the next one."""
+
+    def __init__(self, config: RandomiseConfig, rows: int) -> None:
+        self.active = config.tracker
+        self._place, self._limbs = np.zeros((rows, 2)), np.zeros((rows, len(LIMBS), 7))
+        """m: the axis (N, 2) and the limbs (N, L, 7) of the person in that frame."""
+        self._missed = np.zeros(rows, dtype=np.int64)
+        self._rate_hz, self._phase = np.ones(rows), np.zeros(rows)
+        self._noise_m, self._dropout = np.zeros(rows), np.zeros(rows)
+        self._decision: list[tuple[Array, Array, NDArray[np.int64]]] = []
+
+    def begin(self, rows: NDArray[np.int64], values: Values, frames: Array, place: Array, limbs: Array) -> Array:
+        """Begin an episode in `rows` (r,) with a frame of people at `place` (r, 2) m, `limbs` (r, L, 7).
+
+        Return where they are seen (r, 2) m.
+        """
+        if not self.active:
+            return place
+        self._rate_hz[rows], self._phase[rows] = values.of("person_rate_hz"), values.phase
+        self._noise_m[rows], self._dropout[rows] = values.of("person_noise_m"), values.of("person_dropout")
+        self._missed[rows] = 0
+        self._place[rows], self._limbs[rows] = _shifted(place, limbs, self._noise_m[rows, None] * frames[:, 0, 1:])
+        return self._place[rows]
+
+    @property
+    def shown(self) -> Array | None:
+        """(N, L, 7) limbs in the newest frame; None without a tracker."""
+        return self._limbs if self.active else None
+
+    def begin_decision(self) -> None:
+        """Begin a decision, of which some control steps may turn out void."""
+        self._decision = []
+
+    def follow(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
+        """See people at `place` (N * K, 2) m, `limbs` (N * K, L, 7) by the control steps `steps` (N, K)."""
+        n, count = steps.shape
+        for k in range(count):
+            self.see(steps[:, k], frames, place.reshape(n, count, 2)[:, k], limbs.reshape(n, count, -1, 7)[:, k])
+
+    def see(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
+        """Take the frames (N, FRAMES, 3) due at control step `steps` (N,): people at `place` (N, 2), `limbs` (N, L, 7).
+
+        Two at most are lost in a row.
+        """
+        if not self.active:
+            return
+        passed = steps * CONTROL_STEP_S * self._rate_hz + self._phase
+        before = (steps - 1) * CONTROL_STEP_S * self._rate_hz + self._phase
+        due = np.floor(passed) > np.floor(before)
+        frame = frames[np.arange(len(frames)), np.floor(passed).astype(np.int64) % frames.shape[1]]
+        lost = due & (frame[:, 0] < self._dropout) & (self._missed < MOST_LOST)
+        taken = (due & ~lost)[:, None]
+        seen, parts = _shifted(place, limbs, self._noise_m[:, None] * frame[:, 1:])
+        self._place = np.where(taken, seen, self._place)
+        self._limbs = np.where(taken[..., None], parts, self._limbs)
+        self._missed = np.where(due, np.where(lost, self._missed + 1, 0), self._missed)
+        self._decision.append((self._place, self._limbs, self._missed))
+
+    def seen(self, true: Array) -> Array:
+        """Return where people are seen (N * K, 2) m over a decision; `true` (N * K, 2) without a tracker."""
+        if not self.active:
+            return true
+        return np.stack([place for place, *_ in self._decision], axis=1).reshape(-1, 2)
+
+    def end_decision(self, last: NDArray[np.int64]) -> None:
+        """Go back to the last valid control step (N,) of the decision in each row, counted from 0."""
+        if self.active:
+            rows = np.arange(len(last))
+            self._place, self._limbs, self._missed = (
+                np.stack(each)[last, rows] for each in zip(*self._decision, strict=True)
+            )
+
+    _ARRAYS = ("_place", "_limbs", "_missed", "_rate_hz", "_phase", "_noise_m", "_dropout")
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what an exact continuation needs."""
+        return {name: torch.from_numpy(getattr(self, name).copy()) for name in self._ARRAYS if self.active}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        for name, value in saved.items():
+            setattr(self, name, value.numpy().copy())
+
+
+def _shifted(place: Array, limbs: Array, offset: Array) -> tuple[Array, Array]:
+    """Return `place` (n, 2) m and `limbs` (n, L, 7) moved by `offset` (n, 2) m."""
+    moved = limbs.copy()
+    moved[..., :2] += offset[:, None]
+    return place + offset, moved
