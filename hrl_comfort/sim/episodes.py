@@ -87,7 +87,7 @@ class Episodes:
         paid = source == "frightened" or (config.comfort.distance == "arm" and source != "none")
         self._separation = Separation(scene)
         self._sensors = Sensors(scene, self._separation, measure_arm or paid)
-        self._drive = make_drive(scene, self._separation, config, rows)
+        self.drive = make_drive(scene, self._separation, config, rows)
         self._people_stop = config.task.terminate_on == "unsafe_contact"
         self._disturbance = Disturbance(disturbance, rows)
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
@@ -130,7 +130,7 @@ class Episodes:
             begun = self.draw.start[pending]
             targets, limbs = begun[:, moving:], limbs_of(self.scene, fresh)
             velocity = begun[:, moving // 2 : moving]
-            still = np.zeros_like(targets) if self._drive is None else self._drive.rated(velocity)
+            still = np.zeros_like(targets) if self.drive is None else self.drive.rated(velocity)
             steps = np.zeros(len(pending), dtype=np.int64)
             planned = self._plan(fresh, limbs, SetPoints.unshielded(targets, still, steps), steps)
             # The control holds the robot and the human where they begin.
@@ -149,8 +149,8 @@ class Episodes:
                 self.state = state
             else:
                 raise ConfigError("the first reset must reset every row")
-            if self._drive is not None:
-                self._drive.begin(pending, limbs)
+            if self.drive is not None:
+                self.drive.begin(pending, limbs)
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | state.touching | self.subtask.failure(state)).numpy()
             pending = pending[bad]
@@ -195,7 +195,7 @@ class Episodes:
         joints = joint_target.shape[1]
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
         self._arm = cache(partial(self._separation.arm.points, *seen))
-        if self._drive is None:
+        if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
             lowest, highest = self.scene.joint_range.T
@@ -219,14 +219,14 @@ class Episodes:
 
         `asked` (N, J) rad/s, `times` (N, K).
         """
-        assert self._drive is not None and self.state is not None
+        assert self.drive is not None and self.state is not None
         names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
         now = self._separation.encounter(points[0].angles, limbs[0])
-        self._drive.begin_decision()
+        self.drive.begin_decision()
         for k in range(times.shape[1]):
-            points.append(self._drive.step(points[-1], asked, now))
+            points.append(self.drive.step(points[-1], asked, now))
             walk = self._walk_on(walks[-1], times[:, k])
             walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
             walks.append(walk)
@@ -256,8 +256,8 @@ class Episodes:
         first = np.arange(self.rows) * self.planned_steps
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
         self.walk = self._walks.rows(first + last)
-        if self._drive is not None:
-            self._drive.end_decision(last)
+        if self.drive is not None:
+            self.drive.end_decision(last)
         self.state = state
         return replace(result, state=state)
 
@@ -332,7 +332,7 @@ class Episodes:
             "state": dict(vars(self.state)),
             "source": self.source.state_dict(),
             "disturbance": self._disturbance.state_dict(),
-            "drive": {} if self._drive is None else self._drive.state_dict(),
+            "drive": {} if self.drive is None else self.drive.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -345,6 +345,6 @@ class Episodes:
         self.state = State(**saved["state"])
         self.source.load_state_dict(saved["source"])
         self._disturbance.load_state_dict(saved["disturbance"])
-        if self._drive is not None:
-            self._drive.load_state_dict(saved["drive"])
+        if self.drive is not None:
+            self.drive.load_state_dict(saved["drive"])
         self._ready[:] = True
