@@ -19,6 +19,8 @@ class RobotConfig:
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
+    calibration: str | None = None
+    """The controller's file calibration.conf of an arm of Universal Robots; null is the model's nominal arm."""
 
 
 @dataclass(frozen=True)
