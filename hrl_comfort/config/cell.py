@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from pydantic import Field
+
 from hrl_comfort.config.checks import XYZ, Coordinate, choice, within
 from hrl_comfort.config.constants import MAX_ENVS
 
@@ -61,3 +63,7 @@ class ConnectionConfig:
     """`simulated`: an arm in MuJoCo that keeps the wall clock. `ur`: a robot of Universal Robots, by RTDE."""
     host: str
     """`ur`: address of the robot's controller."""
+    frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
+    """Three places of the tool in the frame of the robot's base, m: the origin of the frame in which `cell.*_m`,
+    `task.*point_m` and live positions of people are given, a point on its x axis, and one where y > 0; null is the
+    frame of the base."""

@@ -120,7 +120,11 @@ class Paced:
         self._process.start()
         theirs.close()
         prefer(RUNNER)
-        self.report = self._receive()
+        try:
+            self.report = self._receive()
+        except BaseException:
+            self.close()
+            raise
 
     def step(self, target: Array) -> Report:
         """See `Link`."""
@@ -148,6 +152,7 @@ class Paced:
         prefer(0)
         self._pipe.close()
         self._process.join(OPEN_S)
+        self._process.terminate()
 
     def _send(self, message: tuple[int, Array] | str | None) -> None:
         with suppress(BrokenPipeError):  # _receive says so
