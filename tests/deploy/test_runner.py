@@ -24,14 +24,14 @@ from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, DeployConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.deploy import runner
-from hrl_comfort.deploy.arms import Arm, SimulatedArm
+from hrl_comfort.deploy.arms import SimulatedArm
 from hrl_comfort.deploy.runner import LOG, deploy
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.scene.workcell import build_scene
-from tests.deploy.faulty_arm import FaultyArm
+from tests.deploy.faulty_arm import FaultyArm, refused
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
 PICK = [f"policy={REFERENCE / 'pick'}", "human=still", "confirm=yes"]
@@ -160,10 +160,6 @@ def test_an_interrupt_at_the_prompt_is_one_line(
     assert main(["deploy", *PICK, "confirm=ask", f"output={tmp_path / 'out'}"]) == 130
     assert capsys.readouterr().err == "hrl-comfort: interrupted\n"
     assert not (tmp_path / "out").exists() and not multiprocessing.active_children()
-
-
-def refused() -> Arm:
-    raise ConfigError("no such arm")
 
 
 def fails(*args: object) -> NoReturn:
