@@ -178,7 +178,8 @@ def serve(pipe: Connection, open_arm: Callable[[], Arm], limits: Limits, log: Pa
     try:
         arm = open_arm()
     except (ConfigError, OSError, RuntimeError) as error:
-        pipe.send(f"connection: {' '.join(str(error).split())}")
+        with suppress(BrokenPipeError):  # the runner has not waited
+            pipe.send(f"connection: {' '.join(str(error).split())}")
         return
     with log.open("wb") as file:
         try:
