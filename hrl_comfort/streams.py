@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import struct
+import sys
 import time
 import warnings
 from typing import Any
@@ -13,6 +15,9 @@ MAX_DATAGRAM_BYTES = 4096
 MOST_DATAGRAMS = 1000
 """Datagrams of one reading, so that a flood of them cannot hold up the robot."""
 POLL_S = 0.02
+SO_TIMESTAMPNS = 35
+"""Linux: the system notes when a datagram arrived (socket(7)); Python's `socket` does not name it."""
+TIMESPEC = struct.Struct("@ll")
 OPEN_S = 1.0
 """Longest time for the connection to an outlet that answers."""
 
@@ -33,6 +38,8 @@ class UdpStream:
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(f"{name} cannot be opened: {reason}; choose another, or port 0 for a free one") from error
         self._socket.setblocking(False)
+        if sys.platform == "linux":
+            self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
     @property
     def port(self) -> int:
@@ -41,12 +48,22 @@ class UdpStream:
 
     def read(self) -> list[str]:
         """Return the texts since the last call, oldest first; the rest of a flood waits or is dropped by the system."""
-        arrived: list[str] = []
+        return [text for text, _ in self.read_stamped()]
+
+    def read_stamped(self) -> list[tuple[str, float]]:
+        """Return what `read` does, with the monotonic time at which each arrived, s."""
+        arrived: list[tuple[str, float]] = []
         while len(arrived) < MOST_DATAGRAMS:
             try:
-                arrived.append(self._socket.recv(MAX_DATAGRAM_BYTES).decode("ascii", "replace").strip())
+                text, notes, _, _ = self._socket.recvmsg(MAX_DATAGRAM_BYTES, socket.CMSG_SPACE(TIMESPEC.size))
             except BlockingIOError:
                 break
+            waited = 0.0
+            for _, kind, note in notes:
+                if kind == SO_TIMESTAMPNS:
+                    seconds, nanoseconds = TIMESPEC.unpack(note)
+                    waited = max(0.0, time.time() - seconds - 1e-9 * nanoseconds)
+            arrived.append((text.decode("ascii", "replace").strip(), time.monotonic() - waited))
         return arrived
 
 
@@ -81,9 +98,15 @@ class LslStream:
 
     def read(self) -> list[list[float]]:
         """Return the samples since the last call, oldest first; of more than a second, the newest second."""
+        return [sample for sample, _ in self.read_stamped()]
+
+    def read_stamped(self) -> list[tuple[list[float], float]]:
+        """Return what `read` does, with the monotonic time at which each was sent, s."""
         try:
             if self._inlet is not None or self._connected():
-                return list(self._inlet.pull_chunk(timeout=0.0)[0])
+                samples, stamps = self._inlet.pull_chunk(timeout=0.0)
+                shift = time.monotonic() - self._lsl.local_clock()
+                return [(sample, stamp + shift) for sample, stamp in zip(samples, stamps, strict=True)]
         except RuntimeError:  # LostError
             warnings.warn(f"{self._key}: the stream is lost; it is read again when it is back", stacklevel=2)
             self._search()
@@ -103,7 +126,8 @@ class LslStream:
                     self._unfit = unfit
                     warnings.warn(f"{self._key}{unfit}: not used", stacklevel=3)
                 continue
-            inlet = self._lsl.StreamInlet(found, max_buflen=1, recover=False)
+            synced = self._lsl.proc_clocksync
+            inlet = self._lsl.StreamInlet(found, max_buflen=1, recover=False, processing_flags=synced)
             try:
                 inlet.open_stream(timeout=OPEN_S)
             except RuntimeError:  # it is gone again

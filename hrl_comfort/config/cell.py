@@ -18,7 +18,6 @@ Noise = Annotated[list[Annotated[float, within(0.0, 100.0)]], Pair]
 Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
 
 
-
 @dataclass(frozen=True)
 class RobotConfig:
     """The arm; its kinematics and masses are those of `scene.robots`."""
@@ -29,6 +28,8 @@ class RobotConfig:
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
+    calibration: str | None = None
+    """The controller's file calibration.conf of an arm of Universal Robots; null is the model's nominal arm."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,10 @@ class ConnectionConfig:
     """`simulated`: an arm in MuJoCo that keeps the wall clock. `ur`: a robot of Universal Robots, by RTDE."""
     host: str
     """`ur`: address of the robot's controller."""
+    frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
+    """Three places of the tool in the frame of the robot's base, m: the origin of the frame in which `cell.*_m`,
+    `task.*point_m` and live positions of people are given, a point on its x axis, and one where y > 0; null is the
+    frame of the base."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Links of the runner to its streamer: in lockstep with it, or to a process of its own that keeps the wall clock.
 
-The runner plans a control step while the streamer runs the one before: it gets a report LEAD ticks before that ends.
+The runner plans a control step while the streamer runs the one before: it gets a report as that begins.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.deploy.arms import PERIOD_S, Arm
-from hrl_comfort.deploy.streamer import LEAD, TICKS, Limits, Report, Streamer
+from hrl_comfort.deploy.streamer import TICKS, Limits, Report, Streamer
 
 Array = NDArray[np.float64]
 SLIP_S = 0.010
@@ -99,10 +99,9 @@ class Lockstep:
 
     def _run(self, target: Array | None) -> None:
         self._streamer.begin_step(target)
+        self.report = self._streamer.report()
         for number in range(TICKS):
             self._streamer.tick(number)
-            if number == TICKS - 1 - LEAD:
-                self.report = self._streamer.report()
 
 
 class Paced:
@@ -121,7 +120,11 @@ class Paced:
         self._process.start()
         theirs.close()
         prefer(RUNNER)
-        self.report = self._receive()
+        try:
+            self.report = self._receive()
+        except BaseException:
+            self.close()
+            raise
 
     def step(self, target: Array) -> Report:
         """See `Link`."""
@@ -149,6 +152,7 @@ class Paced:
         prefer(0)
         self._pipe.close()
         self._process.join(OPEN_S)
+        self._process.terminate()
 
     def _send(self, message: tuple[int, Array] | str | None) -> None:
         with suppress(BrokenPipeError):  # _receive says so
@@ -174,7 +178,8 @@ def serve(pipe: Connection, open_arm: Callable[[], Arm], limits: Limits, log: Pa
     try:
         arm = open_arm()
     except (ConfigError, OSError, RuntimeError) as error:
-        pipe.send(f"connection: {' '.join(str(error).split())}")
+        with suppress(BrokenPipeError):  # the runner has not waited
+            pipe.send(f"connection: {' '.join(str(error).split())}")
         return
     with log.open("wb") as file:
         try:
@@ -203,6 +208,8 @@ class Server:
             self._plan, slipped = None, 0.0
             streamer.begin_step(target, late)
             self._engaged &= not streamer.stopped
+            if self._reporting:
+                self._tell()
             for number in range(TICKS):
                 due += PERIOD_S
                 time.sleep(max(0.0, due - time.monotonic()))
@@ -210,8 +217,6 @@ class Server:
                 if late_s > PERIOD_S:  # later ones wait too: a burst would be faster than the rating
                     due, slipped = due + late_s, slipped + late_s
                 streamer.tick(number, late_s)
-                if number == TICKS - 1 - LEAD and self._reporting:
-                    self._tell()
 
     def _listen(self) -> None:
         """Take what the runner has said since the last control step."""

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.deploy.arms import PERIOD_S
 from hrl_comfort.deploy.links import Link
 from hrl_comfort.deploy.stops import StoppedError
-from hrl_comfort.deploy.streamer import LEAD
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.scene.workcell import CONTROL_SPEC
@@ -106,7 +104,7 @@ class RobotEngine(Engine):
             return
         if self._person is not None:
             self._person()
-            age = time.monotonic() - self._person.arrived_s + LEAD * PERIOD_S
+            age = time.monotonic() - self._person.arrived_s + CONTROL_STEP_S
             if age > self.episodes.config.safety.delay_s:
                 raise StoppedError(f"stale person: position {age:.3g} s old, safety.delay_s is "
                                    f"{self.episodes.config.safety.delay_s:g}")  # fmt: skip

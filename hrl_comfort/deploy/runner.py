@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.config.compose import environment, save_config
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
+from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine
 from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
@@ -32,6 +33,7 @@ from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result, split
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmGeometry
@@ -57,23 +59,26 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
       StoppedError: the arm was brought to rest before the last episode was over; everything has been written.
     """
     refuse(config)
+    config = settled(config)
     torch.set_num_threads(1)
     output = Path(config.output)
-    with output_folder(output, DeployConfig, "config.yaml"), interruption() as interrupted:
+    with output_folder(output, DeployConfig, "config.yaml"):
         scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
         limits = Limits(rating_of(config.robot), ArmGeometry(scene), *scene.joint_range.T)
         simulated = partial(SimulatedArm, scene.model, scene.home)
-        rehearse(config, Lockstep(simulated, limits, Path(os.devnull)), interrupted)
+        with interruption() as interrupted:
+            rehearse(config, Lockstep(simulated, limits, Path(os.devnull)), interrupted)
         confirm(config)
-        link = Paced(open_arm or arm_of(config, scene), limits, output / "setpoints.bin")
-        for name in (*STALE, "episodes.csv"):
-            (output / name).unlink(missing_ok=True)
-        save_config(config, output / "config.yaml")
-        run = Run(config, link, interrupted)
-        try:
-            run.all()
-        finally:
-            run.write(output)
+        opened = open_arm or arm_of(config, scene)
+        with interruption() as interrupted, closing(Paced(opened, limits, output / "setpoints.bin")) as link:
+            for name in (*STALE, "episodes.csv"):
+                (output / name).unlink(missing_ok=True)
+            save_config(config, output / "config.yaml")
+            run = Run(config, link, interrupted)
+            try:
+                run.all()
+            finally:
+                run.write(output)
     print(output)
     return output
 
@@ -89,6 +94,15 @@ def refuse(config: DeployConfig) -> None:
         raise ConfigError(f"robot.name={robot} is no arm of connection=ur; choose robot=ur3e, ur5e or ur10e")
     if name == "ur" and human.motion == "live" and human.file is None:
         raise ConfigError("human.file=null tells nobody's place beside a real arm; give human.file=udp://… or lsl:…")
+
+
+def settled(config: DeployConfig) -> DeployConfig:
+    """Return `config` with places in the frame of the robot's base, and make live positions of people come in it."""
+    source = pose_source(config.human.file) if config.human.motion == "live" else None
+    frame = Frame.taught(config.connection.frame_m) if config.connection.frame_m is not None else None
+    if isinstance(source, CheckedPoses):
+        source.moved = (lambda pose: pose) if frame is None else frame.pose
+    return config if frame is None else frame.places(config)
 
 
 def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:

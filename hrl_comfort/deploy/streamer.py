@@ -22,8 +22,6 @@ from hrl_comfort.safety.rating import Rating
 Array = NDArray[np.float64]
 TICKS = round(CONTROL_STEP_S / PERIOD_S)
 """Set-points of a control step."""
-LEAD = 5
-"""Ticks before the end of a control step at which the state is read that the next one is planned on: 10 ms."""
 ROUNDING = 1e-6
 """Share of a limit by which set-points may exceed it."""
 LATE_STEPS = 2
@@ -67,7 +65,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Report:
-    """State of the streamer, LEAD ticks before the end of a control step."""
+    """State of the streamer as a control step begins, for the plan of the next one."""
 
     step: int
     point: Array
@@ -153,6 +151,6 @@ class Streamer:
         return start + velocity * (passed - passed * passed / (2 * max(lasts, 1e-12)))
 
     def report(self) -> Report:
-        """Return the state for the plan of the next control step."""
+        """Return the state for the plan of the next control step, once this one has begun."""
         still = not self._speed.any() and (bool(self.stopped) or not self.velocity.any())
         return Report(self.step, self.point, self.velocity, self._reading, self.stopped, still)

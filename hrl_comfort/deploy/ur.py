@@ -7,6 +7,7 @@ watchdog ends the program after 100 ms. RTDE guide and URScript manual: Universa
 
 from __future__ import annotations
 
+import secrets
 import socket
 import struct
 import time
@@ -23,7 +24,8 @@ ANSWER_S = 5.0
 STALE_S = 0.05
 """Age of the newest state, or of the newest set-point, at which the connection counts as lost."""
 FIRST = 24
-"""First of the registers: an integer, the counter, negative at the end, and six floats, the set-point, rad."""
+"""First of the registers: two integers, the counter, negative at the end, and the number of the program that the
+set-points are for, and six floats, the set-point, rad."""
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state"]
 RUNNING, PLAYING = 7, 2
 """Robot mode and runtime state."""
@@ -37,11 +39,17 @@ SAFETY_MODES = {
 """Name of each safety mode in which the arm stands."""
 
 
-def script(acceleration_rad_s2: float) -> str:
-    """Return the program of the controller; it brakes with the acceleration when set-points cease."""
+def script(number: int, acceleration_rad_s2: float) -> str:
+    """Return the program `number` of the controller; it brakes with the acceleration when set-points cease.
+
+    Registers keep what an earlier program was told, so it waits until they hold set-points for its own number.
+    """
     joints = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
     return f"""def hrl_comfort():
   rtde_set_watchdog("input_int_register_{FIRST}", 10, "stop")
+  while read_input_integer_register({FIRST + 1}) != {number}:
+    sync()
+  end
   stale = 0
   count = read_input_integer_register({FIRST})
   last = count
@@ -61,18 +69,24 @@ end
 
 
 class Registers:
-    """Input registers of a controller, written at once: a counter and six floats (RTDE, protocol version 2).
+    """Input registers of a controller, written at once: two integers and six floats (RTDE, protocol version 2).
+
+    Args:
+      host: address of the controller.
+      number: of the program that they are for.
 
     Raises:
       ConnectionError: the controller does not answer, or does not grant them.
     """
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, number: int) -> None:
+        self._number = number
         self._socket = _connect(host, RTDE_PORT)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._ask(b"V", struct.pack(">H", 2)) != b"\x01":
             raise ConnectionError(f"{host} does not know version 2 of RTDE")
-        names = [f"input_int_register_{FIRST}", *(f"input_double_register_{FIRST + k}" for k in range(6))]
+        sizes = {"int": 2, "double": 6}
+        names = [f"input_{kind}_register_{FIRST + k}" for kind, size in sizes.items() for k in range(size)]
         granted = self._ask(b"I", ",".join(names).encode())
         if granted[0] == 0 or b"IN_USE" in granted or b"NOT_FOUND" in granted:
             raise ConnectionError(f"{host} does not grant the registers from {FIRST} on: {granted[1:].decode()}")
@@ -84,7 +98,7 @@ class Registers:
     def write(self, count: int, angles: Array) -> None:
         """Write the counter and the set-point (6,) rad."""
         try:
-            self._socket.sendall(_package(b"U", self._recipe + struct.pack(">i6d", count, *angles)))
+            self._socket.sendall(_package(b"U", self._recipe + struct.pack(">2i6d", count, self._number, *angles)))
         except OSError as error:
             raise ConnectionError(f"set-points cannot be sent ({error.strerror or error})") from error
 
@@ -136,10 +150,10 @@ class UrArm:
             raise ConnectionError(f"{host} is not ready: {reading.trouble}")
         if self._receiver.getRuntimeState() == PLAYING:
             raise ConnectionError(f"a program runs on {host}: stop it first")
-        self._registers, self._count = Registers(host), 0
-        self._registers.write(0, reading.angles)
+        number, self._count = secrets.randbelow(2**31 - 1) + 1, 0
+        self._registers = Registers(host, number)
         with _connect(host, SCRIPT_PORT) as sender:
-            sender.sendall(script(acceleration_rad_s2).encode())
+            sender.sendall(script(number, acceleration_rad_s2).encode())
             deadline = time.monotonic() + ANSWER_S
             while not self._playing:
                 self.send(reading.angles)

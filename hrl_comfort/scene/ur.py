@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from hrl_comfort.scene.servos import SERVO_LAG_S
 
@@ -24,15 +25,30 @@ TOOL_LENGTH_M = 0.19
 """Tool centre point from the flange, along its z axis (RG2 gripper of the paper's cell)."""
 GRIPPER_MASS_KG = 0.78
 """OnRobot RG2 datasheet."""
+PARALLEL = (1, 2)
+"""Joints whose axis is parallel to the next one's."""
 FINGER_SPREAD_M = 0.042
 """Half the distance between the axes of the open fingers; an RG2 opens to 0.11 m."""
+
+
+NONE: Six = (0.0,) * 6
+
+
+@dataclass(frozen=True)
+class Deltas:
+    """What one arm's DH parameters differ by from those of its model, in joint order."""
+
+    theta_rad: Six = NONE
+    a_m: Six = NONE
+    d_m: Six = NONE
+    alpha_rad: Six = NONE
 
 
 @dataclass(frozen=True)
 class UrModel:
     """One arm of the family. Arrays are in joint order; link i is fixed in DH frame i (1 to 6).
 
-    DH convention: frame i = frame i-1 * Rz(q_i) * Tz(d_i) * Tx(a_i) * Rx(alpha_i).
+    DH convention: frame i = frame i-1 * Rz(q_i + theta_i) * Tz(d_i) * Tx(a_i) * Rx(alpha_i), theta_i = 0 in the model.
     """
 
     name: str
@@ -60,6 +76,8 @@ class UrModel:
     torque at 2 deg steps and chatter at a physics step of 10 ms."""
     home_deg: Six = (0.0, -90.0, 0.0, 0.0, 90.0, 0.0)
     """That of the authors' scene."""
+    deltas: Deltas = Deltas()
+    """Of the arm's calibration."""
 
     joints: ClassVar[tuple[str, ...]] = JOINTS
 
@@ -155,20 +173,51 @@ UR_ARMS: dict[str, UrModel] = {model.name: model for model in (UR3E, UR5E, UR10E
 
 
 def forward_kinematics(model: UrModel, joint_pos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the flange pose (..., 4, 4) in the base frame for joint angles (..., 6) in rad."""
-    q = np.asarray(joint_pos, dtype=np.float64)
+    """Return the flange pose (..., 4, 4) in the base frame for joint angles (..., 6) in rad, calibration included."""
+    q = np.asarray(joint_pos, dtype=np.float64) + model.deltas.theta_rad
     pose = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for i in range(6):
+        a, d, alpha = _dh(model, i)
         c, s = np.cos(q[..., i]), np.sin(q[..., i])
-        ca, sa = np.cos(model.alpha_rad[i]), np.sin(model.alpha_rad[i])
+        ca, sa = np.cos(alpha), np.sin(alpha)
         step = np.zeros((*q.shape[:-1], 4, 4))
         step[..., 0, 0], step[..., 0, 1], step[..., 0, 2] = c, -s * ca, s * sa
         step[..., 1, 0], step[..., 1, 1], step[..., 1, 2] = s, c * ca, -c * sa
         step[..., 2, 1], step[..., 2, 2] = sa, ca
-        step[..., 0, 3], step[..., 1, 3], step[..., 2, 3] = model.a_m[i] * c, model.a_m[i] * s, model.d_m[i]
+        step[..., 0, 3], step[..., 1, 3], step[..., 2, 3] = a * c, a * s, d
         step[..., 3, 3] = 1.0
         pose = pose @ step
     return pose
+
+
+def link_poses(model: UrModel) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+    """Return position (3,) m, rotation (3, 3) and quaternion (4,) of each link in the one before, all joints at 0.
+
+    Shoulder, elbow and wrist 1 turn about almost parallel axes, so a calibration has their common normals at any
+    angle and hundreds of metres away. A DH frame may be moved along and turned about its z axis where the next one
+    makes up for it: links 2 and 3 stay where the model has them.
+    """
+    poses, turned, moved = [], 0.0, 0.0
+    for i in range(6):
+        a, d, alpha = _dh(model, i)
+        first, depth = model.deltas.theta_rad[i] - turned, d - moved
+        turned, moved = (-first, (model.d_m[i] - depth) / np.cos(alpha)) if i in PARALLEL else (0.0, 0.0)
+        bent = np.array([[1, 0, 0], [0, np.cos(alpha), -np.sin(alpha)], [0, np.sin(alpha), np.cos(alpha)]])
+        place = _about_z(first) @ (bent @ (0.0, 0.0, moved) + (a, 0.0, depth))
+        quaternion = Rotation.from_euler("ZXZ", (first, alpha, turned)).as_quat(scalar_first=True)
+        poses.append((place, _about_z(first) @ bent @ _about_z(turned), quaternion))
+    return poses
+
+
+def _dh(model: UrModel, i: int) -> tuple[float, float, float]:
+    """Return a (m), d (m) and alpha (rad) of joint i, calibration included."""
+    deltas = model.deltas
+    return model.a_m[i] + deltas.a_m[i], model.d_m[i] + deltas.d_m[i], model.alpha_rad[i] + deltas.alpha_rad[i]
+
+
+def _about_z(angle: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
 def build_robot(model: UrModel) -> mjcf.RootElement:
@@ -187,18 +236,17 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
     body = root.worldbody.add("body", name="base")
     post, dark = (0, 0, 0.03, 0, 0, 0.5 * model.d_m[0]), (0.3, 0.3, 0.33, 1)
     body.add("geom", name="base", fromto=post, size=[model.shoulder_radius_m], mass=0, rgba=dark)
+    poses = link_poses(model)
     for i, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
-        a, d, alpha = model.a_m[i], model.d_m[i], model.alpha_rad[i]
-        turn = (np.cos(alpha / 2), np.sin(alpha / 2), 0, 0)
-        body = body.add("body", name=link, pos=(a, 0, d), quat=turn, gravcomp=1)
-        # The joint axis is z of the previous DH frame, expressed in the frame of this link.
-        c, s = np.cos(alpha), np.sin(alpha)
+        place, turn, quaternion = poses[i]
+        body = body.add("body", name=link, pos=place, quat=quaternion, gravcomp=1)
+        # The joint axis is z of the link before, expressed in the frame of this link.
         limit = np.radians(model.joint_limit_deg[i])
         body.add(
             "joint",
             name=joint,
-            axis=(0, s, c),
-            pos=(-a, -s * d, -c * d),
+            axis=turn[2],
+            pos=-place @ turn,
             range=(-limit, limit),
             limited=True,
             armature=model.armature_kg_m2[i],

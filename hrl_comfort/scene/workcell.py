@@ -11,6 +11,7 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
+from hrl_comfort.scene.calibration import calibrated
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import robot_named
 
@@ -65,9 +66,12 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     """Compile the cell with `substeps` physics steps a control step of 20 ms.
 
     Raises:
-      ConfigError: there is no such robot, or `robot.home_deg` is not a number for each of its joints.
+      ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints, or
+        `robot.calibration` does not fit the robot.
     """
     arm = robot_named(robot.name)
+    if robot.calibration is not None:
+        arm = calibrated(arm, robot.name, robot.calibration)
     home = arm.home_deg if robot.home_deg is None else robot.home_deg
     if len(home) != len(arm.joints):
         raise ConfigError(

@@ -124,13 +124,15 @@ class Controller:
 
     def _begin(self, text: str) -> None:
         found = re.search(r'rtde_set_watchdog\("(\w+)", (\d+), "stop"\)', text)
+        number = re.search(r"while read_input_integer_register\((\d+)\) != (\d+):", text)
         stale, brake = re.search(r"stale < (\d+)", text), re.search(r"stopj\(([\d.]+)\)", text)
-        assert found and stale and brake, text
+        assert found and number and stale and brake, text
+        self._number = f"input_int_register_{number[1]}", int(number[2])
         self._counter, self._watchdog_s = found[1], 1 / float(found[2])
         self._stale_s, self._brake = float(stale[1]) * PERIOD_S, float(brake[1])
         self._script, self._values["runtime_state"] = text, PLAYING
         self._fed_s = self._changed_s = time.monotonic()
-        self._seen = self._values[self._counter]
+        self._seen = None
 
     def _answer(self, peer: Peer, kind: bytes, payload: bytes) -> None:
         if kind == b"V":
@@ -188,12 +190,15 @@ class Controller:
     def _follow(self, now: float) -> None:
         """Follow the registers as the script says, or brake."""
         if self._script:
-            if (count := self._values[self._counter]) != self._seen:
+            register, number = self._number
+            if self._values[register] == number and (count := self._values[self._counter]) != self._seen:
                 self._seen, self._changed_s = count, now
-            ended = count < 0 or now - self._changed_s > self._stale_s or now - self._fed_s > self._watchdog_s
-            if ended or self._values["safety_mode"] != NORMAL:
+            if self._seen is None:
+                self._changed_s = now
+            stale = now - self._changed_s > self._stale_s or now - self._fed_s > self._watchdog_s
+            if stale or (self._seen or 0) < 0 or self._values["safety_mode"] != NORMAL:
                 self._script, self._values["runtime_state"] = "", STOPPED
-        if self._script:
+        if self._script and self._seen is not None:
             asked = np.array([self._values[f"input_double_register_{24 + k}"] for k in range(6)])
             share = PERIOD_S / max(self._faults.lag_s, PERIOD_S)
             target = self._target + share * (asked - self._target)

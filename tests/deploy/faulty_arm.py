@@ -9,9 +9,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.config import ConfigError
 from hrl_comfort.deploy.arms import Reading, SimulatedArm
 
 FAULTS = ("protective stop", "emergency stop", "connection", "slow")
+
+
+def refused() -> SimulatedArm:
+    raise ConfigError("no such arm")
 
 
 class FaultyArm(SimulatedArm):

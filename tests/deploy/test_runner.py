@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import io
+import multiprocessing
 import signal
 import socket
 import subprocess
@@ -12,6 +14,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pandas as pd
@@ -20,13 +23,15 @@ import pytest
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, DeployConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.deploy import runner
+from hrl_comfort.deploy.arms import SimulatedArm
 from hrl_comfort.deploy.runner import LOG, deploy
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.scene.workcell import build_scene
-from tests.deploy.faulty_arm import FaultyArm
+from tests.deploy.faulty_arm import FaultyArm, refused
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
 PICK = [f"policy={REFERENCE / 'pick'}", "human=still", "confirm=yes"]
@@ -140,6 +145,37 @@ def test_the_word_has_to_be_typed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(ConfigError, match="'move' was not typed; nothing was moved"):
         deploy(replace(config(tmp_path / "out"), confirm="ask"))
     assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupt_at_the_prompt_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Keyboard:
+        def readline(self) -> str:
+            signal.raise_signal(signal.SIGINT)
+            return "move"
+
+    monkeypatch.setattr(runner, "rehearse", lambda *args: None)
+    monkeypatch.setattr("sys.stdin", Keyboard())
+    assert main(["deploy", *PICK, "confirm=ask", f"output={tmp_path / 'out'}"]) == 130
+    assert capsys.readouterr().err == "hrl-comfort: interrupted\n"
+    assert not (tmp_path / "out").exists() and not multiprocessing.active_children()
+
+
+def fails(*args: object) -> NoReturn:
+    raise ConfigError("no such policy")
+
+
+@pytest.mark.parametrize("at", ["no such arm", "no such policy"])
+def test_a_start_that_fails_leaves_no_process(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = config(tmp_path / "out")
+    scene = build_scene(asked.robot, asked.cell, 10)
+    monkeypatch.setattr(runner, "rehearse", lambda *args: None)
+    monkeypatch.setattr(runner, "Run", fails)
+    arm = refused if at == "no such arm" else partial(SimulatedArm, scene.model, scene.home)
+    with pytest.raises(ConfigError, match=at):
+        deploy(asked, arm)
+    assert not multiprocessing.active_children() and gc.isenabled()
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,19 @@ def test_a_dead_runner_stops_the_arm_within_a_tenth_of_a_second() -> None:
         arm.close()
 
 
+def test_the_script_follows_nothing_but_the_set_points_of_its_own_program() -> None:
+    with fake_ur(host(6), scene().model, scene().home, Faults(latency_s=0.02, loss=0.01)) as robot:
+        for _ in range(2):  # registers are 0 at first, and those of the first program then
+            arm, fastest = UrArm(host(6), BRAKE), 0.0
+            for _ in range(50):
+                arm.send(scene().home)
+                fastest = max(fastest, np.abs(robot.state()[1]).max())
+                time.sleep(0.002)
+            assert fastest < 0.02 and np.abs(robot.state()[0] - scene().home).max() < 2e-3
+            arm.close()
+            time.sleep(0.1)
+
+
 def test_an_arm_that_is_left_stands_and_can_be_taken_again() -> None:
     with fake_ur(host(4), scene().model, scene().home) as robot:
         for _ in range(2):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import sys
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -75,11 +77,23 @@ def test_poses_come_from_a_callable_and_bad_ones_are_left_out_with_one_warning()
 
 def test_poses_come_by_udp() -> None:
     stream = UdpStream("127.0.0.1", 0, "human.file")
-    poses = CheckedPoses("udp", stream.read)
+    poses = CheckedPoses("udp", stream.read_stamped)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for text in (b"0.1 0.2 0.3", b"0.4, -0.6"):
             sender.sendto(text, ("127.0.0.1", stream.port))
         assert poses() == (0.4, -0.6, None)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not note when a datagram arrives")
+def test_a_pose_is_as_old_as_its_datagram_however_late_it_is_read() -> None:
+    stream = UdpStream("127.0.0.1", 0, "human.file")
+    poses = CheckedPoses("udp", stream.read_stamped)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sent_s = time.monotonic()
+        sender.sendto(b"0.1 0.2", ("127.0.0.1", stream.port))
+    time.sleep(0.3)
+    poses()
+    assert -0.001 < poses.arrived_s - sent_s < 0.2
 
 
 @pytest.mark.parametrize(

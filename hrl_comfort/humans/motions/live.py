@@ -72,9 +72,9 @@ def pose_source(name: str | None) -> PoseSource:
         return HELD
     key = f"human.file={name!r}"
     if found := re.fullmatch(r"udp://(.+):(\d{1,5})", name):
-        return CheckedPoses(name, UdpStream(found[1], int(found[2]), key).read)
+        return CheckedPoses(name, UdpStream(found[1], int(found[2]), key).read_stamped)
     if name.startswith("lsl:"):
-        return CheckedPoses(name, LslStream(name.removeprefix("lsl:"), (2, 3), APPEAR_S, key).read)
+        return CheckedPoses(name, LslStream(name.removeprefix("lsl:"), (2, 3), APPEAR_S, key).read_stamped)
     module, _, attribute = name.partition(":")
     if not attribute:
         raise ConfigError(f"human.file={name!r} is not a source of live poses; give {FORMS}")
@@ -82,7 +82,7 @@ def pose_source(name: str | None) -> PoseSource:
         function = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"human.file={name!r} cannot be imported: {error}; give {FORMS}") from error
-    return CheckedPoses(name, lambda: [function()])
+    return CheckedPoses(name, lambda: [(function(), time.monotonic())])
 
 
 class CheckedPoses:
@@ -90,24 +90,27 @@ class CheckedPoses:
 
     Args:
       name: of the source, for warnings.
-      read: returns the values that have arrived since the last call, oldest first; None is no value.
+      read: returns the values that have arrived since the last call, oldest first, and the monotonic time, s, of
+        each one's arrival; None is no value.
     """
 
-    def __init__(self, name: str, read: Callable[[], Iterable[Any]]) -> None:
+    def __init__(self, name: str, read: Callable[[], Iterable[tuple[Any, float]]]) -> None:
         self._name, self._read = name, read
         self._pose: Pose | None = None
         self._warned = False
         self.arrived_s = -math.inf
-        """Monotonic time at which the last good pose was read."""
+        """Monotonic time at which the last good pose arrived."""
+        self.moved: Callable[[Pose], Pose] = lambda pose: pose
+        """Takes poses from the source's frame to that of the cell."""
 
     def __call__(self) -> Pose | None:
         """See `PoseSource`; the last good pose holds."""
-        for value in self._read():
+        for value, arrived_s in self._read():
             if value is None:
                 continue
             try:
-                self._pose, self._warned = parse_pose(value), False
-                self.arrived_s = time.monotonic()
+                self._pose, self._warned = self.moved(parse_pose(value)), False
+                self.arrived_s = arrived_s
             except (TypeError, ValueError) as error:
                 if not self._warned:
                     warnings.warn(f"human.file={self._name!r}: {error}: not used", stacklevel=2)
