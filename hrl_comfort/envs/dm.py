@@ -76,7 +76,7 @@ class CellPhysics(Physics):
 
 
 class CellTask(control.Task):
-    """A subtask as a dm_control task, for the episodes of one row."""
+    """A subtask as a dm_control task, for the episodes of one row; a copy or a pickle goes on where it is."""
 
     def __init__(self, scene: Scene, config: EnvConfig, seed: int) -> None:
         self.episodes = Episodes(scene, config, rows=1, seed=episode_seed(seed))
@@ -93,6 +93,16 @@ class CellTask(control.Task):
         self._state = state
         self.episodes.sampler.seed = episode_seed(state.randint(SEEDS, dtype=np.uint64))
         self.episodes.rewind()
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in vars(self).items() if name != "episodes"}
+        built = self.episodes.scene, self.episodes.config, 1, self.episodes.sampler.seed
+        return kept | {"built": built, "state": self.episodes.state_dict()}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.episodes = Episodes(*kept.pop("built"))
+        self.episodes.load_state_dict(kept.pop("state"))
+        self.__dict__.update(kept)
 
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Start the next episode of the row."""

@@ -17,6 +17,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hrl_comfort.config import EnvConfig
+from hrl_comfort.envs.inputs import episode_seed
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import IdleOption, Option
 from hrl_comfort.sim.engine import Engine
@@ -53,9 +54,12 @@ class OptionEnv(EnvBase):
         """Limit skills to `time_limit` control steps; gamma discounts a control step.
 
         `observe` is the meta-controller's observation, the task's own by default.
+
+        Raises:
+          ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, seed, disturbance=disturbance)
+        self.engine = Engine(config, rows, episode_seed(seed), disturbance=disturbance)
         self.executor = OptionExecutor(make_options(self.engine), time_limit, self.engine.episodes)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe
@@ -193,5 +197,5 @@ class OptionEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.engine.episodes.sampler.seed = seed
+            self.engine.episodes.sampler.seed = episode_seed(seed)
             self.engine.episodes.rewind()

@@ -56,4 +56,5 @@ FRANKA = MjcfArm(
     home_deg=(0.0, -45.0, 0.0, -135.0, 0.0, 0.0, 0.0),
     torque_nm=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
     speed_deg_s=(124.6, 124.6, 124.6, 124.6, 149.5, 149.5, 149.5),
+    mount_deg=90.0,  # its first joint turns by 166 degrees each way: the ball would be where it cannot point
 )

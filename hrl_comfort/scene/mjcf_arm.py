@@ -50,6 +50,8 @@ class MjcfArm:
     """Largest torques."""
     speed_deg_s: tuple[float, ...]
     """Rated speeds; `task.max_step_deg` should stay below 0.02 s of the slowest."""
+    mount_deg: float = 0.0
+    """Turn of the base about the vertical; limits of the first joint should leave no goal of the cell out."""
 
     def build(self) -> mjcf.RootElement:
         """Return the arm: bodies `base` and a link a joint, of the joint's name; sites `tcp`.
@@ -66,7 +68,8 @@ class MjcfArm:
         geom = root.default.geom
         geom.type, geom.contype, geom.conaffinity, geom.condim = "capsule", 1, 1, 1
         geom.rgba = (0.75, 0.78, 0.8, 1)
-        body = root.worldbody.add("body", name="base")
+        turn = np.radians(self.mount_deg) / 2
+        body = root.worldbody.add("body", name="base", quat=(np.cos(turn), 0, 0, np.sin(turn)))
         _add_capsules(body, "base", source.capsules(-1))
         for index, joint in enumerate(self.joints):
             position, turn = source.relative(index)

@@ -124,7 +124,9 @@ def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, ho
     spread = np.resize(SPREAD_RAD, len(home))
     spread[len(SPREAD_RAD) :] = SPREAD_RAD[-1]
     mujoco.mj_kinematics(model, configuration.data)
-    towards = np.arctan2(goal[1], goal[0]) * (-1.0 if configuration.data.xaxis[0, 2] < 0 else 1.0)
+    facing = configuration.data.body("robot/base").xmat[[3, 0]]
+    towards = np.arctan2(goal[1], goal[0]) - np.arctan2(*facing)
+    towards *= -1.0 if configuration.data.xaxis[0, 2] < 0 else 1.0
     for _ in range(50 * COUNT):
         posture = np.array(home) + rng.normal(size=len(home)) * spread
         # The arm may reach over the shoulder, as at home, or turned by half a circle.

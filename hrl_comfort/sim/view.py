@@ -1,5 +1,8 @@
 """Pictures of the cells of an engine, and a window on one of them."""
 
+import atexit
+import threading
+import weakref
 from typing import Any
 
 import mujoco
@@ -14,6 +17,8 @@ from hrl_comfort.sim.signals import limbs_of, pack_controls
 
 AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M = 60.0, -45.0, 2.9
 """Of the camera: the three tables and the people around them are in sight."""
+CLOSING_S = 30.0
+"""Time that a window has to close."""
 
 
 class View:
@@ -51,9 +56,14 @@ class View:
                     "no window: there is no display here; choose render_mode='rgb_array', or set DISPLAY"
                 )
             self._put(row)
+            others = set(threading.enumerate())
             self._window = viewer.launch_passive(
                 self._engine.scene.model, self._data, show_left_ui=False, show_right_ui=False
             )
+            drawing = set(threading.enumerate()) - others
+            self._close_window = weakref.finalize(self, _close, self._window, drawing)
+            self._close_window.atexit = False
+            atexit.register(self._close_window)  # it runs before the viewer's own exit handlers, which end GLFW
             camera = self._window.cam
             camera.azimuth, camera.elevation, camera.distance = AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M
         if self._window.is_running():  # nobody has closed it
@@ -64,7 +74,7 @@ class View:
     def close(self) -> None:
         """Close the window and free OpenGL."""
         if self._window is not None:
-            self._window.close()
+            self._close_window()
         if self._camera is not None:
             self._camera.close()
         self._window = self._camera = None
@@ -85,3 +95,10 @@ class View:
         mujoco.mj_setState(model, data, engine.physics[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_setState(model, data, control[0, 0], CONTROL_SPEC)
         mujoco.mj_forward(model, data)
+
+
+def _close(window: Any, drawing: set[threading.Thread]) -> None:
+    """Close a window and wait for its threads, which must not draw when GLFW ends."""
+    window.close()
+    for thread in drawing:
+        thread.join(CLOSING_S)

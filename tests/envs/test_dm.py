@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +69,20 @@ def test_the_same_seed_gives_the_same_episode(task: str, human: str, motion_file
         for name in a.observation:
             np.testing.assert_array_equal(a.observation[name], b.observation[name])
         assert a.last() == b.last()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("steps", [0, 1, 3])
+def test_a_copy_goes_on_where_the_environment_is(copied: Callable[[Environment], Environment], steps: int) -> None:
+    env = hrl_comfort.load("cycle", seed=3, comfort="conditioned")
+    for _ in range(steps):
+        env.step(np.full(6, 0.3))
+    twin = copied(env)
+    for action in np.random.default_rng(0).uniform(-1, 1, (40, 6)):  # into the next episodes
+        step, other = env.step(action), twin.step(action)
+        assert (step.step_type, step.reward) == (other.step_type, other.reward)
+        for name in step.observation:
+            np.testing.assert_array_equal(step.observation[name], other.observation[name])
 
 
 def test_different_seeds_give_different_episodes(motion_file: Path) -> None:

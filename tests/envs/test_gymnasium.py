@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 from unittest.mock import MagicMock
@@ -225,3 +229,22 @@ def test_the_window_follows_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     assert window.call_count == 1 and window.return_value.sync.call_count == 2 and env.render() is None
     env.close()
     window.return_value.close.assert_called_once()
+
+
+WINDOW = """
+import gymnasium, numpy, hrl_comfort.gym
+env = gymnasium.make("hrl_comfort/Reach-v0", render_mode="human")
+env.reset(seed=0)
+env.step(numpy.zeros(6, numpy.float32))
+print(env.unwrapped._cells._view._window.is_running())
+{end}
+"""
+
+
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="xvfb is not installed")
+@pytest.mark.parametrize("end", ["env.close()", ""])
+def test_a_window_opens_on_a_display_and_ends_with_the_process(end: str) -> None:
+    words = ["xvfb-run", "-a", sys.executable, "-c", WINDOW.format(end=end)]
+    env = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    done = subprocess.run(words, capture_output=True, text=True, env=env, timeout=300)
+    assert (done.returncode, done.stdout) == (0, "True\n"), done.stderr

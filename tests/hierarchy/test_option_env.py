@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
 from torchrl.objectives.value import TD0Estimator
 
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.hierarchy.executor import TERMINATIONS
 from hrl_comfort.hierarchy.option_env import OptionEnv
@@ -47,6 +47,21 @@ def test_it_is_a_sound_torchrl_environment() -> None:
         return [Option("pick", task, lambda s: torch.zeros_like(s.joint_pos))]
 
     check_env_specs(OptionEnv(environment(compose("train", ["task=pick"])), one, 10, 3, 0, GAMMA))
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, 2**32])
+def test_a_seed_that_no_front_takes_is_refused(seed: int) -> None:
+    message = "must be a whole number from 0 to 4294967295"
+    with pytest.raises(ConfigError, match=message):
+        OptionEnv(config("human=none"), still, 20, 2, seed, GAMMA)
+    with pytest.raises(ConfigError, match=message):
+        OptionEnv(config("human=none"), still, 20, 2, 0, GAMMA)._set_seed(seed)
+
+
+def test_no_seed_draws_an_evaluation_episode() -> None:
+    env = OptionEnv(config("human=none"), still, 20, 2, 0, GAMMA)
+    env.set_seed(1_000_000)
+    assert env.engine.episodes.sampler.seed > 2**31
 
 
 def test_experts_do_the_cycle_one_option_after_the_other() -> None:

@@ -80,6 +80,18 @@ def test_tool_and_inertia_are_those_of_the_file_in_any_posture(arm: MjcfArm) -> 
         np.testing.assert_allclose(full, expected[np.ix_(at, at)], atol=1e-9)
 
 
+def test_a_mounted_arm_is_the_same_arm_turned_about_the_vertical() -> None:
+    tools = []
+    for mount in (0.0, 90.0):
+        model = mujoco.MjModel.from_xml_string(replace(SEVEN, mount_deg=mount).build().to_xml_string())
+        data = mujoco.MjData(model)
+        data.qpos[:] = np.radians(SEVEN.home_deg)
+        mujoco.mj_kinematics(model, data)
+        tools.append(data.site("tcp").xpos.copy())
+    (x, y, z), turned = tools
+    np.testing.assert_allclose(turned, [-y, x, z], atol=1e-12)
+
+
 def test_nearly_every_vertex_of_the_file_is_within_a_centimetre_of_a_capsule() -> None:
     model, source = mujoco.MjModel.from_xml_string(JACO.build().to_xml_string()), JACO.model()
     data, given = mujoco.MjData(model), mujoco.MjData(source)
@@ -163,6 +175,19 @@ def test_an_arm_of_another_file_starts_at_the_ball_and_at_home() -> None:
     assert float((state.ball_pos - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
     engine.close()
     assert inverse_kinematics.cache_info().currsize >= 1
+
+
+def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The ball of the cell bears -173 degrees; the joint turns by 166 degrees each way from where the base faces.
+    arm = replace(SEVEN, model=partial(mujoco.MjModel.from_xml_string, seven().replace("-170 170", "-166 166")))
+    monkeypatch.setitem(sys.modules, "my_arm", type(sys)("my_arm"))
+    monkeypatch.setattr(sys.modules["my_arm"], "MOUNTED", replace(arm, mount_deg=90.0), raising=False)
+    config = environment("robot=my_arm:MOUNTED", "task=place", "human=none")
+    engine = Engine(config, 4, seed=0)
+    state = engine.reset()
+    assert float((state.ball_pos - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
+    assert float(np.degrees(state.joint_pos[:, 0].abs().max())) < 166.0
+    engine.close()
 
 
 @pytest.mark.parametrize(
