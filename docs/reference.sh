@@ -8,9 +8,9 @@ out=${1:-runs/remade}
 all='episodes=1000 group_by=[seen]'
 levels='levels=[1,2,3,4,5,6,7,8,9,10]'
 
-# Pick, place and return at 10 cm, and the cycle.
+# Pick, place and return at 10 cm, and the cycle; the same by a rated arm behind the shield.
 hrl-comfort train hierarchy experiment=cycle output=$out/cycle
-
+for s in 0 1 2; do hrl-comfort train hierarchy experiment=shielded train_seed=$s output=$out/shielded/seed$s; done
 # The three subtasks from 30 cm to 2 cm.
 for task in pick place return; do
     hrl-comfort train experiment=fine task=$task output=$out/fine/$task
