@@ -13,6 +13,7 @@ from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups, ove
 
 OWN = {
     "export": ["policy=expert"],
+    "identify": ["run=runs"],
     "report": ["run=runs"],
     "figure": ["kind=levels", "evaluations=[runs/pick/eval]", "output=levels.png"],
 }

@@ -88,7 +88,7 @@ def played(
     comfort: ComfortConfig = COMFORT,
 ) -> tuple[list[Array], list[ExecutedStep]]:
     """Execute the options where decisions lead to `results`; return the actions and what was executed."""
-    episodes = SimpleNamespace(rows=3, state=at(results[0].state, [0] * 3, [0] * 3))
+    episodes = SimpleNamespace(rows=3, state=at(results[0].state, [0] * 3, [0] * 3), observed=lambda state: state)
     episodes.config = SimpleNamespace(comfort=comfort)
     actions, ahead = [], iter(results)
 
@@ -182,9 +182,9 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
     engine.reset()
     run, stepped = engine._run, []
 
-    def counted(physics: Any, control: Any) -> Any:
+    def counted(physics: Any, control: Any, rows: Any) -> Any:
         stepped.append(len(physics))
-        return run(physics, control)
+        return run(physics, control, rows)
 
     monkeypatch.setattr(engine, "_run", counted)
     active = [int(step.active.sum()) for step in execute(engine, executor, in_order)]
