@@ -219,11 +219,6 @@ class Panel:
             f"**{session.option}** · {running} · episode {episode}, {seconds:.1f} s",
             f"level {float(state.level):g} · person {self._play.person.motion} · contacts {contacts}",
         ]
-        if session.engine.episodes.drive is not None:
-            lines.append(
-                f"speed passed {float(state.share):.0%} · protective stops {int(state.protective_stops)}"
-                f" · unsafe contacts {sum(each.unsafe_contacts for each in self._play.sessions)}"
-            )
         if self._loop.running and self._loop.rate < 0.99:
             lines.append(f"slower than real time: {self._loop.rate:.0%}")
         if self._outcome:

@@ -69,15 +69,14 @@ def traced(graph: nn.Module, state: State, inputs: Sequence[str]) -> dict[str, A
         "inputs": dict(zip(names, inputs, strict=True)),
         "constants": constants,
         "nodes": nodes,
-        "outputs": {"made": f"%{output}"},
+        "output": f"%{output}",
     }
 
 
 def constant(tensor: Tensor) -> dict[str, Any]:
-    """Return a tensor as its shape and its values, little-endian in base64: float64, or float32 of any other type."""
-    kind, form = ("float64", "<f8") if tensor.dtype == torch.float64 else ("float32", "<f4")
-    values = tensor.detach().contiguous().numpy().astype(form).tobytes()
-    return {"shape": list(tensor.shape), kind: base64.b64encode(values).decode()}
+    """Return a tensor as its shape and its float32 values, little-endian in base64."""
+    values = tensor.detach().float().contiguous().numpy().astype("<f4").tobytes()
+    return {"shape": list(tensor.shape), "float32": base64.b64encode(values).decode()}
 
 
 def _call(name: str, node: fx.Node) -> tuple[str, list[Any]]:
