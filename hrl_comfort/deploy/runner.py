@@ -43,7 +43,7 @@ from hrl_comfort.sim.step_result import StepResult
 LOG = "setpoints.parquet"
 """Set-points that were sent, and the measured angles, in the output folder."""
 WORD = "move"
-"""What is typed to let the arm move."""
+"""Word that lets the arm move when typed."""
 SPLIT = "live"
 """Value of the column `split` of an episode."""
 OpenArm = Callable[[], Arm]

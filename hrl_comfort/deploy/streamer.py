@@ -33,7 +33,7 @@ step, 0 where none was asked for, -1 where it was late and -2 in a stop."""
 
 @dataclass(frozen=True)
 class Limits:
-    """What set-points must keep to."""
+    """Limits of set-points."""
 
     rating: Rating
     arm: ArmGeometry

@@ -97,7 +97,7 @@ class Take:
 
     @property
     def ended(self) -> str:
-        """How it ended, in words."""
+        """Its ending in words."""
         return str(terminations(DataFrame([self.row])).iloc[0]) if self.row else "not in episodes.csv"
 
     @property

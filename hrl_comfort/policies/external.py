@@ -35,7 +35,7 @@ class ObservationPolicy:
     """A map from observations to actions, from any source."""
 
     source: str
-    """What `policy=` says, or the name of a function."""
+    """Value of `policy=`, or the name of a function."""
     function: Function
     observation_dim: int | None = None
     """D; None if the function does not say."""

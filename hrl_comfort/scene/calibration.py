@@ -1,6 +1,6 @@
 """Factory calibration of an arm of Universal Robots, from its controller's file `calibration.conf`.
 
-The file holds deltas of the DH parameters. It is on the controller as `/root/.urcontrol/calibration.conf`.
+The file holds deltas of the DH parameters. On the controller it is `~/.urcontrol/calibration.conf` of the administrator.
 """
 
 from __future__ import annotations
