@@ -1,6 +1,6 @@
 """Factory calibration of an arm of Universal Robots, from its controller's file `calibration.conf`.
 
-The file holds deltas of the DH parameters. On the controller it is `~/.urcontrol/calibration.conf` of the administrator.
+The file holds deltas of the DH parameters. On the controller it is `~/.urcontrol/calibration.conf` of its root user.
 """
 
 from __future__ import annotations
