@@ -33,12 +33,16 @@ MOTIONS = {
     "adversary": ("human.keep_out_m=0", "human.spawn=anywhere", "human.spawn_radius_m=[0.8,1.8]"),
     "recorded": (), "mixture": (),
 }  # fmt: skip
+BEHIND = "runs/reference/shielded/seed1"
+MASKED = ("human.masked=true", "task.arrival_speed_rad_s=0.5")
 LEVEL = ("comfort=conditioned", "comfort.source=fixed", "comfort.level=5")
 POLICIES = {
     "frozen": ("tests.safety.campaign:frozen", "pick_place"),
     "random": ("random", "pick_place"), "expert": ("expert", "pick_place"),
     "potential_field": ("potential_field", "pick_place"), "pick": ("runs/reference/pick", "pick"),
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
+    "shielded_pick": (f"{BEHIND}/pick", "pick", *MASKED), "shielded_place": (f"{BEHIND}/place", "place", *MASKED),
+    "shielded_return": (f"{BEHIND}/return", "return", *MASKED),
     "comfort": ("runs/reference/comfort/seed0/pick_place_10cm", "pick_place", *LEVEL),
 }  # fmt: skip
 """Name -> `policy=`, task and overrides."""
