@@ -24,6 +24,14 @@ SHOULDERS = np.stack([np.zeros(2), SHOULDER_HALF_WIDTH_M * SIDES, np.full(2, SHO
 STRETCH = 0.97
 """Largest share of the arm's length that is used: the elbow of a straight arm would be infinitely fast."""
 
+HANGING = SHOULDERS - [0.0, 0.0, STRETCH * (UPPER_ARM_M + FOREARM_M)]
+"""(2, 3) m, the hands of hanging arms, in the person's frame."""
+
+
+def hands(limbs: Array) -> Array:
+    """Return the hands (n, 2, 3) m, in their frame, of people with `limbs` (n, 6, 3) as `Walk.limbs`."""
+    return np.asarray(SHOULDERS + UPPER_ARM_M * limbs[:, 2:4] + FOREARM_M * limbs[:, 4:])
+
 
 def reaching(hands: Array) -> Array:
     """Return limbs (n, 6, 3), as `Walk.limbs`, of people with hands at (n, 2, 3) m in their frame; the legs walk.

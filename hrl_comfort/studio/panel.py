@@ -10,6 +10,7 @@ import viser
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.person import motion_config
 from hrl_comfort.studio.play import LivePlay
@@ -123,6 +124,8 @@ class Panel:
         speed = gui.add_slider("walks at most (m/s)", min=0.1, max=3.0, step=0.1, initial_value=person.speed_m_s)
         speed.on_update(lambda event: self.ask(lambda: setattr(person, "speed_m_s", event.target.value)))
         gui.add_markdown("Drag the person, or walk with **W A S D** and turn with **Q E**.")
+        self._hands = gui.add_checkbox("hands", False, hint="show a handle at each hand, to drag it")
+        self._hands.on_update(self._on_hands)
         with gui.add_folder("Walk by touch", expand_by_default=False):
             for label, key in TOUCH.items():
                 gui.add_button(label).on_hold(
@@ -141,6 +144,11 @@ class Panel:
         else:
             chosen = motion_config(name)
             self.ask(lambda: person.let_go(chosen))
+
+    def _on_hands(self, event: Any) -> None:
+        if event.client is not None:
+            hands = CARRYING.copy() if event.target.value else None
+            self.ask(lambda: self._play.person.reach(hands))
 
     def _add_policy(self, gui: Any) -> None:
         self._policies = [
@@ -207,6 +215,9 @@ class Panel:
             self._run.label = label
         if self._motion.value != self._play.person.motion:
             self._motion.value = self._play.person.motion
+        held = self._play.person.hands is not None
+        if self._hands.value != held:
+            self._hands.value = held
         if not self.session.by_hand:  # else the slider leads, and must not be set back while it is moved
             self._level.value = round(float(self.session.state.level))
 

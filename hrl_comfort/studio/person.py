@@ -11,6 +11,7 @@ import numpy as np
 from hrl_comfort import humans
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.motions.live import HELD
+from hrl_comfort.humans.walk import Array
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.tune.draft import compose_alone
 
@@ -84,9 +85,12 @@ class Person:
             self._stop()
 
     def let_go(self, human: HumanConfig | None = None) -> None:
-        """Let the person go on as `human` says (default: as before), once they are out of its keep-out discs."""
+        """Let the person go on as `human` says (default: as before).
+
+        They first leave its keep-out discs and let their arms hang.
+        """
         self.human = human or self.human
-        self.taken, self._keys = False, frozenset()
+        self.taken, self._keys, HELD.hands = False, frozenset(), None
         if humans.free(self.human):
             self._leaving = False
             self._set_motion(self.human)
@@ -108,6 +112,17 @@ class Person:
         self._keys = frozenset()
         shrink = min(1.0, FARTHEST_M / max(float(np.hypot(x, y)), 1e-9))
         HELD.pose = (shrink * x, shrink * y, None)
+
+    @property
+    def hands(self) -> Array | None:
+        """Where the hands are held, (2, 3) m in the person's frame; None where they hang or do as the motion says."""
+        return HELD.hands
+
+    def reach(self, hands: Array | None) -> None:
+        """Hold the hands at (2, 3) m, left first, in the person's frame; None lets them hang."""
+        if hands is not None:
+            self.take()
+        HELD.hands = hands
 
     def press(self, keys: frozenset[str]) -> None:
         """Walk and turn as these of KEYS and TURNS say, until others are pressed or HELD_S have passed."""
@@ -139,12 +154,12 @@ class Person:
         HELD.pose = (float(place[0]), float(place[1]), yaw)
 
     def _leave(self) -> None:
-        """Walk out of the keep-out discs; there the motion begins."""
+        """Walk out of the keep-out discs and let the arms hang; there the motion begins."""
         session = self._sessions[0]
         episodes = session.engine.episodes
         position = session.walk.position
         free = humans.outside(position, episodes.sampler.keep_out(episodes.draw.points))
-        if float(np.linalg.norm(free - position)) <= ARRIVED_M:
+        if float(np.linalg.norm(free - position)) <= ARRIVED_M and np.isnan(session.walk.limbs).all():
             self._leaving = False
             self._set_motion(self.human)
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from hrl_comfort.humans.walk import Array
 from hrl_comfort.plots.clip import Clip
 from hrl_comfort.studio.person import Person
 from hrl_comfort.studio.session import Session, Step
@@ -35,6 +36,8 @@ class LivePlay:
         self.renew: Callable[[], None] = lambda: None
         """Called before each episode; it may replace sessions and views."""
         self.watchers: list[Watcher] = []
+        self.reach: Callable[[Array], None] = person.reach
+        """Called with the hands (2, 3) m, in the person's frame, that a viewer drags."""
         self.hold_s = HOLD_S
         """Simulated time for which the end of an episode is shown."""
         self.now_s = 0.0
@@ -69,6 +72,7 @@ class LivePlay:
         """See `loop.Play`."""
         for start, clip, view in zip(self._start, self._clips, self._views, strict=True):
             view.show(clip.frame(self.now_s + time_s - start))
+        self._views[0].show_hands(self.person.hands, self.reach)
 
     def failed(self, error: Exception) -> None:
         """See `loop.Play`."""

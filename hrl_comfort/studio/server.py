@@ -53,6 +53,7 @@ class LiveStudio:
         if config.record:
             self.loop.ask(self.records.toggle)
         self._drawn_s = 0.0
+        self.play.reach = lambda hands: self.panel.ask(lambda: self.person.reach(hands))
         self.page.on_keys = lambda keys: self.panel.ask(lambda: self.person.press(keys))
 
     def start(self) -> None:

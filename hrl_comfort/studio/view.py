@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -12,6 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.humans.body import HIP_M
 from hrl_comfort.plots.clip import Frame, set_pose
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
@@ -21,6 +24,8 @@ Array = NDArray[np.float64]
 Colour = tuple[float, ...]
 """(r, g, b, opacity), 0 to 1."""
 CONTACT_RGB = (220, 40, 40)
+HANDLE_M = 0.18
+"""Length of the axes of a hand's handle."""
 _SHAPE = mujoco.mjtGeom
 
 
@@ -84,6 +89,7 @@ class CellView:
         self.offset_m = offset_m
         self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
         self._frames: dict[int, viser.FrameHandle] = {}
+        self._handles: list[viser.TransformControlsHandle] = []
         self.person: list[viser.MeshHandle] = []
         """Meshes of the person."""
         limbs = {scene.model.body(limb).id for limb in LIMBS}
@@ -120,6 +126,37 @@ class CellView:
             if old is None or np.abs(pose[3:] - old[3:]).max() > 1e-5:
                 handle.wxyz = pose[3:]
             self._shown[body] = pose
+
+    def show_hands(self, hands: Array | None, moved: Callable[[Array], None]) -> None:
+        """Show a handle at each of `hands` (2, 3) m, in the person's frame; None takes them off.
+
+        `moved` gets the hands where they are dragged to.
+        """
+        if hands is None:
+            while self._handles:
+                self._handles.pop().remove()
+            return
+        if self._handles:
+            return
+        trunk = self._frames[self._scene.model.body(LIMBS[0]).id].name
+        hip = np.array([0.0, 0.0, HIP_M])
+        held = hands.copy()
+
+        async def follow(side: int, event: viser.TransformControlsEvent) -> None:  # so that its phases stay in order
+            held[side] = np.asarray(event.target.position) + hip
+            moved(held.copy())
+
+        for side, name in enumerate(("left_hand", "right_hand")):
+            handle = self._server.scene.add_transform_controls(
+                f"{trunk}/{name}",
+                scale=HANDLE_M,
+                disable_rotations=True,
+                disable_sliders=True,
+                depth_test=False,
+                position=hands[side] - hip,
+            )
+            handle.on_update(partial(follow, side))
+            self._handles.append(handle)
 
     def remove(self) -> None:
         """Take the cell off the page."""

@@ -13,6 +13,7 @@ import pytest
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD, CheckedPoses, pose_source
 from hrl_comfort.streams import UdpStream
 from tests.humans.test_humans import HUMAN, no_discs
@@ -28,7 +29,7 @@ def arriving() -> object:
 
 @pytest.fixture(autouse=True)
 def nobody_holds() -> None:
-    HELD.pose = None
+    HELD.pose = HELD.hands = None
     ARRIVING.clear()
     pose_source.cache_clear()
 
@@ -112,3 +113,21 @@ def test_a_source_that_cannot_be_opened_is_refused_before_the_first_step(
     monkeypatch.setitem(pose_source.__wrapped__.__globals__, "APPEAR_S", 0.1)
     with pytest.raises(ConfigError, match=what):
         walked(replace(LIVE, file=file), 0)
+
+
+def test_held_hands_move_within_the_speed_limit_and_hang_again() -> None:
+    HELD.hands = np.array([[0.4, 0.2, 1.2], [0.3, -0.2, 1.1]])
+    walks = walked(LIVE, 60)
+    hands = [np.where(np.isnan(walk.limbs[:, 4:]), body.HANGING, body.hands(walk.limbs)) for walk in walks]
+    speeds = [np.linalg.norm(b - a, axis=-1).max() / CONTROL_STEP_S for a, b in pairwise(hands)]
+    assert max(speeds) <= 1.6 + 1e-9 and np.allclose(hands[-1], HELD.hands)
+    HELD.hands = None
+    for _ in range(60):
+        walks.append(humans.advance(LIVE, walks[-1], np.zeros((2, humans.NOISE)), np.zeros((2, 2)), no_discs(2)))
+    assert np.isnan(walks[-1].limbs).all()
+
+
+def test_hands_use_what_the_walk_leaves_of_the_speed() -> None:
+    HELD.pose, HELD.hands = (2.0, -0.5, None), np.array([[0.4, 0.2, 1.2], [0.3, -0.2, 1.1]])
+    walks = walked(LIVE, 5)
+    assert np.allclose(body.hands(walks[-1].limbs)[0], body.HANGING)

@@ -30,6 +30,9 @@ class View:
     def flash(self, contact: bool) -> None:
         self.red = contact
 
+    def show_hands(self, hands: object, moved: object) -> None:
+        pass
+
 
 def test_two_policies_meet_the_same_person_and_begin_together() -> None:
     HELD.pose = None

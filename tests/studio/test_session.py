@@ -12,6 +12,7 @@ import torch
 
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
 from hrl_comfort.studio.person import HELD_S, Person, motion_config
@@ -48,7 +49,7 @@ def session(made: Session) -> Session:
     made.keep_person = False
     made.set_motion(made.config.human)
     made.play(replace(made.config, policy="watching"))
-    HELD.pose = None
+    HELD.pose = HELD.hands = None
     SEEN.clear()
     return made
 
@@ -99,6 +100,20 @@ def test_the_person_keeps_their_place_when_an_episode_ends_and_walks_on_when_let
         before = session.walk.position
     assert np.linalg.norm(before) >= session.config.human.keep_out_m - 0.02
     assert session.engine.episodes.config.human.motion == "still"
+
+
+def test_hands_go_where_they_are_held_and_hang_before_the_person_is_let_go(session: Session) -> None:
+    person = Person([session], LIVE, session.config.human)
+    person.reach(np.array([[0.4, 0.2, 1.2], [0.3, -0.2, 1.1]]))
+    assert person.taken and person.hands is not None
+    for _ in range(8):
+        session.step()
+    assert np.allclose(body.hands(session.walk.limbs)[0], person.hands)
+    person.let_go()
+    for _ in range(12):
+        person.update(0.1)
+        session.step()
+    assert np.isnan(session.walk.limbs).all() and session.engine.episodes.config.human.motion == "still"
 
 
 def test_keys_walk_and_turn_until_they_are_let_go_of_or_fall_silent(session: Session) -> None:

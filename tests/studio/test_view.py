@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
+import viser
+
 from hrl_comfort.config.compose import compose
+from hrl_comfort.humans.body import HIP_M
+from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.scene.ur import LINKS
 from hrl_comfort.scene.workcell import build_scene
-from hrl_comfort.studio.view import body_meshes, shape_mesh
+from hrl_comfort.studio.view import CellView, body_meshes, shape_mesh
 
 SHAPE = mujoco.mjtGeom
 
@@ -42,3 +49,21 @@ def test_every_body_of_robot_person_and_cell_is_shown() -> None:
     limbs = {f"robot/{link}" for link in LINKS}
     assert {"trunk", "left_leg", "right_forearm", "pedestal", "ball_table", "orange_ball"} <= shown
     assert len(limbs & shown) >= 5
+
+
+def test_handles_at_the_hands_say_where_they_are_dragged_to() -> None:
+    config = compose("studio")
+    server, moved = viser.ViserServer(port=0, verbose=False), []
+    try:
+        view = CellView(server, build_scene(config.robot, config.cell, 2), "cell", (0.0, 0.0, 0.0))
+        for _ in range(2):
+            view.show_hands(CARRYING, moved.append)
+        left, _ = view._handles
+        assert np.allclose(left.position, CARRYING[0] - [0, 0, HIP_M])
+        left.position = CARRYING[0] + [0.1, 0.0, 0.2 - HIP_M]
+        asyncio.run(left._impl_aux.update_cb[0](SimpleNamespace(target=left)))
+        assert np.allclose(moved[-1] - CARRYING, [[0.1, 0.0, 0.2], [0.0, 0.0, 0.0]])
+        view.show_hands(None, moved.append)
+        assert not view._handles
+    finally:
+        server.stop()

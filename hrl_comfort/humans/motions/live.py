@@ -15,7 +15,8 @@ import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
 from hrl_comfort.config.checks import FARTHEST
-from hrl_comfort.humans.walk import Array, Surroundings, Walk
+from hrl_comfort.humans import body
+from hrl_comfort.humans.walk import Array, Stride, Surroundings, Walk
 from hrl_comfort.streams import LslStream, UdpStream
 
 Pose = tuple[float, float, float | None]
@@ -34,6 +35,8 @@ class HeldPose:
 
     def __init__(self) -> None:
         self.pose: Pose | None = None
+        self.hands: Array | None = None
+        """(2, 3) m, left first, where the hands shall be in the person's frame; None lets the arms hang."""
 
     def __call__(self) -> Pose | None:
         """See `PoseSource`."""
@@ -44,8 +47,17 @@ HELD = HeldPose()
 """The source of `human.file=null`; until a pose is set, the person stands still."""
 
 
-def live(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array]:
-    """Walk at up to `speed_m_s` to the newest pose of `file`; bound and keep-out do not apply."""
+def live(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
+    """Walk at up to `speed_m_s` to the newest pose of `file`; bound and keep-out do not apply.
+
+    Hands that the program holds move at what the walk leaves of that speed.
+    """
+    position, yaw = _walked(config, walk)
+    limbs = None if config.file is not None else _limbs(config, walk, position)
+    return Stride(position, yaw, limbs)
+
+
+def _walked(config: HumanConfig, walk: Walk) -> tuple[Array, Array]:
     pose = pose_source(config.file)()
     if pose is None:
         return walk.position, walk.yaw
@@ -57,6 +69,23 @@ def live(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) ->
     if yaw is not None:
         return position, np.full(len(distance), yaw)
     return position, np.where(distance > ARRIVED_M, np.arctan2(offset[:, 1], offset[:, 0]), walk.yaw)
+
+
+def _limbs(config: HumanConfig, walk: Walk, position: Array) -> Array | None:
+    """Return limbs as `Walk.limbs` with the hands on their way; None where they hang and shall."""
+    given = np.asarray(np.isfinite(walk.limbs[:, 2:]).all(axis=(1, 2)))
+    if HELD.hands is None and not given.any():
+        return None
+    hands = np.where(given[:, None, None], body.hands(walk.limbs), body.HANGING)
+    target = body.HANGING if HELD.hands is None else HELD.hands
+    walking = np.linalg.norm(position - walk.position, axis=-1)
+    stride = np.maximum(config.speed_m_s * CONTROL_STEP_S - walking, 0.0)[:, None, None]
+    offset = target - hands
+    distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+    limbs = body.reaching(hands + offset * np.minimum(1.0, stride / np.maximum(distance, 1e-9)))
+    if HELD.hands is None:
+        limbs[(distance < ARRIVED_M).all(axis=(1, 2))] = np.nan
+    return limbs
 
 
 @lru_cache(maxsize=8)
