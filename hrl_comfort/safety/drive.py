@@ -66,29 +66,35 @@ class Drive:
         self._rating = rating_of(config.robot)
         self.arm, self._separation = separation.arm, separation
         self._low, self._high = scene.joint_range.T
-        self._shield = None
+        self.shield: Shield | None = None
         if config.safety.kind == "ssm":
-            self._shield = Shield(separation, self._rating, config.safety, rows)
+            self.shield = Shield(separation, self._rating, config.safety, rows)
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
-        if self._shield is not None:
-            self._shield.begin(rows, limbs)
+        if self.shield is not None:
+            self.shield.begin(rows, limbs)
 
     def rated(self, velocity: Array) -> Array:
         """Return velocities (N, J) rad/s slowed to the rated joint speeds."""
         over = (np.abs(velocity) / self._rating.speed_rad_s).max(axis=1)
         return velocity / np.maximum(over, 1.0)[:, None]
 
+    def reach(self, angles: Array, velocity: Array, limbs: Array) -> Array:
+        """Return `Shield.reach` (N,) m, 0 without one; arms at `angles` (N, J) rad, people at `limbs` (N, L, 7)."""
+        if self.shield is None:
+            return np.zeros(len(angles))
+        return self.shield.reach(self._separation.encounter(angles, limbs), velocity)
+
     def begin_decision(self) -> None:
         """Begin a decision, of which some control steps may turn out void."""
-        if self._shield is not None:
-            self._shield.begin_decision()
+        if self.shield is not None:
+            self.shield.begin_decision()
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
-        if self._shield is not None:
-            self._shield.end_decision(last)
+        if self.shield is not None:
+            self.shield.end_decision(last)
 
     def step(self, before: SetPoints, asked: Array, now: Encounter, limbs: Array | None = None) -> SetPoints:
         """Return the set-points of the next control step.
@@ -101,8 +107,8 @@ class Drive:
         limited = self._rating.within(self._low, self._high, angles, limited)
         wanted = self._rating.follow(velocity, limited)
         braking = np.zeros(len(wanted), dtype=bool)
-        if self._shield is not None:
-            wanted, passed = self._shield.step(self._seen(now, limbs), velocity, wanted)
+        if self.shield is not None:
+            wanted, passed = self.shield.step(self._seen(now, limbs), velocity, wanted)
             braking = passed == 0.0
         wanted = self._yielding(angles, velocity, wanted, now)
         kept = self._rating.keeps(self._low, self._high, angles, wanted)
@@ -137,12 +143,12 @@ class Drive:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
-        return {} if self._shield is None else self._shield.state_dict()
+        return {} if self.shield is None else self.shield.state_dict()
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
-        if self._shield is not None:
-            self._shield.load_state_dict(saved)
+        if self.shield is not None:
+            self.shield.load_state_dict(saved)
 
 
 def rating_of(robot: RobotConfig) -> Rating:

@@ -98,7 +98,7 @@ class Shield:
         `now` are the arms at their set-points and the people, `before` (N, J) rad/s the velocity of the set-points,
         `wanted` (N, J) what the rating would pass.
         """
-        pace = norm(now.person - self._seen).max(axis=(0, 1)) / CONTROL_STEP_S
+        pace = self._pace(now)
         self._seen = now.person
 
         brake = self._rating.brake(before)
@@ -117,22 +117,39 @@ class Shield:
         self._decision.append((self._seen, self._trail))
         return velocity, share
 
+    def reach(self, now: Encounter, velocity: Array) -> Array:
+        """Return how far (N,) m any part of the person may get until arms at `velocity` (N, J) rad/s are slow.
+
+        They run on for a control step and brake then; 0 beside an arm that is slow already. Nothing depends on it.
+        """
+        until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
+        return np.where(until > 0.0, self._bound.distance(until, self._pace(now)), 0.0)
+
+    def _pace(self, now: Encounter) -> Array:
+        """Return the speed (N,) m/s of the person's fastest part since the control step before."""
+        return np.asarray(norm(now.person - self._seen).max(axis=(0, 1)) / CONTROL_STEP_S)
+
+    def _plan(self, velocity: Array, speeds: Array) -> tuple[Array, Array, Array]:
+        """Return when (C, N) s the capsules of braking arms are slow, their way (C, N) m and top speed (C, N) m/s.
+
+        Arguments are those of `_safe`.
+        """
+        braking = self._rating.stopping_time(velocity)
+        fastest = speeds + self.arm.bending(velocity) * (CONTROL_STEP_S + braking / 2)
+        # Until the capsule is slower than the safe speed, servo lag included, the person must not reach it.
+        left = np.minimum(SERVO_SHARE * self._config.safe_speed_m_s / np.maximum(fastest, 1e-9), 1.0)
+        late = self._config.latency_s + LAGS * self._config.lag_s
+        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + late, 0.0)
+        return until, fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2), fastest
+
     def _safe(self, velocity: Array, speeds: Array, apart: Array, trail: Array, pace: Array) -> NDArray[np.bool_]:
         """Return (N,) whether running `velocity` (N, J) for a control step and braking then is safe.
 
         `speeds` (C, N) m/s are those of the arm's capsules now, `apart` (C, N) m their distances from the
         person, `trail` (C, N) m/s speeds that they may still have, `pace` (N,) m/s that of the person's fastest part.
         """
-        config = self._config
-        braking = self._rating.stopping_time(velocity)
-        bend = self.arm.bending(velocity)
-        fastest = speeds + bend * (CONTROL_STEP_S + braking / 2)
-        # Until the capsule is slower than the safe speed, servo lag included, the person must not reach it.
-        left = np.minimum(SERVO_SHARE * config.safe_speed_m_s / np.maximum(fastest, 1e-9), 1.0)
-        late = config.latency_s + LAGS * config.lag_s
-        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + late, 0.0)
-        travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
+        until, travel, fastest = self._plan(velocity, speeds)
         behind = np.maximum(trail, fastest) * self._late_s
         reach = self._bound.distance(until, pace)
-        clear = (until == 0.0) | (apart > travel + behind + reach + config.margin_m)
+        clear = (until == 0.0) | (apart > travel + behind + reach + self._config.margin_m)
         return np.asarray(clear.all(axis=0))
