@@ -291,8 +291,13 @@ def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> N
         content.refuse(configured(*words))
 
 
+def test_the_page_holds_the_licences_of_the_software_inside(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert "Apache License" in text and "three.js authors" in text and "Qhull" in text
+
+
 def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "BUNDLE", ("missing.js", "missing.wasm"))
+    monkeypatch.setattr(page, "BUNDLE", ("missing.js", "missing.wasm", "missing.txt"))
     with pytest.raises(ConfigError, match=r"the page's program is not built; run make page"):
         page.export_page(configured(f"export={tmp_path / 'page.html'}"))
     assert not list(tmp_path.iterdir())
