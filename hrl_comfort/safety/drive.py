@@ -12,6 +12,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConf
 from hrl_comfort.safety.allowances import check_allowances
 from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.rows import Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.safety.shield import Shield
 from hrl_comfort.scene.ratings import RATINGS
@@ -131,15 +132,13 @@ class Drive:
         An arm that presses on is pushed away from its set-points, and hits again as it springs back.
         """
         gap = now.apart.min(axis=0)
-        touching = np.flatnonzero(gap <= 0.0)
-        if not len(touching):
-            return wanted
-        pose = self.arm.pose(angles[touching] + wanted[touching] * CONTROL_STEP_S)
-        after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., touching]).min(axis=0)
-        pressing = touching[after < gap[touching]]
-        wanted = wanted.copy()
-        wanted[pressing] = self._rating.brake(before[pressing])
-        return wanted
+
+        def yielding(rows: Rows) -> Array:
+            pose = self.arm.pose(angles[rows] + wanted[rows] * CONTROL_STEP_S)
+            after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., rows]).min(axis=0)
+            return np.where((after < gap[rows])[:, None], self._rating.brake(before[rows]), wanted[rows])
+
+        return in_rows(gap <= 0.0, yielding, wanted)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""

@@ -89,15 +89,15 @@ class Episodes:
         self._disturbance = Disturbance(disturbance, rows)
         self._servos = Servos(config.randomise, rows, len(scene.joints), config.engine.substeps)
         self._tracker = Tracker(config.randomise, rows)
-        drives = [] if self.drive is None else [self.drive]
-        self._planning: list[Servos | Tracker | Drive] = [self._servos, self._tracker, *drives]
+        parts = (self._servos, self._tracker, self.drive)
+        self._planning: list[Servos | Tracker | Drive] = [part for part in parts if part is not None]
         self._parts: list[Any] = [self.source, self._disturbance, *self._planning]
         """Parts with a state that an exact continuation needs."""
         self._people_stop = config.task.terminate_on == "unsafe_contact"
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
-        self._walks = self.walk
+        self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
         self._arm: humans.ArmSource | None = None
         """What the human sees of the arm while a decision lasts: the arm at its beginning."""
 
@@ -202,14 +202,14 @@ class Episodes:
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
             ends = targets[:, substeps - 1 :: substeps].reshape(-1, joint_target.shape[1])
             points = SetPoints.unshielded(ends, velocity, times.reshape(-1) + 1)
-            self._walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
-            limbs = limbs_of(self.scene, self._walks)
-            self._tracker.follow(times + 1, self.draw.frames, self._walks.position, limbs)
+            self.walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
+            limbs = limbs_of(self.scene, self.walks)
+            self._tracker.follow(times + 1, self.draw.frames, self.walks.position, limbs)
         else:
             points, limbs = self._driven(increment / CONTROL_STEP_S, times)
             targets = points.ramp(joint_target, substeps)
-        places = self._tracker.seen(self._walks.position)
-        self._planned = self._plan(self._walks, places, limbs, points, times.reshape(-1) + 1)
+        places = self._tracker.seen(self.walks.position)
+        self._planned = self._plan(self.walks, places, limbs, points, times.reshape(-1) + 1)
         balls = rendered_positions(self.state, self.subtask)
         return self._controls(self._servos.follow(targets), self._planned["limbs"], balls)
 
@@ -231,7 +231,7 @@ class Episodes:
             walks.append(walk)
             limbs.append(poses)
             self._tracker.see(times[:, k] + 1, self.draw.frames, walk.position, poses)
-        self._walks = humans.Walk.along(walks[1:])
+        self.walks = humans.Walk.along(walks[1:])
         beside = np.stack(limbs[1:], axis=1)
         return SetPoints.along(points[1:]), beside.reshape(-1, *beside.shape[2:])
 
@@ -254,7 +254,7 @@ class Episodes:
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
         first = np.arange(self.rows) * self.planned_steps
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
-        self.walk = self._walks.rows(first + last)
+        self.walk = self.walks.rows(first + last)
         for part in self._planning:
             part.end_decision(last)
         self.state = state

@@ -186,7 +186,7 @@ class Session:
         self.decisions += 1
         self.contacts += int(result.state.touching & ~before.touching)
         self.unsafe_contacts += int(result.state.unsafe_contact & ~before.unsafe_contact)
-        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, self.walk)
+        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, episodes.walks)
         self.seconds += clip.duration_s
         if not self.over:
             if runs:
