@@ -21,7 +21,7 @@ $(STAMP): pyproject.toml
 # The program of the page that `hrl-comfort studio export=` writes; needs Node.
 page: $(PAGE)
 
-$(PAGE): $(WEB)/package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/src/*.js)
+$(PAGE): $(WEB)/package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/src/*.js $(WEB)/licenses/*)
 	cd $(WEB) && npm ci --no-fund --no-audit --loglevel=error && node build.mjs
 
 lint: setup

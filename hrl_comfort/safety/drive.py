@@ -12,6 +12,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConf
 from hrl_comfort.safety.allowances import check_allowances
 from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.rows import Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.safety.shield import Shield
 from hrl_comfort.scene.ratings import RATINGS
@@ -44,7 +45,6 @@ class SetPoints:
         none = np.zeros(n, dtype=bool)
         return cls(angles, velocity, np.ones(n), steps.astype(float), none, np.zeros(n, dtype=np.int64))
 
-
     def ramp(self, before: Array, substeps: int) -> Array:
         """Return the targets (N, K * substeps, J) rad of K set-points of N arms each, from `before` (N, J) rad on."""
         ends = self.angles.reshape(len(before), -1, 1, before.shape[1])
@@ -66,29 +66,35 @@ class Drive:
         self._rating = rating_of(config.robot)
         self.arm, self._separation = separation.arm, separation
         self._low, self._high = scene.joint_range.T
-        self._shield = None
+        self.shield: Shield | None = None
         if config.safety.kind == "ssm":
-            self._shield = Shield(separation, self._rating, config.safety, rows)
+            self.shield = Shield(separation, self._rating, config.safety, rows)
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
-        if self._shield is not None:
-            self._shield.begin(rows, limbs)
+        if self.shield is not None:
+            self.shield.begin(rows, limbs)
 
     def rated(self, velocity: Array) -> Array:
         """Return velocities (N, J) rad/s slowed to the rated joint speeds."""
         over = (np.abs(velocity) / self._rating.speed_rad_s).max(axis=1)
         return velocity / np.maximum(over, 1.0)[:, None]
 
+    def reach(self, angles: Array, velocity: Array, limbs: Array) -> Array:
+        """Return `Shield.reach` (N,) m, 0 without one; arms at `angles` (N, J) rad, people at `limbs` (N, L, 7)."""
+        if self.shield is None:
+            return np.zeros(len(angles))
+        return self.shield.reach(self._separation.encounter(angles, limbs), velocity)
+
     def begin_decision(self) -> None:
         """Begin a decision, of which some control steps may turn out void."""
-        if self._shield is not None:
-            self._shield.begin_decision()
+        if self.shield is not None:
+            self.shield.begin_decision()
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
-        if self._shield is not None:
-            self._shield.end_decision(last)
+        if self.shield is not None:
+            self.shield.end_decision(last)
 
     def step(self, before: SetPoints, asked: Array, now: Encounter, limbs: Array | None = None) -> SetPoints:
         """Return the set-points of the next control step.
@@ -101,8 +107,8 @@ class Drive:
         limited = self._rating.within(self._low, self._high, angles, limited)
         wanted = self._rating.follow(velocity, limited)
         braking = np.zeros(len(wanted), dtype=bool)
-        if self._shield is not None:
-            wanted, passed = self._shield.step(self._seen(now, limbs), velocity, wanted)
+        if self.shield is not None:
+            wanted, passed = self.shield.step(self._seen(now, limbs), velocity, wanted)
             braking = passed == 0.0
         wanted = self._yielding(angles, velocity, wanted, now)
         kept = self._rating.keeps(self._low, self._high, angles, wanted)
@@ -125,24 +131,22 @@ class Drive:
         An arm that presses on is pushed away from its set-points, and hits again as it springs back.
         """
         gap = now.apart.min(axis=0)
-        touching = np.flatnonzero(gap <= 0.0)
-        if not len(touching):
-            return wanted
-        pose = self.arm.pose(angles[touching] + wanted[touching] * CONTROL_STEP_S)
-        after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., touching]).min(axis=0)
-        pressing = touching[after < gap[touching]]
-        wanted = wanted.copy()
-        wanted[pressing] = self._rating.brake(before[pressing])
-        return wanted
+
+        def yielding(rows: Rows) -> Array:
+            pose = self.arm.pose(angles[rows] + wanted[rows] * CONTROL_STEP_S)
+            after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., rows]).min(axis=0)
+            return np.where((after < gap[rows])[:, None], self._rating.brake(before[rows]), wanted[rows])
+
+        return in_rows(gap <= 0.0, yielding, wanted)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
-        return {} if self._shield is None else self._shield.state_dict()
+        return {} if self.shield is None else self.shield.state_dict()
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
-        if self._shield is not None:
-            self._shield.load_state_dict(saved)
+        if self.shield is not None:
+            self.shield.load_state_dict(saved)
 
 
 def rating_of(robot: RobotConfig) -> Rating:

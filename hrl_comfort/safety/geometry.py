@@ -1,7 +1,8 @@
 """Capsules of the arm and of the person: positions, distances and speeds, for N cells at once.
 
 Everything is read from the compiled model, so that any serial arm of hinges is handled. Arrays have the batch last
-and x, y, z first, because that is where numpy is fastest.
+and x, y, z first, because that is where numpy is fastest. They may be `numpy`'s own or others that obey its functions:
+`hrl_comfort.studio.web.arrays` traces what is computed here, in `rating`, `separation`, `shield` and `drive`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class ArmGeometry:
     def tool(self, angles: Array) -> Array:
         """Return the tool centre point (N, 3) m at `angles` (N, J) rad."""
         rotation, _, origins = self._frames(angles)
-        return np.asarray((origins[:, -1] + _turned(rotation[:, :, -1], self._tcp[:, None])).T)
+        return (origins[:, -1] + _turned(rotation[:, :, -1], self._tcp[:, None])).T
 
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
@@ -73,14 +74,14 @@ class ArmGeometry:
         """Return rotation (3, 3, J, N), a point on the axis and origin (3, J, N) m of the joints' links."""
         fixed, sine, cosine = self._steps
         steps = fixed + np.sin(angles.T) * sine + (1 - np.cos(angles.T)) * cosine  # (3, 3, J, N)
-        n = len(angles)
-        rotation, anchor = np.empty((3, 3, self.joints, n)), np.empty((3, self.joints, n))
+        n, turns, anchors = len(angles), [], []
         turn, origin = np.broadcast_to(np.eye(3)[..., None], (3, 3, n)), np.zeros((3, n))
         for joint in range(self.joints):
-            anchor[:, joint] = origin + _turned(turn, self._offset[joint])
+            anchors.append(origin + _turned(turn, self._offset[joint]))
             turn = _turned(turn[:, :, None], steps[:, :, joint])
-            origin = anchor[:, joint] - _turned(turn, self._anchor[joint])
-            rotation[:, :, joint] = turn
+            origin = anchors[joint] - _turned(turn, self._anchor[joint])
+            turns.append(turn)
+        rotation, anchor = np.stack(turns, axis=2), np.stack(anchors, axis=1)
         return rotation, anchor, anchor - _turned(rotation, self._anchor.T[..., None])
 
     def points(self, angles: Array, velocity: Array) -> tuple[Array, Array]:
@@ -97,12 +98,11 @@ class ArmGeometry:
         moving = _cross(turning[:, link], points) - shift[:, link]
         return points.transpose(2, 1, 0), moving.transpose(2, 1, 0)
 
-    def point_velocity(self, pose: ArmPose, velocity: Array, part: NDArray[np.int64], point: Array) -> Array:
-        """Return the velocity (3, N) m/s of points (3, N) m fixed to the capsules `part` (N,)."""
-        rows, link = np.arange(len(part)), self.link[part]
-        turning = np.cumsum(pose.axis * velocity.T, axis=1)[:, link, rows]
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, link, rows]
-        return _cross(turning, point) - shift
+    def point_velocity(self, pose: ArmPose, velocity: Array, points: Array) -> Array:
+        """Return the velocities (3, C, P, N) m/s of P points (3, C, P, N) m fixed to each capsule."""
+        turning = np.cumsum(pose.axis * velocity.T, axis=1)[:, self.link, None]
+        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, self.link, None]
+        return _cross(turning, points) - shift
 
     def speeds(self, pose: ArmPose, velocity: Array) -> Array:
         """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
@@ -110,7 +110,8 @@ class ArmGeometry:
         shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         spin = turning[:, self.link]
         at_ends = _cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
-        return np.asarray(norm(at_ends).max(axis=1) + self.radius[:, None] * norm(spin))
+        fastest: Array = norm(at_ends).max(axis=1) + self.radius[:, None] * norm(spin)
+        return fastest
 
     def bending(self, velocity: Array) -> Array:
         """Return a bound (C, N) m/s² on the acceleration of any point at constant joint velocities (N, J) rad/s.
@@ -120,7 +121,8 @@ class ArmGeometry:
         """
         rate = np.abs(velocity)
         before = np.cumsum(rate, axis=1) - rate
-        return np.asarray(self.lever @ (rate * (rate + 2 * before)).T)
+        bound: Array = self.lever @ (rate * (rate + 2 * before)).T
+        return bound
 
     def _levers(self) -> Array:
         """Return (C, J) sums of link lengths from each joint's anchor to the farthest point of a capsule."""
@@ -150,7 +152,7 @@ class PersonGeometry:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
         moved = limbs.transpose(2, 1, 0)
         turns = rotations(moved[3:])[:, :, self._limb, None]
-        return np.asarray(moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None]))
+        return moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
 
 
 def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> Array:
@@ -159,7 +161,8 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
     `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and person.
     """
     apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
-    return np.asarray((apart - np.add.outer(arm.radius, person.radius)[..., None]).min(axis=1))
+    nearest: Array = (apart - (arm.radius[:, None, None] + person.radius[:, None])).min(axis=1)
+    return nearest
 
 
 def segment_distance(p: Array, p_end: Array, q: Array, q_end: Array) -> Array:
@@ -175,8 +178,8 @@ def closest_points(p: Array, p_end: Array, q: Array, q_end: Array) -> tuple[Arra
     section 5.1.9).
     """
     d, e, r = p_end - p, q_end - q, p - q
-    aa, ee = np.maximum(_dot(d, d), 1e-12), np.maximum(_dot(e, e), 1e-12)
-    b, c, f = _dot(d, e), _dot(d, r), _dot(e, r)
+    aa, ee = np.maximum(dot(d, d), 1e-12), np.maximum(dot(e, e), 1e-12)
+    b, c, f = dot(d, e), dot(d, r), dot(e, r)
     denominator = aa * ee - b * b
     s = np.where(denominator > 1e-12, (b * f - c * ee) / np.maximum(denominator, 1e-12), 0.0)
     t = np.minimum(np.maximum((b * np.minimum(np.maximum(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
@@ -186,7 +189,8 @@ def closest_points(p: Array, p_end: Array, q: Array, q_end: Array) -> tuple[Arra
 
 def norm(vectors: Array) -> Array:
     """Return the lengths (...,) of vectors (3, ...)."""
-    return np.asarray(np.sqrt(_dot(vectors, vectors)))
+    length: Array = np.sqrt(dot(vectors, vectors))
+    return length
 
 
 def rotations(quaternions: Array) -> Array:
@@ -203,11 +207,14 @@ def rotations(quaternions: Array) -> Array:
 
 def _turned(turn: Array, vector: Array) -> Array:
     """Return rotations (3, 3, ...) times vectors (3, ...)."""
-    return np.asarray(turn[:, 0] * vector[0] + turn[:, 1] * vector[1] + turn[:, 2] * vector[2])
+    turned: Array = turn[:, 0] * vector[0] + turn[:, 1] * vector[1] + turn[:, 2] * vector[2]
+    return turned
 
 
-def _dot(first: Array, second: Array) -> Array:
-    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+def dot(first: Array, second: Array) -> Array:
+    """Return the products (...,) of vectors (3, ...) and (3, ...)."""
+    product: Array = first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+    return product
 
 
 def _cross(first: Array, second: Array) -> Array:

@@ -31,7 +31,8 @@ class Rating:
 
     def stopping_time(self, velocity: Array) -> Array:
         """Return the time (N,) s in which the rated brake takes joint velocities (N, J) rad/s to rest."""
-        return np.asarray((np.abs(velocity) / self.acceleration_rad_s2).max(axis=1))
+        slowest: Array = (np.abs(velocity) / self.acceleration_rad_s2).max(axis=1)
+        return slowest
 
     def brake(self, velocity: Array) -> Array:
         """Return the velocity (N, J) rad/s after one control step of rated braking, along its direction."""
@@ -72,4 +73,5 @@ class Rating:
         whole = np.floor(steps)
         way = velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]
         end = angles + way
-        return np.asarray(((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1))
+        inside: NDArray[np.bool_] = ((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1)
+        return inside

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, gaps, norm
+from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, dot, gaps, norm
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -45,7 +45,8 @@ class Separation:
 
         Negative in overlap.
         """
-        return np.asarray(self.encounter(angles, limbs).apart.min(axis=0))
+        gap: Array = self.encounter(angles, limbs).apart.min(axis=0)
+        return gap
 
     def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
         """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it.
@@ -57,10 +58,9 @@ class Separation:
         pose, limb = arm.pose(angles), person.ends(limbs)
         axes = pose.ends[:, :, None, 0], pose.ends[:, :, None, 1], limb[:, None, :, 0], limb[:, None, :, 1]
         p, q = closest_points(*axes)
-        apart = norm(q - p) - np.add.outer(arm.radius, person.radius)[..., None]
-        rows = np.arange(apart.shape[-1])
-        part, other = np.unravel_index(apart.reshape(-1, len(rows)).argmin(axis=0), apart.shape[:2])
-        p, q = p[:, part, other, rows], q[:, part, other, rows]
+        apart = norm(q - p) - (arm.radius[:, None, None] + person.radius[:, None])
         towards = (q - p) / np.maximum(norm(q - p), 1e-9)
-        point = p + towards * arm.radius[part]
-        return np.asarray((arm.point_velocity(pose, velocity, part, point) * towards).sum(axis=0))
+        points = p + towards * arm.radius[:, None, None]
+        speeds = dot(arm.point_velocity(pose, velocity, points), towards).reshape(-1, len(angles))
+        nearest = apart.reshape(-1, len(angles)).argmin(axis=0)
+        return np.take_along_axis(speeds, nearest[None], axis=0)[0]

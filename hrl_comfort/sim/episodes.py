@@ -85,19 +85,19 @@ class Episodes:
         paid = source == "frightened" or (config.comfort.distance == "arm" and source != "none")
         self._separation = Separation(scene)
         self._sensors = Sensors(scene, self._separation, measure_arm or paid)
-        self._drive = make_drive(scene, self._separation, config, rows)
+        self.drive = make_drive(scene, self._separation, config, rows)
         self._disturbance = Disturbance(disturbance, rows)
         self._servos = Servos(config.randomise, rows, len(scene.joints), config.engine.substeps)
         self._tracker = Tracker(config.randomise, rows)
-        drives = [] if self._drive is None else [self._drive]
-        self._planning: list[Servos | Tracker | Drive] = [self._servos, self._tracker, *drives]
+        parts = (self._servos, self._tracker, self.drive)
+        self._planning: list[Servos | Tracker | Drive] = [part for part in parts if part is not None]
         self._parts: list[Any] = [self.source, self._disturbance, *self._planning]
         """Parts with a state that an exact continuation needs."""
         self._people_stop = config.task.terminate_on == "unsafe_contact"
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
-        self._walks = self.walk
+        self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
         self._arm: humans.ArmSource | None = None
         """What the human sees of the arm while a decision lasts: the arm at its beginning."""
 
@@ -135,7 +135,7 @@ class Episodes:
             begun = self.draw.start[pending]
             targets, limbs = begun[:, moving:], limbs_of(self.scene, fresh)
             velocity = begun[:, moving // 2 : moving]
-            still = np.zeros_like(targets) if self._drive is None else self._drive.rated(velocity)
+            still = np.zeros_like(targets) if self.drive is None else self.drive.rated(velocity)
             steps = np.zeros(len(pending), dtype=np.int64)
             values = self.values(pending)
             self._servos.begin(pending, values, targets)
@@ -157,8 +157,8 @@ class Episodes:
                 self.state = state
             else:
                 raise ConfigError("the first reset must reset every row")
-            if self._drive is not None:
-                self._drive.begin(pending, limbs)
+            if self.drive is not None:
+                self.drive.begin(pending, limbs)
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | state.touching | self.subtask.failure(state)).numpy()
             pending = pending[bad]
@@ -194,7 +194,7 @@ class Episodes:
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
         self._arm = cache(partial(self._separation.arm.points, *seen))
         self._tracker.begin_decision()
-        if self._drive is None:
+        if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
             lowest, highest = self.scene.joint_range.T
@@ -202,14 +202,14 @@ class Episodes:
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
             ends = targets[:, substeps - 1 :: substeps].reshape(-1, joint_target.shape[1])
             points = SetPoints.unshielded(ends, velocity, times.reshape(-1) + 1)
-            self._walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
-            limbs = limbs_of(self.scene, self._walks)
-            self._tracker.follow(times + 1, self.draw.frames, self._walks.position, limbs)
+            self.walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
+            limbs = limbs_of(self.scene, self.walks)
+            self._tracker.follow(times + 1, self.draw.frames, self.walks.position, limbs)
         else:
             points, limbs = self._driven(increment / CONTROL_STEP_S, times)
             targets = points.ramp(joint_target, substeps)
-        places = self._tracker.seen(self._walks.position)
-        self._planned = self._plan(self._walks, places, limbs, points, times.reshape(-1) + 1)
+        places = self._tracker.seen(self.walks.position)
+        self._planned = self._plan(self.walks, places, limbs, points, times.reshape(-1) + 1)
         balls = rendered_positions(self.state, self.subtask)
         return self._controls(self._servos.follow(targets), self._planned["limbs"], balls)
 
@@ -218,20 +218,20 @@ class Episodes:
 
         `asked` (N, J) rad/s, `times` (N, K).
         """
-        assert self._drive is not None and self.state is not None
+        assert self.drive is not None and self.state is not None
         names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
         now = self._separation.encounter(points[0].angles, limbs[0])
-        self._drive.begin_decision()
+        self.drive.begin_decision()
         for k in range(times.shape[1]):
-            points.append(self._drive.step(points[-1], asked, now, self._tracker.shown))
+            points.append(self.drive.step(points[-1], asked, now, self._tracker.shown))
             walk = self._walk_on(walks[-1], times[:, k])
             walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
             walks.append(walk)
             limbs.append(poses)
             self._tracker.see(times[:, k] + 1, self.draw.frames, walk.position, poses)
-        self._walks = humans.Walk.along(walks[1:])
+        self.walks = humans.Walk.along(walks[1:])
         beside = np.stack(limbs[1:], axis=1)
         return SetPoints.along(points[1:]), beside.reshape(-1, *beside.shape[2:])
 
@@ -254,7 +254,7 @@ class Episodes:
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
         first = np.arange(self.rows) * self.planned_steps
         last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
-        self.walk = self._walks.rows(first + last)
+        self.walk = self.walks.rows(first + last)
         for part in self._planning:
             part.end_decision(last)
         self.state = state

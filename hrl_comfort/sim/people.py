@@ -21,6 +21,15 @@ OVERLAP_M = 1e-5
 from a depth of 1 mm they flung parts that cannot give way at 5 m/s."""
 
 
+def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share (n,) of a step that ends at OVERLAP_M, 1 if it is free.
+
+    It begins at `room` (n,) m from the arm and would end at `gap` (n,) m from it.
+    """
+    share = np.clip((room + OVERLAP_M) / np.maximum(room - gap, 1e-9), 0.0, 1.0)
+    return np.where(gap < room, share, 1.0)
+
+
 def stop_at_contact(
     scene: Scene, separation: Separation, angles: NDArray[np.float64], before: humans.Walk, walk: humans.Walk
 ) -> tuple[humans.Walk, NDArray[np.float64], Encounter]:
@@ -38,8 +47,8 @@ def stop_at_contact(
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     room, gap = separation.gap(angles[touched], limbs_of(scene, stood)), gap[touched]
-    share = np.clip((room + OVERLAP_M) / np.maximum(room - gap, 1e-9), 0.0, 1.0)
-    stops = np.flatnonzero((gap < room) & (share < 1.0))
+    share = share_walked(room, gap)
+    stops = np.flatnonzero(share < 1.0)
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])

@@ -14,19 +14,23 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, Subtask
 
 
-def decision_clip(scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, after: Walk) -> Clip:
-    """Return the clip of a decision in one cell, from the state and walk before it to those after it."""
+def decision_clip(scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, walks: Walk) -> Clip:
+    """Return the clip of a decision in one cell.
+
+    It goes from the state and walk before it to those after its last valid control step. `walks` (K,) are those after
+    each of its control steps.
+    """
     kept = np.flatnonzero(result.valid[0].numpy())
     steps = result.steps
     states = [before, *(steps[k] for k in kept)]
     x_y = np.concatenate([state.human_pos.numpy() for state in states])
     yaw = np.unwrap(np.concatenate([state.human_yaw.numpy() for state in states]))
-    ends = np.array([np.concatenate([*gait(each), each.limbs.ravel()]) for each in (walk, after)])
-    share = np.linspace(0.0, 1.0, len(states))[:, None]
+    walked = [walk, walks.rows(kept)]
+    gaits = [np.column_stack([*gait(each), each.limbs.reshape(len(each.limbs), -1)]) for each in walked]
     return Clip(
         time=np.arange(len(states), dtype=np.float64) * CONTROL_STEP_S,
         joints=np.concatenate([state.joint_pos.numpy() for state in states]),
-        person=np.column_stack([x_y, yaw, (1 - share) * ends[0] + share * ends[1]]),
+        person=np.column_stack([x_y, yaw, np.concatenate(gaits)]),
         props=np.stack([props_of(scene, task, state) for state in states]),
         floor_z=scene.floor_z,
     )

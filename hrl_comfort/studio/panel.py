@@ -24,6 +24,8 @@ TOUCH = {"↑ ahead": "w", "↓ back": "s", "← left": "a", "right →": "d", "
 HOLD_HZ = 5.0
 STATUS_S = 0.2
 """Time between two updates of the status line, s."""
+STOPPED_SHARE = 0.005
+"""Share of the speed below which the status line calls the arm stopped; it is shown as 0 %."""
 
 
 class Panel:
@@ -230,6 +232,11 @@ class Panel:
             f"**{session.option}** · {running} · episode {episode}, {seconds:.1f} s",
             f"level {float(state.level):g} · person {self._play.person.motion} · contacts {contacts}",
         ]
+        if session.engine.episodes.drive is not None:
+            share, unsafe = float(state.share), sum(each.unsafe_contacts for each in self._play.sessions)
+            stopped = " · **the arm is stopped**" if bool(state.braking) or share < STOPPED_SHARE else ""
+            lines.append(f"speed passed {share:.0%}{stopped}")
+            lines.append(f"protective stops {int(state.protective_stops)} · unsafe contacts {unsafe}")
         if self._loop.running and self._loop.rate < 0.99:
             lines.append(f"slower than real time: {self._loop.rate:.0%}")
         if self._outcome:

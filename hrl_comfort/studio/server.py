@@ -102,6 +102,7 @@ class LiveStudio:
 
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
+        self.views[cell].show_zone(session.walk.position[0], session.reach_m)
         if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
             self._drawn_s = session.seconds
             self.curves.draw()

@@ -94,8 +94,8 @@ class Session:
             self.engine.episodes.source = self.slider
         self.keep_person = False
         """A new episode begins with the person where they are."""
-        self.seconds, self.decisions, self.contacts = 0.0, 0, 0
-        """Simulated time, decisions and contacts with the person since the session began."""
+        self.seconds, self.decisions, self.contacts, self.unsafe_contacts = 0.0, 0, 0, 0
+        """Simulated time, decisions, contacts with the person and unsafe ones since the session began."""
         self.over = False
         self.play(self.config)
 
@@ -114,6 +114,15 @@ class Session:
     def decision_s(self) -> float:
         """Duration of a decision that nothing ends early, s."""
         return self.config.task.action_repeat * CONTROL_STEP_S
+
+    @property
+    def reach_m(self) -> float:
+        """How far the person may get before the arm is slow, as the shield counts; 0 where it is slow or unshielded."""
+        drive, state = self.engine.episodes.drive, self.state
+        if drive is None:
+            return 0.0
+        limbs = limbs_of(self.engine.scene, self.walk)
+        return float(drive.reach(state.joint_target.numpy(), state.target_vel.numpy(), limbs)[0])
 
     @property
     def option(self) -> str:
@@ -176,7 +185,8 @@ class Session:
         self.over = bool(result.done | options.given_up)
         self.decisions += 1
         self.contacts += int(result.state.touching & ~before.touching)
-        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, self.walk)
+        self.unsafe_contacts += int(result.state.unsafe_contact & ~before.unsafe_contact)
+        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, episodes.walks)
         self.seconds += clip.duration_s
         if not self.over:
             if runs:

@@ -23,9 +23,11 @@ Array = NDArray[np.float64]
 
 Colour = tuple[float, ...]
 """(r, g, b, opacity), 0 to 1."""
-CONTACT_RGB = (220, 40, 40)
+CONTACT_RGB, ZONE_RGB = (220, 40, 40), (224, 160, 32)
 HANDLE_M = 0.18
 """Length of the axes of a hand's handle."""
+ZONE_M = 0.25
+"""From the person's axis to the side of the body."""
 _SHAPE = mujoco.mjtGeom
 
 
@@ -109,6 +111,15 @@ class CellView:
                 )
                 if body in limbs:
                     self.person.append(handle)
+        disc = trimesh.creation.cylinder(radius=1.0, height=1e-3, sections=48)
+        self._zone = server.scene.add_mesh_simple(
+            f"/{name}/zone",
+            np.asarray(disc.vertices, dtype=np.float32),
+            np.asarray(disc.faces, dtype=np.uint32),
+            color=ZONE_RGB,
+            opacity=0.4,
+            visible=False,
+        )
         self._colours = [handle.color for handle in self.person]
         self._shown: dict[int, Array] = {}
 
@@ -157,6 +168,13 @@ class CellView:
             )
             handle.on_update(partial(follow, side))
             self._handles.append(handle)
+
+    def show_zone(self, place: Array, reach_m: float) -> None:
+        """Show the floor that a person at `place` (2,) m may reach before the arm is slow; hide it where that is 0."""
+        self._zone.visible = reach_m > 0 and bool(place[0] < FAR_AWAY_M / 2)
+        if self._zone.visible:
+            self._zone.position = (*place, self._scene.floor_z + 4e-3)
+            self._zone.scale = ZONE_M + reach_m
 
     def remove(self) -> None:
         """Take the cell off the page."""

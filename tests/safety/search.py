@@ -65,7 +65,7 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     limbs = np.where(trials[:, 2, None, None] < 0.5, HANGING, steering.POSTURE)
     walk = humans.begin(engine.episodes.config.human, spawn)
     episodes.walk = humans.Walk(**{**vars(walk), "limbs": limbs})
-    episodes._drive.begin(np.arange(ROWS), limbs_of(engine.scene, episodes.walk))
+    episodes.drive.begin(np.arange(ROWS), limbs_of(engine.scene, episodes.walk))
     found, unsafe = np.full(ROWS, -np.inf), np.zeros(ROWS, dtype=bool)
     going = np.ones(ROWS, dtype=bool)
     going &= separation.gap(state.joint_pos.numpy(), limbs_of(engine.scene, episodes.walk)) > 0

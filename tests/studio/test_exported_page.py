@@ -122,7 +122,7 @@ def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, optio
         """([option, states]) => states.map((state) => {
              const row = (value) => ({ shape: value.length ? [1, value.length] : [1], data: [value].flat() });
              const fields = Object.fromEntries(Object.entries(state).map(([name, value]) => [name, row(value)]));
-             return Array.from(player.cell.options.find(({ name }) => name === option).act(fields));
+             return Array.from(player.cell.options.find(({ name }) => name === option).act(fields).made);
            })""",
         [option, states],
     )
@@ -272,6 +272,18 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
         for height, sign in ((0.8, -1), (1.8, 1)):
             tab.evaluate("height => device.controllers.left.position.set(0.3, height, 0.1)", height)
             tab.wait_for_function(f"{sign} * {down} > 0.2")
+        for button, level in (("a-button", 6), ("b-button", 5)):
+            tab.evaluate("button => device.controllers.right.updateButtonValue(button, 1)", button)
+            tab.wait_for_function(f"player.cell.level === {level}")
+            tab.evaluate("button => device.controllers.right.updateButtonValue(button, 0)", button)
+        assert tab.locator("#level").input_value() == "5"
+        bearing = "player.view.rig.rotation.y"
+        faced = tab.evaluate(bearing)
+        tab.evaluate("() => device.controllers.right.updateAxes('thumbstick', 1, 0)")
+        tab.wait_for_function(f"{bearing} < {faced} - 0.5")
+        stood = place(tab)
+        tab.evaluate("() => device.controllers.left.updateAxes('thumbstick', 0, -1)")
+        until(lambda: np.linalg.norm(np.subtract(place(tab), stood)) > 0.2, "the left stick walks")
         tab.evaluate("() => player.view.renderer.xr.getSession().end()")
         tab.wait_for_function("!player.view.renderer.xr.isPresenting")
         assert wrong == []
@@ -281,7 +293,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     ("words", "message"),
     [
         (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
-        (["robot.rating=collaborative"], r"robot.rating=collaborative: a page of export= has robot.rating=paper alone"),
+        (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
         (["task=shift"], r"task=shift: a page of export= shows one policy"),
         (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),
     ],
@@ -291,8 +303,13 @@ def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> N
         content.refuse(configured(*words))
 
 
+def test_the_page_holds_the_licences_of_the_software_inside(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert "Apache License" in text and "three.js authors" in text and "Qhull" in text
+
+
 def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "BUNDLE", ("missing.js", "missing.wasm"))
+    monkeypatch.setattr(page, "BUNDLE", ("missing.js", "missing.wasm", "missing.txt"))
     with pytest.raises(ConfigError, match=r"the page's program is not built; run make page"):
         page.export_page(configured(f"export={tmp_path / 'page.html'}"))
     assert not list(tmp_path.iterdir())

@@ -150,6 +150,23 @@ def test_a_touch_ends_the_episode_and_is_counted(session: Session) -> None:
     assert not session.step().over and int(session.state.steps) == 5  # of the next episode
 
 
+def test_the_shield_slows_the_arm_beside_a_person_by_hand_and_its_touches_are_not_unsafe() -> None:
+    stands = ("human.spawn=points", "human.spawns_m=[[-0.9,-0.9]]", "human.held_out=[]")
+    shielded = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact")
+    session = Session(studio_config(*stands, *shielded))
+    person = Person([session], LIVE, session.config.human)
+    person.drag(0.0, 0.0)
+    shares, reached = [], []
+    for _ in range(25):
+        session.step()
+        shares.append(float(session.state.share))
+        reached.append(session.reach_m)
+    assert shares[0] == 1.0 and shares[-1] == 0.0 and any(0.1 < share < 0.3 for share in shares)
+    assert max(reached) > 0.25 and reached[-1] == 0.0
+    assert session.contacts > 0 and session.unsafe_contacts == 0
+    session.close()
+
+
 def test_a_policy_is_swapped_and_a_bad_one_leaves_the_session_as_it_was(session: Session) -> None:
     old = session.executor
     with pytest.raises(ConfigError, match="policy='runs/nowhere' is not there"):

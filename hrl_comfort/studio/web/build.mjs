@@ -1,6 +1,6 @@
-// Bundle the page's program: dist/page.js, and MuJoCo's WebAssembly beside it.
+// Bundle the page's program: dist/page.js, and beside it MuJoCo's WebAssembly and the licences of both.
 
-import { copyFileSync } from "node:fs";
+import { copyFileSync, readFileSync, writeFileSync } from "node:fs";
 import { build } from "esbuild";
 
 await build({
@@ -15,3 +15,6 @@ await build({
   charset: "utf8",
 });
 copyFileSync("node_modules/@mujoco/mujoco/mujoco.wasm", "dist/mujoco.wasm");
+// MuJoCo's package brings none; these are of its Python package and of Emscripten.
+const licenses = ["licenses/mujoco.txt", "node_modules/three/LICENSE"].map((file) => readFileSync(file, "utf8").trim());
+writeFileSync("dist/licenses.txt", `${licenses.join(`\n\n${"-".repeat(80)}\n\nthree.js\n\n`)}\n`);

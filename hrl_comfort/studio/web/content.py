@@ -26,6 +26,7 @@ from hrl_comfort.scene import human
 from hrl_comfort.studio.clip import decision_clip
 from hrl_comfort.studio.person import FARTHEST_M
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
 from hrl_comfort.tasks import State
 
@@ -83,6 +84,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "limits": {name: max_episode_steps(levels, steps, env.comfort).tolist() for name, steps in limits.items()},
         "levels": next((option["levels"] for option in options if option["levels"]), None),
         "level": float(session.slider.value),
+        "safety": safety(scene, env, session.walk),
         "body": _body(),
         "person": _person(config),
         "title": ", ".join(dict.fromkeys("/".join(Path(source).parts[-2:]) for source in sources.values())),
@@ -96,9 +98,6 @@ def content(config: StudioConfig) -> dict[str, Any]:
 def refuse(config: StudioConfig) -> None:
     """Raise ConfigError where a page cannot show what `config` says."""
     allowed: tuple[tuple[str, Any, Any], ...] = (
-        ("safety.kind", config.safety.kind, "none"),
-        ("robot.rating", config.robot.rating, "paper"),
-        ("task.terminate_on", config.task.terminate_on, "contact"),
         ("task.action", config.task.action, "joint"),
         ("human.clipping", config.human.clipping, "off"),
         ("disturbance", config.disturbance, "none"),
@@ -150,12 +149,13 @@ def _episode(session: Session) -> dict[str, Any]:
         "ball": draw.balls[0, 0].tolist(),
         "colour": int(draw.colours[0, 0]),
         "points": draw.points[0].tolist(),
+        "target_vel": session.state.target_vel[0].tolist(),
     }
     while recorded * CONTROL_STEP_S < RECORDED_S:
         if session.over:  # the person goes on, beside an arm that stands
             before, gone = session.state, session.walk
             result = engine.step(np.zeros((1, len(engine.scene.joints))))
-            clip = decision_clip(engine.scene, engine.episodes.subtask, before, gone, result, session.walk)
+            clip = decision_clip(engine.scene, engine.episodes.subtask, before, gone, result, engine.episodes.walks)
         else:
             clip = session.step().clip
         parts.append(clip.person[1:])
@@ -165,7 +165,7 @@ def _episode(session: Session) -> dict[str, Any]:
 
 def _packed(person: NDArray[np.float64]) -> dict[str, Any]:
     """Return rows of a clip's person as float32, without limbs where none is given."""
-    return constant(torch.from_numpy(person if np.isfinite(person[:, 5:]).any() else person[:, :5]))
+    return constant(torch.from_numpy(person if np.isfinite(person[:, 5:]).any() else person[:, :5]).float())
 
 
 def _body() -> dict[str, float]:

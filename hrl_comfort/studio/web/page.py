@@ -16,7 +16,7 @@ from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.output import output_file
 from hrl_comfort.studio.web.content import content
 
-BUNDLE = ("page.js", "mujoco.wasm")
+BUNDLE = ("page.js", "mujoco.wasm", "licenses.txt")
 """Files that `make page` writes to `dist/`."""
 
 
@@ -27,13 +27,14 @@ def export_page(config: StudioConfig) -> Path:
       ConfigError: the page's program is not built, the file is not this program's, or a policy does not fit.
     """
     output, here = Path(config.export or ""), files("hrl_comfort.studio.web")
-    program, wasm = (here / "dist" / name for name in BUNDLE)
-    if not (program.is_file() and wasm.is_file()):
+    program, wasm, licences = bundle = [here / "dist" / name for name in BUNDLE]
+    if not all(part.is_file() for part in bundle):
         raise ConfigError(f"export={config.export!r}: the page's program is not built; run make page (it needs Node)")
     with output_file(output):
         made = content(config)
         parts = {
             "title": html.escape(made["title"]),
+            "licences": html.escape(licences.read_text(encoding="utf-8")),
             "wasm": _packed(wasm.read_bytes()),
             "content": _packed(json.dumps(made, separators=(",", ":")).encode()),
             "program": program.read_text(encoding="utf-8").replace("</script", "<\\/script"),

@@ -67,16 +67,18 @@ def traced(graph: nn.Module, state: State, inputs: Sequence[str]) -> dict[str, A
     names = [f"%{name}" for name in signature.user_inputs]
     return {
         "inputs": dict(zip(names, inputs, strict=True)),
+        "shapes": {name: list(value.shape) for name, value in zip(inputs, given, strict=True)},
         "constants": constants,
         "nodes": nodes,
-        "output": f"%{output}",
+        "outputs": {"made": f"%{output}"},
     }
 
 
 def constant(tensor: Tensor) -> dict[str, Any]:
-    """Return a tensor as its shape and its float32 values, little-endian in base64."""
-    values = tensor.detach().float().contiguous().numpy().astype("<f4").tobytes()
-    return {"shape": list(tensor.shape), "float32": base64.b64encode(values).decode()}
+    """Return a tensor as its shape and its values, little-endian in base64: float64, or float32 of any other type."""
+    kind, form = ("float64", "<f8") if tensor.dtype == torch.float64 else ("float32", "<f4")
+    values = tensor.detach().contiguous().numpy().astype(form).tobytes()
+    return {"shape": list(tensor.shape), kind: base64.b64encode(values).decode()}
 
 
 def _call(name: str, node: fx.Node) -> tuple[str, list[Any]]:

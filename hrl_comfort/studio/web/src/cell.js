@@ -2,6 +2,7 @@
 
 import { compile } from "./graph.js";
 import { Person, limbPoses } from "./person.js";
+import { Safety } from "./safety.js";
 
 const row = (values) => ({ shape: [1, values.length], data: values });
 const one = (value) => ({ shape: [1], data: [value] });
@@ -25,10 +26,13 @@ export class Cell {
     this.data = new mujoco.MjData(this.model);
     this.nextStage = compile(content.stages.graph);
     this.options = content.options.map((option) => ({ ...option, act: compile(option.graph) }));
+    this.safety = new Safety(content.safety, content.person.step_s);
     this.person = new Person(content.person);
     this.level = content.level;
     this.episode = -1;
     this.counts = { success: 0, contact: 0, other: 0 };
+    /** Touches of the person, and those by an arm that moved fast towards them. */
+    this.touches = { all: 0, unsafe: 0 };
     this.watchers = [];
     this.reset();
   }
@@ -42,7 +46,9 @@ export class Cell {
     data.qvel.set(given.start.slice(joints, 2 * joints));
     this.target = given.start.slice(2 * joints);
     this.person.begin(table(given.walk));
-    this.state = { stage: 0, steps: 0, touching: false, contact: false, level: this.level, held: false };
+    this.pose();
+    this.safety.begin(given.target_vel, this.limbs);
+    this.state = { stage: 0, steps: 0, touching: false, contact: false, unsafe: false, level: this.level };
     this.ball = { place: given.ball, colour: given.colour };
     this.outcome = null;
     this.option = null;
@@ -53,11 +59,16 @@ export class Cell {
     this.choose();
   }
 
-  /** Write servo targets, person and props. */
+  /** Pose the person's limbs. */
+  pose() {
+    this.limbs = limbPoses(this.person.walk, this.content.body, this.content.floor);
+  }
+
+  /** Write servo targets and person. */
   control(targets) {
-    const { data, content } = this, { mocap_pos: places, mocap_quat: turns } = data;
-    data.ctrl.set(targets);
-    limbPoses(this.person.walk, content.body, content.floor).forEach((pose, limb) => {
+    const { mocap_pos: places, mocap_quat: turns } = this.data;
+    this.data.ctrl.set(targets);
+    this.limbs.forEach((pose, limb) => {
       places.set(pose.slice(0, 3), 3 * limb);
       turns.set(pose.slice(3), 4 * limb);
     });
@@ -90,13 +101,13 @@ export class Cell {
       points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
       colour: one(ball.colour), stage: one(stage), level: one(level), steps: one(state.steps),
       grasp_tolerance: one(content.tolerances.grasp), place_tolerance: one(content.tolerances.place),
-      home_tolerance: one(content.tolerances.home), share: one(1),
+      home_tolerance: one(content.tolerances.home), share: one(this.safety.share),
     };
   }
 
   /** Return the stage in force after this instant. */
   stageAfter() {
-    return this.nextStage(this.fields(this.state.stage, this.state.level))[0];
+    return this.nextStage(this.fields(this.state.stage, this.state.level)).made[0];
   }
 
   /** Start the option whose stages hold the one in force. */
@@ -115,43 +126,75 @@ export class Cell {
   /** Return the increments (rad a control step) that the option in force chooses now. */
   act() {
     const { act, first } = this.options[this.option];
-    return Array.from(act(this.fields(Math.max(this.state.stage - first, 0), this.state.level)));
+    return act(this.fields(Math.max(this.state.stage - first, 0), this.state.level)).made;
   }
 
   /** Run one control step of 20 ms, the first one of a decision after the policy has acted; true where a decision ended. */
   step() {
     if (this.outcome) this.reset();
-    const { content, state, data, model } = this, substeps = content.substeps;
+    const { content, state, data, model, safety } = this, substeps = content.substeps;
     if (state.steps === 0 && state.touching) return this.waitForPerson();
     if (!this.decision) {
       state.level = this.level;
       this.decision = { from: [...this.target], increment: this.act(), steps: 0 };
     }
-    const { from, increment } = this.decision;
-    this.person.advance();
+    const { from, increment, steps } = this.decision, before = this.target, touched = state.touching;
+    const ramp = (share) => from.map((angle, joint) => {
+      const [lowest, highest] = content.range[joint];
+      return Math.min(Math.max(angle + (steps + share) * increment[joint], lowest), highest);
+    });
+    const after = safety.drives ? safety.drive(before, increment, this.limbs) : ramp(1);
+    this.walk(after);
+    /** Readings with the first touch, before the physics resolves it. */
+    let touch = null;
     for (let k = 1; k <= substeps; k++) {
-      const ramp = (this.decision.steps * substeps + k) / substeps;
-      this.target = from.map((angle, joint) => {
-        const [lowest, highest] = content.range[joint];
-        return Math.min(Math.max(angle + ramp * increment[joint], lowest), highest);
-      });
-      this.control(this.target);
+      const share = k / substeps;
+      this.control(safety.drives ? before.map((angle, joint) => angle + share * (after[joint] - angle)) : ramp(share));
       this.mujoco.mj_step(model, data);
+      if (!touched && !touch && this.sensed("human").some(Boolean)) touch = { joint_pos: this.sensed("joint_pos"), joint_vel: this.sensed("joint_vel") };
     }
+    this.target = after;
     this.read();
+    if (state.touching && !touched) this.touch(touch);
     state.steps += 1;
     this.decision.steps += 1;
-    const before = state.stage;
+    const stage = state.stage;
     state.stage = this.stageAfter();
-    const failed = state.contact || state.hit !== null, late = state.steps >= this.limit(content.limits.episode);
-    const ended = state.stage > before || failed || late || this.decision.steps === content.action_repeat;
+    const failed = this.failedContact || state.hit !== null, late = state.steps >= this.limit(content.limits.episode);
+    const ended = state.stage > stage || failed || late || this.decision.steps === content.action_repeat;
     if (ended) this.endDecision(failed, late);
     return ended;
+  }
+
+  /** Let the person walk on for a control step, at most up to an arm that goes to some set-points. */
+  walk(target) {
+    const { person } = this, before = person.walk, limbs = this.limbs;
+    person.advance();
+    this.pose();
+    const share = this.safety.walked(target, limbs, this.limbs);
+    if (share === 1) return;
+    person.hold(before, share);
+    this.pose();
+  }
+
+  /** Count a touch, from the readings with it. */
+  touch(readings) {
+    const unsafe = this.safety.unsafe(readings, this.limbs);
+    this.touches.all += 1;
+    this.touches.unsafe += Number(unsafe);
+    this.state.unsafe ||= unsafe;
+  }
+
+  /** Whether a contact has ended the episode. */
+  get failedContact() {
+    return this.content.safety.terminate_on === "contact" ? this.state.contact : this.state.unsafe;
   }
 
   /** Let a person who stands in the way of the arm at its start walk on; the episode begins once they are gone. */
   waitForPerson() {
     this.person.advance();
+    this.pose();
+    this.safety.before = this.limbs;
     this.control(this.target);
     this.mujoco.mj_forward(this.model, this.data);
     this.state.contact = false;
@@ -162,7 +205,7 @@ export class Cell {
   endDecision(failed, late) {
     const { state, content } = this, success = state.stage >= content.stages.names.length;
     this.decision = null;
-    if (failed) this.finish(state.contact ? "contact" : `hit ${state.hit}`);
+    if (failed) this.finish(this.failedContact ? "contact" : `hit ${state.hit}`);
     else if (success) this.finish("success");
     else if (late) this.finish("out of time");
     else if (state.stage >= this.options[this.option].last) this.choose();

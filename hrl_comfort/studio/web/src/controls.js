@@ -14,6 +14,7 @@ export class Controls {
     $("levels").hidden = content.levels === null;
     $("no-levels").hidden = content.levels !== null;
     $("level").max = content.levels ?? 1;
+    for (const part of document.querySelectorAll(".drive")) part.hidden = !cell.safety.drives;
     $("ease").textContent = `${content.levels}: at ease`;
     $("level").addEventListener("input", () => this.setLevel(Number($("level").value)));
     $("run").addEventListener("click", () => this.toggle());
@@ -147,8 +148,12 @@ export class Controls {
     text("option", content.options.length > 1 ? `policy ${content.options[cell.option].name}` : "one policy");
     text("distance", cell.person.there ? `${cell.distance.toFixed(2)} m` : "nobody here");
     text("time", `${(state.steps * 0.02).toFixed(1)} s`);
-    text("counts", `${counts.success} done, ${counts.contact} touched, ${counts.other} else`);
+    const { touches, safety } = cell;
+    text("touches", `${touches.all}, ${touches.unsafe} unsafe`);
+    text("share", `${Math.round(100 * safety.share)} %`);
+    text("stops", String(safety.stops));
+    text("counts", `${counts.success} done, ${counts.contact + counts.other} failed`);
     $("free").hidden = !cell.person.byHand;
-    $("readout").classList.toggle("contact", state.contact);
+    $("readout").classList.toggle("contact", state.touching || cell.failedContact);
   }
 }

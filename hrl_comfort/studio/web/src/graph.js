@@ -1,9 +1,10 @@
-// Functions of the cell's state as `hrl_comfort.studio.web.trace` wrote them, evaluated in double precision.
+// Functions of the cell's state as hrl_comfort.studio.web's `trace` and `arrays` wrote them, evaluated in double precision.
 
 const size = (shape) => shape.reduce((product, count) => product * count, 1);
 const array = (shape, data) => ({ shape, data });
 const scalar = (value) => array([], [Number(value)]);
 const lift = (value) => (typeof value === "object" ? value : scalar(value));
+const same = (a, b) => a.length === b.length && a.every((length, axis) => length === b[axis]);
 const axisOf = (axis, x) => (axis < 0 ? axis + x.shape.length : axis);
 
 /** Apply `f` to each element. */
@@ -13,7 +14,14 @@ const map = (f) => (x) => array(x.shape, Array.from(x.data, f));
 const zip =
   (f) =>
   (...given) => {
-    const values = given.map(lift);
+    const values = given.map(lift), most = values.reduce((widest, x) => (x.data.length > widest.data.length ? x : widest));
+    if (values.every((x) => (x.shape.length <= most.shape.length && x.data.length === 1) || same(x.shape, most.shape))) {
+      // All of one shape, or single numbers.
+      const data = new Array(most.data.length), [a, b = a, c = a] = values.map((x) => x.data);
+      const [i, j, k] = [a, b, c].map((list) => Number(list.length > 1));
+      for (let index = 0; index < data.length; index++) data[index] = f(a[i * index], b[j * index], c[k * index]);
+      return array(most.shape, data);
+    }
     const rank = Math.max(...values.map((x) => x.shape.length));
     const padded = values.map((x) => [...Array(rank - x.shape.length).fill(1), ...x.shape]);
     const shape = Array.from({ length: rank }, (_, axis) => Math.max(...padded.map((own) => own[axis])));
@@ -45,10 +53,22 @@ function take(x, axis, places) {
 
 const range = (from, to, step = 1) => Array.from({ length: Math.max(0, Math.ceil((to - from) / step)) }, (_, k) => from + k * step);
 
+/** Return `f` of each list of elements along an axis, which is no more. */
+function lists(f, x, axis) {
+  const count = x.shape[axis], inner = size(x.shape.slice(axis + 1)), data = new Array(x.data.length / count);
+  for (let row = 0; row < data.length; row++) {
+    const list = new Array(count), first = Math.floor(row / inner) * count * inner + (row % inner);
+    for (let place = 0; place < count; place++) list[place] = x.data[first + place * inner];
+    data[row] = f(list);
+  }
+  return array(x.shape.filter((_, k) => k !== axis), data);
+}
+
 /** Reduce along some axes, all of them by default, with `f` of a list of elements. */
 const reduce =
   (f) =>
   (x, axes = [], keep = false) => {
+    if (axes.length === 1 && !keep) return lists(f, x, axisOf(axes[0], x));
     const chosen = (axes.length ? axes : range(0, x.shape.length)).map((axis) => axisOf(axis, x)).sort((a, b) => b - a);
     const kept = range(0, x.shape.length).filter((axis) => !chosen.includes(axis));
     const moved = ops.permute(x, [...kept, ...chosen]);
@@ -57,6 +77,14 @@ const reduce =
     const shape = x.shape.map((length, axis) => (chosen.includes(axis) ? 1 : length));
     return array(keep ? shape : kept.map((axis) => x.shape[axis]), data);
   };
+
+/** Replace each list of elements along an axis by a list of as many. */
+const along = (f) => (x, [dim]) => {
+  const axis = axisOf(dim, x), count = x.shape[axis], inner = size(x.shape.slice(axis + 1)), data = new Array(x.data.length);
+  for (let first = 0; first < data.length; first += count * inner)
+    for (let k = 0; k < inner; k++) f(range(0, count).map((place) => x.data[first + place * inner + k])).forEach((value, place) => (data[first + place * inner + k] = value));
+  return array(x.shape, data);
+};
 
 const reshaped = (x, shape) => {
   const missing = x.data.length / Math.abs(size(shape));
@@ -67,9 +95,10 @@ const ops = {
   same: (x) => x,
   getitem: (list, index) => list[index],
   sin: map(Math.sin), cos: map(Math.cos), tanh: map(Math.tanh), abs: map(Math.abs), neg: map((a) => -a),
-  sqrt: map(Math.sqrt), relu: map((a) => Math.max(a, 0)),
+  sqrt: map(Math.sqrt), exp: map(Math.exp), floor: map(Math.floor), relu: map((a) => Math.max(a, 0)),
   logical_not: map((a) => Number(!a)), bitwise_not: map((a) => Number(!a)),
   add: zip((a, b) => a + b), sub: zip((a, b) => a - b), mul: zip((a, b) => a * b), div: zip((a, b) => a / b),
+  maximum: zip((a, b) => (a > b ? a : b)), minimum: zip((a, b) => (a < b ? a : b)),
   eq: zip((a, b) => Number(a === b)), ne: zip((a, b) => Number(a !== b)),
   lt: zip((a, b) => Number(a < b)), le: zip((a, b) => Number(a <= b)),
   gt: zip((a, b) => Number(a > b)), ge: zip((a, b) => Number(a >= b)),
@@ -146,28 +175,49 @@ const ops = {
   },
   sum: reduce((list) => list.reduce((a, b) => a + b, 0)),
   amax: reduce((list) => Math.max(...list)),
+  amin: reduce((list) => Math.min(...list)),
+  argmin: reduce((list) => list.indexOf(Math.min(...list))),
+  all: reduce((list) => Number(list.every(Boolean))),
+  cumsum: along((list) => list.map(((sum) => (value) => (sum += value))(0))),
+  take_along_rows: (x, rows) => array(rows.shape, Array.from(rows.data, (row, column) => x.data[row * rows.data.length + column])),
+  gather(parts, shape, places) {
+    const given = parts.map(lift), data = given.length === 1 ? given[0].data : given.flatMap((part) => Array.from(part.data));
+    return array(shape, places.map((place) => data[place]));
+  },
   any: reduce((list) => Number(list.some(Boolean))),
 };
 
-function decoded({ shape, float32 }) {
-  const bytes = Uint8Array.from(atob(float32), (letter) => letter.charCodeAt(0));
-  return array(shape, Array.from(new Float32Array(bytes.buffer)));
+function decoded({ shape, float32, float64 }) {
+  const bytes = Uint8Array.from(atob(float64 ?? float32), (letter) => letter.charCodeAt(0));
+  return array(shape, Array.from(float64 === undefined ? new Float32Array(bytes.buffer) : new Float64Array(bytes.buffer)));
 }
 
-/** Return the function of a graph: fields {name: {shape, data}} of one row to the elements of its output. */
+/** Return the function of a graph: fields {name: {shape, data}} of one row to the elements of its outputs, by name.
+ *
+ * A field of another shape than the graph was made for is refused: it would broadcast to something else. */
 export function compile(graph) {
-  const fixed = new Map(Object.entries(graph.constants).map(([name, value]) => [`%${name}`, decoded(value)]));
-  const names = Object.entries(graph.inputs);
-  const resolve = (values) => (argument) =>
-    Array.isArray(argument) ? argument.map(resolve(values)) : typeof argument === "string" && argument[0] === "%" ? values.get(argument) : argument;
-  const run = (values, [name, op, args]) => values.set(`%${name}`, ops[op](...args.map(resolve(values))));
-  const known = (argument) =>
-    Array.isArray(argument) ? argument.every(known) : !(typeof argument === "string" && argument[0] === "%") || fixed.has(argument);
-  const nodes = graph.nodes.filter((node) => !(node[2].every(known) && run(fixed, node)));
+  const values = Object.fromEntries(Object.entries(graph.constants).map(([name, value]) => [`%${name}`, decoded(value)]));
+  const names = Object.entries(graph.inputs), outputs = Object.entries(graph.outputs);
+  const isName = (argument) => typeof argument === "string" && argument[0] === "%";
+  /** Return a function of nothing to what an argument is now. */
+  const bound = (argument) => {
+    if (isName(argument)) return () => values[argument];
+    if (!Array.isArray(argument) || typeof argument[0] === "number") return () => argument;
+    const parts = argument.map(bound);
+    return () => parts.map((part) => part());
+  };
+  const known = (argument) => (Array.isArray(argument) ? argument.every(known) : !isName(argument) || argument in values);
+  const steps = [];
+  for (const [name, op, given] of graph.nodes) {
+    const args = given.map(bound), apply = ops[op], step = () => (values[`%${name}`] = apply(...args.map((argument) => argument())));
+    given.every(known) ? step() : steps.push(step);
+  }
   return (fields) => {
-    const values = new Map(fixed);
-    for (const [place, name] of names) values.set(place, fields[name]);
-    for (const node of nodes) run(values, node);
-    return values.get(graph.output).data;
+    for (const [place, name] of names) {
+      if (!same(fields[name].shape, graph.shapes[name])) throw new Error(`${name}: shape [${fields[name].shape}] is not [${graph.shapes[name]}]`);
+      values[place] = fields[name];
+    }
+    for (const step of steps) step();
+    return Object.fromEntries(outputs.map(([name, place]) => [name, bound(place)().data]));
   };
 }

@@ -82,7 +82,7 @@ export class Headset {
 
   /** Left stick: walk; right stick: turn by 30°; A and B (X and Y): level up and down. */
   buttons(seconds, head) {
-    const { view, cell } = this.player;
+    const { view, cell, controls } = this.player;
     for (const { userData: { source } } of this.grips) {
       const pad = source?.gamepad;
       if (!pad) continue;
@@ -92,7 +92,7 @@ export class Headset {
         view.rig.position.addScaledVector(way, MOVE_M_S * Math.hypot(x, y) * seconds);
       }
       this.once(`${source.handedness} turn`, source.handedness === "right" && Math.abs(x) > 0.7, () => (view.rig.rotation.y -= Math.sign(x) * TURN_RAD));
-      const change = (by) => (cell.level = Math.min(Math.max(cell.level + by, 1), cell.content.levels ?? cell.level));
+      const change = (by) => controls.setLevel(cell.level + by);
       this.once(`${source.handedness} up`, pad.buttons[4]?.pressed, () => change(1));
       this.once(`${source.handedness} down`, pad.buttons[5]?.pressed, () => change(-1));
     }
@@ -117,6 +117,7 @@ export class Headset {
   write(head) {
     const { cell } = this.player;
     const text = [cell.content.levels === null ? "" : `level ${cell.level} of ${cell.content.levels}`, `${cell.outcome ?? cell.stage}   ${cell.distance.toFixed(1)} m`];
+    if (cell.safety.drives) text[0] = `${text[0]}   speed ${Math.round(10 * cell.safety.share) * 10} %`.trim();
     const behind = -BEHIND_M / Math.max(Math.hypot(head.x, head.z), 1e-3);
     this.board.position.set(behind * head.x, SIGN_M, behind * head.z);
     this.board.lookAt(head.x, SIGN_M, head.z);
@@ -126,7 +127,7 @@ export class Headset {
     pen.fillStyle = "#1d2a33";
     pen.fillRect(0, 0, 512, 192);
     pen.fillStyle = "#ffffff";
-    pen.font = "bold 56px system-ui, sans-serif";
+    pen.font = "bold 48px system-ui, sans-serif";
     pen.textAlign = "center";
     text.forEach((line, k) => pen.fillText(line, 256, 80 + 76 * k));
     this.texture.needsUpdate = true;

@@ -60,7 +60,7 @@ class Player {
       }
     }
     this.view.show(this.before, this.after, this.running && this.wait <= 0 ? this.debt / STEP_S : 1);
-    this.view.flash(this.cell.state.contact);
+    this.view.flash(this.cell.state.touching || this.cell.failedContact);
   }
 }
 
@@ -68,7 +68,7 @@ async function main() {
   const [wasm, packed] = await Promise.all([unpacked("wasm"), unpacked("content")]);
   const cell = new Cell(await loadMujoco({ wasmBinary: wasm }), JSON.parse(new TextDecoder().decode(packed)));
   const view = new View(document.getElementById("view"), cell), player = new Player(cell, view);
-  const controls = new Controls(player), headset = new Headset(player);
+  const controls = (player.controls = new Controls(player)), headset = new Headset(player);
   let last = null, drawn = null;
   view.renderer.setAnimationLoop((time) => {
     const passed = last === null ? 0 : (time - last) / 1000;

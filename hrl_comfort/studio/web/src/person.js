@@ -68,6 +68,7 @@ export class Person {
   begin(rows) {
     this.rows = rows;
     this.step = 0;
+    this.held = false;
     if (!this.byHand) this.walk = this.recorded(0);
   }
 
@@ -106,11 +107,26 @@ export class Person {
     this.target = { place: place.map((value) => shrink * value), yaw, limbs };
   }
 
+  /** Return a recorded walk from which one who was held up is still away, at most a step at the speed limit nearer. */
+  catchUp(next) {
+    const { place } = this.walk, offset = next.place.map((value, axis) => value - place[axis]), distance = hypot(...offset);
+    const share = min(1, (this.speedLimit * this.settings.step_s) / max(distance, 1e-9));
+    this.held = share < 1;
+    return { ...next, place: place.map((value, axis) => value + share * offset[axis]) };
+  }
+
+  /** Stop after a share of the step that was made from the walk `before`. */
+  hold(before, share) {
+    this.held = true;
+    this.walk = { ...before, place: before.place.map((value, axis) => value + share * (this.walk.place[axis] - value)) };
+  }
+
   /** Walk for one control step. */
   advance() {
     this.step += 1;
     if (!this.byHand) {
-      this.walk = this.recorded(this.step);
+      const next = this.recorded(this.step);
+      this.walk = this.held ? this.catchUp(next) : next;
       return;
     }
     const { step_s: duration, full_swing: swing, stride } = this.settings, { place, yaw, phase, limbs } = this.walk;

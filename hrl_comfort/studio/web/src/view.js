@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const FAR = 25, TRAIL = 150, LIMBS = 7;
+const ZONE_M = 0.25; // from the person's axis to the side of the body
 const CALM = new THREE.Color(0x2b7a5b), NEAR = new THREE.Color(0xc0392b);
 
 /** Return the three.js geometry of a MuJoCo geom or site in its own frame. */
@@ -113,6 +114,9 @@ export class View {
     this.handle = add(new THREE.CylinderGeometry(0.28, 0.28, 1.75, 12).rotateX(Math.PI / 2), new THREE.MeshBasicMaterial({ visible: false }));
     this.ring = add(new THREE.RingGeometry(0.3, 0.34, 48), new THREE.MeshBasicMaterial({ color: 0x2f6fb3, transparent: true, opacity: 0.6 }));
     this.ring.position.z = content.floor + 0.006;
+    /** The floor that the person may reach before the arm is slow. */
+    this.zone = add(new THREE.CircleGeometry(1, 64), new THREE.MeshBasicMaterial({ color: 0xe0a020, transparent: true, opacity: 0.35, depthWrite: false }));
+    this.zone.position.z = content.floor + 0.004;
     this.distance = this.line(2, 0x2b7a5b, 0.9);
     this.trail = this.line(TRAIL, 0xe6781e, 0.75);
     this.tool = [];
@@ -170,6 +174,10 @@ export class View {
     this.handle.position.set(x, y, content.floor + 0.875);
     this.ring.visible = cell.person.byHand && there;
     this.ring.position.setX(x).setY(y);
+    const { given, reach } = cell.safety;
+    this.zone.visible = given.shielded && there && reach > 0;
+    this.zone.position.setX(x).setY(y);
+    this.zone.scale.setScalar(ZONE_M + reach);
     this.draw(this.trail, this.tool);
     const tool = mix(before.tool, after.tool).toArray();
     this.distance.visible = there && !this.renderer.xr.isPresenting;

@@ -1,0 +1,50 @@
+// What stands between policy and arm, and where people stop: graphs of hrl_comfort.studio.web.safety, as sim.episodes uses them.
+
+import { compile } from "./graph.js";
+
+const row = (values) => ({ shape: [1, values.length], data: values });
+const limbRow = (poses) => ({ shape: [1, poses.length, 7], data: poses.flat() });
+
+export class Safety {
+  constructor(given, step) {
+    this.given = given;
+    this.step = step;
+    for (const name of ["drive", "gap", "walked", "closing"]) this[`${name}Graph`] = given[name] && compile(given[name]);
+  }
+
+  /** Whether set-points are rated, and perhaps shielded. */
+  get drives() {
+    return this.driveGraph !== null;
+  }
+
+  /** Begin an episode at some velocity of the set-points, rad/s, beside a person. */
+  begin(velocity, limbs) {
+    Object.assign(this, { velocity, trail: this.given.trail, share: 1, braking: false, stops: 0, reach: 0 });
+    this.before = limbs;
+  }
+
+  /** Return the set-points (rad) at the end of a control step in which the policy asks for increments (rad). */
+  drive(target, increment, limbs) {
+    const made = this.driveGraph({
+      joint_target: row(target), target_vel: row(this.velocity), asked: row(increment.map((angle) => angle / this.step)),
+      limbs: limbRow(limbs), limbs_before: limbRow(this.before), trail: { shape: [this.trail.length, 1], data: this.trail },
+    });
+    const braking = Boolean(made.braking[0]);
+    this.stops += Number(braking && !this.braking);
+    Object.assign(this, { velocity: made.target_vel, trail: made.trail ?? this.trail, share: made.share[0], braking, reach: made.reach?.[0] ?? 0, before: limbs });
+    return made.joint_target;
+  }
+
+  /** Return the share of a person's step, from limbs to limbs, that ends where they touch the arm; 1 if it is free. */
+  walked(target, before, limbs) {
+    if (!this.given.stops) return 1;
+    const fields = { joint_target: row(target), limbs: limbRow(limbs) };
+    if (this.gapGraph(fields).gap[0] > 0) return 1;
+    return this.walkedGraph({ ...fields, limbs_before: limbRow(before) }).share[0];
+  }
+
+  /** Return whether an arm with these readings, which begins to touch the person, hits them. */
+  unsafe({ joint_pos, joint_vel }, limbs) {
+    return this.closingGraph({ joint_pos: row(joint_pos), joint_vel: row(joint_vel), limbs: limbRow(limbs) }).speed[0] > this.given.unsafe_speed;
+  }
+}

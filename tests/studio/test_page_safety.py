@@ -1,0 +1,145 @@
+"""The page's rated drive, shield and contacts are those of Python."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hrl_comfort import humans
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, StudioConfig
+from hrl_comfort.config.compose import compose, environment
+
+pytest.importorskip("viser", reason="the extra [studio] is not installed")
+
+from hrl_comfort.safety.drive import SetPoints, make_drive
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.safety.shield import Memory
+from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.sim.people import share_walked
+from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web import content
+from hrl_comfort.studio.web.arrays import recorded
+from hrl_comfort.studio.web.safety import safety
+
+REFERENCE = Path("runs/reference/comfort/seed0")
+SHIELDED = ["robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact"]
+CHAIN = [*(f"policies.{name}={REFERENCE / name}" for name in ("pick", "place", "return")), "meta_controller=scripted"]
+HERE = Path(__file__).parent
+STEPS = 200
+"""Control steps, of 20 ms, of the episode that is played."""
+SPEEDING_UP = 20
+"""Control steps at its beginning in which the rating alone passes less than the whole speed."""
+
+
+def in_node(**given: Any) -> Any:
+    """Return what `play.mjs` makes of `given`."""
+    if shutil.which("node") is None or not Path("hrl_comfort/studio/web/node_modules/@mujoco").exists():
+        pytest.skip("the page's packages are not installed: make page")
+    done = subprocess.run(
+        ["node", str(HERE / "play.mjs")], input=json.dumps(given), capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+def rows_of(**fields: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Return the states of fields (N, ...) as the page has them."""
+    return [
+        {name: {"shape": value.shape[1:], "data": value[row].ravel().tolist()} for name, value in fields.items()}
+        for row in range(len(fields["trail"]))
+    ]
+
+
+@pytest.mark.parametrize(("bound", "states"), [("observed", 1000), ("worst", 200)])
+def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bound: str, states: int) -> None:
+    env = environment(compose("evaluate", ["task=cycle", "policy=expert", f"safety.bound={bound}", *SHIELDED]))
+    scene = build_scene(env.robot, env.cell, env.engine.substeps, env.task.balls)
+    graphs = safety(scene, env, humans.begin(env.human, np.array([[0.8, 0.2]])))
+    separation = Separation(scene)
+    drive = make_drive(scene, separation, env, states)
+    assert drive is not None and drive.shield is not None
+    rng, (low, high) = np.random.default_rng(0), scene.joint_range.T
+    angles = np.clip(scene.home + 0.8 * rng.normal(size=(states, len(low))), low + 0.05, high - 0.05)
+    velocity, asked = 0.5 * rng.normal(size=angles.shape), rng.normal(size=angles.shape)
+    radius, bearing, yaw, phase = rng.uniform([[0.2], [-3], [-3], [-3]], [[1.2], [3], [3], [3]], (4, states))
+    x, y = radius * np.cos(bearing), radius * np.sin(bearing)
+    swing = np.full(states, 0.3)
+    limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
+    earlier = limb_poses(x + 0.02 * rng.normal(size=states), y, yaw, phase, swing, scene.floor_z)
+    trail = rng.uniform(0, 0.6, (states, len(separation.arm.radius)))
+
+    now = separation.encounter(angles, limbs)
+    drive.shield.memory = Memory(separation.person.ends(earlier), trail.T.copy())
+    reach = drive.shield.reach(now, velocity)
+    after = drive.step(SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64)), asked, now)
+    room, gap = separation.gap(angles, earlier), now.apart.min(axis=0)
+    assert after.braking.any() and (gap < 0).any() and ((after.share > 0) & (after.share < 1)).any()
+    fields = {"joint_target": angles, "target_vel": velocity, "asked": asked, "limbs": limbs, "limbs_before": earlier}
+    fields |= {"joint_pos": angles, "joint_vel": velocity}
+    rows = rows_of(**{name: value[:, None] for name, value in fields.items()}, trail=trail[..., None])
+    wanted = {
+        "drive": {
+            "joint_target": after.angles, "target_vel": after.velocity, "share": after.share, "reach": reach,
+            "braking": after.braking, "trail": drive.shield.memory.trail.T,
+        },
+        "gap": {"gap": gap},
+        "walked": {"share": share_walked(room, gap)},
+        "closing": {"speed": separation.closing_speed(angles, velocity, limbs)},
+    }  # fmt: skip
+    for graph, outputs in wanted.items():
+        made = in_node(graph=graphs[graph], rows=rows)
+        for name, value in outputs.items():
+            theirs = np.array([row[name] for row in made], dtype=float)
+            assert np.abs(theirs - value.reshape(states, -1)).max() < 1e-9, (graph, name)
+
+
+@pytest.fixture(scope="module")
+def config() -> StudioConfig:
+    made = compose("studio", [*CHAIN, "task=cycle", "human=mixture", *SHIELDED])
+    assert isinstance(made, StudioConfig)
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(config: StudioConfig) -> dict[str, Any]:
+    """The content of a page with an episode of which STEPS control steps are recorded."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(content, "EPISODES", 1)
+        patch.setattr(content, "RECORDED_S", STEPS * CONTROL_STEP_S)
+        return content.content(config)
+
+
+def test_joints_go_behind_the_shield_where_they_go_in_python(config: StudioConfig, page: dict[str, Any]) -> None:
+    (theirs,) = in_node(content=page, steps=STEPS)
+    session = Session(config)
+    session.set_level(session.slider.value)
+    session.reset()
+    path = [session.still().joints]
+    while sum(map(len, path)) <= STEPS:
+        step = session.step()
+        assert not step.over and not bool(step.result.state.contact)  # they step back in Python alone
+        path.append(step.clip.joints[1:])
+    session.close()
+    assert min(theirs["shares"][SPEEDING_UP:]) < 0.9 and theirs["touched"] is None
+    assert len(theirs["joints"]) == STEPS + 1
+    assert np.abs(np.concatenate(path)[: STEPS + 1] - np.array(theirs["joints"])).max() < 1e-6
+
+
+def test_an_arm_slows_beside_a_person_by_hand_and_is_touched_slowly(page: dict[str, Any]) -> None:
+    (episode,) = in_node(content=page, steps=STEPS, hand=[0.05, -0.3])
+    assert min(episode["shares"][SPEEDING_UP:]) < 0.5 and episode["touched"] is not None
+    assert not episode["unsafe"] and episode["outcome"] is None
+
+
+def test_a_function_that_the_page_does_not_know_is_refused() -> None:
+    example = {"x": np.ones(3)}
+    for function in (np.arctan2, np.median):
+        with pytest.raises(ConfigError, match=f"the page cannot compute numpy's {function.__name__}"):
+            recorded(lambda x, function=function: {"y": function(x, x)}, example)
