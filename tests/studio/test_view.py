@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from types import SimpleNamespace
 
 import mujoco
@@ -61,7 +60,8 @@ def test_handles_at_the_hands_say_where_they_are_dragged_to() -> None:
         left, _ = view._handles
         assert np.allclose(left.position, CARRYING[0] - [0, 0, HIP_M])
         left.position = CARRYING[0] + [0.1, 0.0, 0.2 - HIP_M]
-        asyncio.run(left._impl_aux.update_cb[0](SimpleNamespace(target=left)))
+        with pytest.raises(StopIteration):  # the coroutine has run to its end
+            left._impl_aux.update_cb[0](SimpleNamespace(target=left)).send(None)
         assert np.allclose(moved[-1] - CARRYING, [[0.1, 0.0, 0.2], [0.0, 0.0, 0.0]])
         view.show_hands(None, moved.append)
         assert not view._handles
