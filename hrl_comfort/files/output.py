@@ -1,4 +1,4 @@
-"""Where a command may write: new files, and folders that this program made or found empty; one process at a time."""
+"""Places to write to: new files, and folders that this program made or found empty; one process at a time."""
 
 from __future__ import annotations
 

@@ -61,8 +61,14 @@ class PolicyGraph(nn.Module):
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return the increments (N, joints) for the inputs, in the order of `inputs`."""
-        state = State(**{**dict.fromkeys(NAMES), **dict(zip(self._inputs, values, strict=True))})  # type: ignore[arg-type]
-        return self._max_step_rad * self.actor.mode(self.normaliser(self._task.observe(state).float()))
+        observation = self._task.observe(state_of(self._inputs, values)).float()
+        return self._max_step_rad * self.actor.mode(self.normaliser(observation))
+
+
+def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
+    """Return a state with `values` in its fields `inputs`; the others are None, and a graph must not read them."""
+    given = {**dict.fromkeys(NAMES), **dict(zip(inputs, values, strict=True))}
+    return State(**given)  # type: ignore[arg-type]  # the fields that are not read
 
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:

@@ -26,7 +26,7 @@ from hrl_comfort.tasks.observations import share
 Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, A) in [-1, 1]."""
 Source = str | Function
-"""What `policy=` says; from Python also a map from observations to actions."""
+"""Value of `policy=`; from Python also a map from observations to actions."""
 
 
 def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:

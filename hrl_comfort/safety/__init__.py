@@ -1,1 +1,1 @@
-"""What stands between a policy and the arm: the arm's rating, and a shield for the person beside it."""
+"""Between a policy and the arm: the arm's rating, and a shield for the person beside it."""

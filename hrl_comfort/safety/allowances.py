@@ -1,4 +1,4 @@
-"""What the shield must allow for, where arm and person differ from the model."""
+"""Allowances that the shield must make, where arm and person differ from the model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is computed in some of N rows alone."""
+"""Computing in some of N rows alone."""
 
 from __future__ import annotations
 

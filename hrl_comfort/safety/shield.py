@@ -31,7 +31,7 @@ SERVO_SHARE = 0.7
 
 
 class PersonBound:
-    """How far any part of the person can get in a time, from what the sensors said up to now."""
+    """Bound on how far any part of the person gets in a time, from what the sensors said up to now."""
 
     def __init__(self, config: SafetyConfig) -> None:
         self._config = config

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, fx, nn
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.policies.graph import NAMES
+from hrl_comfort.policies.graph import state_of
 from hrl_comfort.tasks import State, Subtask
 
 OPS = {
@@ -37,8 +37,7 @@ class StageGraph(nn.Module):
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return the stages (N,) int64 for the inputs, in the order of `inputs`."""
-        state = State(**{**dict.fromkeys(NAMES), **dict(zip(self._inputs, values, strict=True))})  # type: ignore[arg-type]
-        return self._task.next_stage(state)
+        return self._task.next_stage(state_of(self._inputs, values))
 
 
 def traced(graph: nn.Module, state: State, inputs: Sequence[str]) -> dict[str, Any]:
