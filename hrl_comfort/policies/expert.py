@@ -20,6 +20,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
 from hrl_comfort.policies.scripted import StageGoals
 from hrl_comfort.scene.human import ARM_RADIUS_M, SHOULDER_HALF_WIDTH_M, SHOULDER_M, TRUNK_RADIUS_M
+from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask
 
@@ -53,9 +54,15 @@ NEGLIGIBLE = 2e-3
 
 
 class Expert:
-    """Policy for any rows of any subtask; a function of the state."""
+    """Policy for any rows of any subtask; a function of the state.
+
+    Raises:
+      ConfigError: the arm is none of UR_ARMS, whose postures it knows.
+    """
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
+        if config.robot.name not in UR_ARMS:
+            raise ConfigError(f"policy=expert does not move robot.name={config.robot.name}, but {', '.join(UR_ARMS)}")
         self._goals = StageGoals("expert", config, subtask)
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.action_repeat

@@ -72,10 +72,10 @@ class PotentialField:
         self._homing = mink.PostureTask(model, cost=1.0)
         speed = self._step / CONTROL_STEP_S
         names = [model.geom(index).name for index in range(model.ngeom)]
-        arm = [name for name in names if name.startswith("robot/") and name != "robot/base"]
         owners = {name: model.body(model.geom(name).bodyid[0]).name for name in names}
+        arm = [name for name in names if name.startswith("robot/") and owners[name] != "robot/base"]
         person = [name for name in names if owners[name] in LIMBS]
-        cell = ["robot/base", *(name for name in names if owners[name] in OBSTACLES)]
+        cell = [name for name in names if owners[name] in ("robot/base", *OBSTACLES)]
         self._limits = [
             mink.ConfigurationLimit(model),
             mink.VelocityLimit(model, dict.fromkeys(scene.joints, speed)),

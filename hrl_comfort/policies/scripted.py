@@ -7,7 +7,6 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import by_stage
 
@@ -16,7 +15,7 @@ class StageGoals:
     """Goals of the stages in force, for a policy that acts on the joints.
 
     Raises:
-      ConfigError: actions are not joint increments, or the arm is none of UR_ARMS.
+      ConfigError: actions are not joint increments.
     """
 
     def __init__(self, policy: str, config: EnvConfig, subtask: Subtask) -> None:
@@ -24,8 +23,6 @@ class StageGoals:
             raise ConfigError(
                 f"task.action={config.task.action!r} is not allowed with policy={policy}; choose task.action=joint"
             )
-        if config.robot.name not in UR_ARMS:
-            raise ConfigError(f"policy={policy} does not move robot.name={config.robot.name}, but {', '.join(UR_ARMS)}")
         self._goal = by_stage(subtask.stages, lambda stage: stage.goal)
         self._homeward = torch.tensor([stage.joint_space for stage in subtask.stages])
 

@@ -55,8 +55,9 @@ def test_field_stays_farther_at_level_1_than_at_level_10_and_succeeds_at_both() 
     assert cautious[1] > easy[1] + 0.04
 
 
-def test_field_solves_pick_beside_nobody() -> None:
-    assert success_and_distance(configured("task=pick", "human=none"))[0] == 1.0
+@pytest.mark.parametrize("robot", [("robot=ur3e",), ("robot=jaco", "task.max_step_deg=0.72")])
+def test_field_solves_pick_beside_nobody(robot: tuple[str, ...]) -> None:
+    assert success_and_distance(configured("task=pick", "human=none", *robot))[0] == 1.0
 
 
 def test_field_brings_a_cycle_home() -> None:

@@ -161,6 +161,7 @@ def test_a_seven_joint_arm_runs_episodes(module: str) -> None:
     episodes = hrl_comfort.evaluate(lambda seen: np.zeros((len(seen), 7)), task="reach", episodes=2, **short)
     assert (episodes["human_distance_min_m"] > 0).all()
     assert len(hrl_comfort.evaluate("random", task="reach", episodes=2, **{**short, "task.action": "cartesian"})) == 2
+    assert len(hrl_comfort.evaluate("potential_field", task="reach", episodes=2, **short)) == 2
     with pytest.raises(ConfigError, match=r"returned shape \(2, 6\); actions have shape \(2, 7\)"):
         hrl_comfort.evaluate(lambda seen: np.zeros((len(seen), 6)), task="reach", episodes=2, **short)
     with pytest.raises(ConfigError, match=r"policy=expert does not move robot.name=my_arm:SEVEN, but ur3e, ur"):
