@@ -29,8 +29,11 @@ from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import build_scene
 
 REFERENCE = [f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")]
+SHIELDED = [f"policies.{name}=runs/reference/shielded/seed0/{name}" for name in ("pick", "place", "return")]
+BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
 POLICIES = {
     "reference cycle": ["task=cycle", "meta_controller=scripted", *REFERENCE],
+    "shielded cycle": ["task=cycle", "meta_controller=scripted", *SHIELDED, *BEHIND],
     "random": ["task=pick", "policy=random"],
     "potential_field": ["task=pick", "policy=potential_field"],
     "expert": ["task=pick", "policy=expert"],
