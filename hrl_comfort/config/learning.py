@@ -98,7 +98,7 @@ class AgentConfig:
     matmul_precision: Annotated[str, choice("highest", "high", "medium")]
     """Inner precision of float32 matrix products (`torch.set_float32_matmul_precision`)."""
     demonstrator: str | None
-    """Policy in `demonstrator_envs` environments: `potential_field`, `expert` or a run folder; null for none."""
+    """Policy in `demonstrator_envs` environments: what `policy=` takes, but not `random`; null for none."""
     demonstrator_envs: Annotated[int, within(0, 65535)]
     """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
     bc_weight: Annotated[float, within(0.0, 1e6)]

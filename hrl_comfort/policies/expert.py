@@ -57,12 +57,15 @@ class Expert:
     """Policy for any rows of any subtask; a function of the state.
 
     Raises:
-      ConfigError: the arm is none of UR_ARMS, whose postures it knows.
+      ConfigError: the robot is not one of UR_ARMS.
     """
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         if config.robot.name not in UR_ARMS:
-            raise ConfigError(f"policy=expert does not move robot.name={config.robot.name}, but {', '.join(UR_ARMS)}")
+            raise ConfigError(
+                f"robot.name={config.robot.name} is not allowed with policy=expert; "
+                f"choose one of {', '.join(UR_ARMS)}, or policy=potential_field"
+            )
         self._goals = StageGoals("expert", config, subtask)
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.action_repeat

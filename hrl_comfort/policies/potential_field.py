@@ -85,7 +85,7 @@ class PotentialField:
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
-        """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
+        """Return actions (N, J) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
         goals, homeward = self._goals(state)
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
         radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
@@ -113,7 +113,7 @@ class PotentialField:
         data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
 
     def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: bool) -> Array:
-        """Return the joints (6,) rad after one control step."""
+        """Return the joints (J,) rad after one control step."""
         self._configuration.update(joints)
         tool = self._configuration.data.site("robot/tcp").xpos.copy()
         tasks: list[mink.Task]

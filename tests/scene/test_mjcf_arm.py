@@ -164,7 +164,7 @@ def test_a_seven_joint_arm_runs_episodes(module: str) -> None:
     assert len(hrl_comfort.evaluate("potential_field", task="reach", episodes=2, **short)) == 2
     with pytest.raises(ConfigError, match=r"returned shape \(2, 6\); actions have shape \(2, 7\)"):
         hrl_comfort.evaluate(lambda seen: np.zeros((len(seen), 6)), task="reach", episodes=2, **short)
-    with pytest.raises(ConfigError, match=r"policy=expert does not move robot.name=my_arm:SEVEN, but ur3e, ur"):
+    with pytest.raises(ConfigError, match=r"my_arm:SEVEN is not allowed with policy=expert; choose one of ur3e, ur"):
         hrl_comfort.evaluate("expert", task="reach", episodes=2, **short)
 
 

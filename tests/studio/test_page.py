@@ -89,7 +89,7 @@ def test_a_person_dragged_to_the_arm_is_nearer_and_the_level_matters(shown: Show
 
     shown.click("Pause")
     until(lambda: not shown.studio.loop.running, "paused")
-    shown.click("Reset")  # a person by hand stays where an episode begins: none may end on their way
+    shown.click("Reset")  # an episode that ended during the drag would leave the person where they are
     until(lambda: int(shown.session.state.steps) == 0, "a new episode")
     (client,) = shown.studio.page.get_clients().values()
     x, y = shown.session.walk.position[0]
