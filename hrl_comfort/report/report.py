@@ -53,10 +53,11 @@ def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
                     "human": str(group["human"]),
                     "comfort level": str(group.get("comfort_level") or "off"),
                     "precision (cm)": "–" if precision is None else f"{100 * precision:g}",
+                    "split": str(group.get("split") or "–"),
                     **{
                         SHOWN.get(key, key): SPAWNS.get(str(group[key]), str(group[key]))
                         for key in group
-                        if key not in (*KEYS, "episodes", "metrics")
+                        if key not in (*KEYS, "episodes", "metrics") and group[key] is not None
                     },
                     "episodes": str(group["episodes"]),
                     **dict(zip(HEADS, cells(group["metrics"], HEADLINE), strict=True)),

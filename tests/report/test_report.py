@@ -362,6 +362,14 @@ def test_levels_stand_beside_each_other_with_totals_beside_seen_and_unseen(demo,
     assert not report.levels(run_folder.find_runs(demo))
 
 
+def test_the_split_is_told_and_spawns_only_where_episodes_have_them(demo, tmp_path):
+    shutil.copytree(demo / "pick", tmp_path / "pick")
+    drawn = read_table(tmp_path / "pick" / "eval" / "episodes.csv").assign(seen=None, split="validation")
+    write_json(tmp_path / "pick" / "eval" / "summary.json", summarise(drawn, ["seen"], 500))
+    (row,) = report.headline(run_folder.find_runs(tmp_path / "pick"))
+    assert row["split"] == "validation" and "spawns" not in row
+
+
 def test_totals_are_found_for_summaries_of_another_folder_and_without_a_split(demo):
     episodes = run_folder.find_runs(demo)[0].episodes
     groups = summarise(episodes.assign(policy="elsewhere", split="paper"), ["seen"], 500)["groups"]
