@@ -39,10 +39,12 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
 
 @lru_cache(maxsize=64)  # a client makes many equal environments, and composing one takes longer than building it
 def _composed(overrides: tuple[str, ...]) -> EnvConfig:
+    from hrl_comfort.config import TrainConfig
     from hrl_comfort.config.compose import compose, environment
 
     config = compose("train", overrides)
-    return environment(config)  # type: ignore[arg-type]  # the root `train` is a TrainConfig
+    assert isinstance(config, TrainConfig)
+    return environment(config)
 
 
 def load(task: str = "pick", seed: int = 0, flat_observation: bool = False, **choices: object) -> Environment:

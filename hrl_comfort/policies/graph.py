@@ -97,10 +97,11 @@ def description(task: Subtask, inputs: Sequence[str], config: EnvConfig, spec: d
 
 def field_meanings() -> dict[str, str]:
     """Return shape, unit and meaning of each field of State, from its docstring."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(State))).body[0].body  # type: ignore[attr-defined]
+    (state,) = ast.parse(textwrap.dedent(inspect.getsource(State))).body
+    assert isinstance(state, ast.ClassDef)
     return {
         each.target.id: " ".join(ast.literal_eval(text.value).split())
-        for each, text in pairwise(body)
+        for each, text in pairwise(state.body)
         if isinstance(each, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(each.target, ast.Name)
     }
 

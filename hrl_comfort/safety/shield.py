@@ -54,7 +54,7 @@ class PersonBound:
 
 @dataclass(frozen=True)
 class Memory:
-    """What the shield of N cells keeps from one control step to the next."""
+    """Memory of the shield of N cells from one control step to the next."""
 
     seen: Array
     """(3, P, 2, N) m, ends of the person's capsules at the control step before."""

@@ -1,4 +1,4 @@
-"""What the arms are rated for: speeds, accelerations and stops, with their sources.
+"""Ratings of the arms: speeds, accelerations and stops, with their sources.
 
 Joint speeds: e-series datasheets. Accelerations: Universal Robots publish none; what the arm can do is read from
 the stops of category 0 from 183 deg/s (3.19 rad/s) at full reach and payload in the appendices of the manuals of

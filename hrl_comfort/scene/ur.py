@@ -36,7 +36,7 @@ NONE: Six = (0.0,) * 6
 
 @dataclass(frozen=True)
 class Deltas:
-    """What one arm's DH parameters differ by from those of its model, in joint order."""
+    """Differences of one arm's DH parameters from those of its model, in joint order."""
 
     theta_rad: Six = NONE
     a_m: Six = NONE

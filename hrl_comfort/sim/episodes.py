@@ -80,7 +80,7 @@ class Episodes:
         self.episode = np.full(rows, -1, dtype=np.int64)
         self._ready = np.zeros(rows, dtype=bool)
         self.draw = self.sampler.blank(rows)
-        """What was drawn for the episode of each row."""
+        """Values drawn for the episode of each row."""
         self.source = make_source(config.comfort, rows)
         paid = source == "frightened" or (config.comfort.distance == "arm" and source != "none")
         self._separation = Separation(scene)
@@ -99,7 +99,7 @@ class Episodes:
         self._planned: dict[str, NDArray[Any]] = {}
         self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
         self._arm: humans.ArmSource | None = None
-        """What the human sees of the arm while a decision lasts: the arm at its beginning."""
+        """Arm as the human sees it while a decision lasts: the arm at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.

@@ -16,7 +16,7 @@ WINDOW_S = 5.0
 
 
 class Play(Protocol):
-    """What the loop runs."""
+    """Play that the loop runs."""
 
     def advance(self) -> float:
         """Run one decision; return how much simulated time its pictures last, s."""

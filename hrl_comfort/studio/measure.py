@@ -20,6 +20,7 @@ import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.config import ConfigError, StudioConfig
@@ -52,8 +53,8 @@ class Viewer:
         self._seen: set[str] = set()
         self._socket = connect(
             address.replace("http", "ws", 1),
-            subprotocols=[f"viser-v{viser.__version__}"],
-            max_size=None,  # type: ignore[list-item]
+            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+            max_size=None,
         )
         self._thread = threading.Thread(target=self._read, name="viewer", daemon=True)
         self._thread.start()

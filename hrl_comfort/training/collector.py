@@ -158,7 +158,7 @@ def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
     assert source is not None
     if source == "random":
         raise ConfigError(
-            "agent.demonstrator=random demonstrates nothing; choose potential_field, expert or a run folder"
+            "agent.demonstrator=random demonstrates nothing; choose expert, potential_field or a trained policy"
         )
     try:
         act = make_policy(source, episodes.subtask, env.engine.scene, environment(config), config.train_seed)

@@ -93,8 +93,9 @@ def _call(name: str, node: fx.Node) -> tuple[str, list[Any]]:
 
 def _narrows(node: fx.Node) -> bool:
     """Return whether a cast changes values: to an integer or a bool."""
-    (source, *_), target = node.args, node.kwargs.get("dtype")
-    return target is not None and not torch.can_cast(source.meta["val"].dtype, target)  # type: ignore
+    source, target = node.args[0], node.kwargs.get("dtype")
+    assert isinstance(source, fx.Node)
+    return isinstance(target, torch.dtype) and not torch.can_cast(source.meta["val"].dtype, target)
 
 
 def _unlike_the_page(name: str, args: tuple[Any, ...]) -> bool:
