@@ -121,7 +121,7 @@ SIZES = {
     "level": (), "balls": (1, 3),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
-FLAGS = ("braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")
+FLAGS = ("human_shown", "braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")
 ROWS = 4
 
 

@@ -19,7 +19,7 @@ OTHERS, BALL = 18, 9
 def meta_observation(state: State, levels: int) -> Tensor:
     """Return (N, OTHERS + BALL * B).
 
-    Person (2) and their facing direction (2, zero where the policy is not shown their true position), tool (3),
+    Person (2) and their facing direction (2, zero where their position is clipped or masked), tool (3),
     joints from home (6), stage of the round (3), level and whether there is one (2); of each ball its position
     (3), its drop point (2), the person's distance from both (2), whether it is placed and whether it is the
     target (2).
@@ -41,8 +41,7 @@ def meta_observation(state: State, levels: int) -> Tensor:
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
-    seen = (state.human_seen == state.human_pos).all(dim=-1, keepdim=True)
-    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * seen
+    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * state.human_shown[:, None]
     told = torch.stack([ease, leveled.double()], dim=-1)
     parts = [human(state), facing, tool(state), joint_error(state), stage, told, balls.flatten(1)]
     return torch.cat(parts, dim=-1).float()

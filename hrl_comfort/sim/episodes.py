@@ -323,7 +323,7 @@ class Episodes:
         self, walk: humans.Walk, places: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
     ) -> dict[str, NDArray[Any]]:
         seen = humans.seen_position(self.config.human, places, self.sampler.spawns)
-        return planned_fields(walk, seen, limbs, points, steps)
+        return planned_fields(walk, places, seen, limbs, points, steps)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, as tensors and plain numbers."""

@@ -18,11 +18,12 @@ Array = NDArray[np.float64]
 
 
 def planned_fields(
-    walk: Walk, seen: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
+    walk: Walk, places: Array, seen: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
     """Return the fields (n, ...) that are known before the physics runs, and the `limbs` (n, L, 7).
 
-    `seen` (n, 2) m is where the human is seen, `steps` (n,) the control steps of the episode afterwards.
+    `places` (n, 2) m are where the human was measured, `seen` (n, 2) m where policies see them, `steps` (n,) the control
+    steps of the episode afterwards.
     """
     return {
         "joint_target": points.angles,
@@ -34,6 +35,7 @@ def planned_fields(
         "human_pos": walk.position,
         "human_yaw": walk.yaw,
         "human_seen": seen,
+        "human_shown": (seen == places).all(axis=1),
         "steps": steps,
         "limbs": limbs,
     }

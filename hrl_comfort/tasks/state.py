@@ -43,7 +43,9 @@ class State:
     human_yaw: Tensor
     """(N,) rad."""
     human_seen: Tensor
-    """(N, 2) m, the human's position as the policy observes it (clipping, masking)."""
+    """(N, 2) m, the human's position as the policy observes it (tracker, clipping, masking)."""
+    human_shown: Tensor
+    """(N,) bool, `human_seen` is where the human was measured, neither clipped nor masked."""
     ball_pos: Tensor
     """(N, 3) m, position of the target ball before it is picked."""
     drop_pos: Tensor

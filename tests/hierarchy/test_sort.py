@@ -255,6 +255,23 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
         assert seen.shape == (8, OTHERS + BALL * 4) == (8, 18 + 9 * 4) and bool(seen.isfinite().all())
 
 
+TRACKER = ("randomise.person_noise_m=[0.02,0.02]", "randomise.person_rate_hz=[10,10]")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "shown"),
+    [((), True), (TRACKER, True), (("human.masked=true",), False), (("human.clipping=full", *TRACKER), False)],
+)
+def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped_or_masked(
+    overrides: tuple[str, ...], shown: bool
+) -> None:
+    engine = Engine(config("human=patrol", *overrides), 8, 0)
+    engine.reset()
+    state = engine.step(np.zeros((8, 6))).state
+    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1).float() * shown
+    assert torch.equal(meta_observation(state, 10)[:, 2:4], facing)
+
+
 def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     folder = tmp_path / "meta_controller"
     overrides = [
