@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hrl_comfort.comfort.sources import Live
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.deploy.links import Link
+from hrl_comfort.deploy.predictor import Predictor
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 APPROACH_SHARE, APPROACH_GAIN = 0.25, 1.5
 """Way to the start of an episode: largest share of `task.max_step_deg`, and speed over the angle that is left, 1/s."""
 AT_START_RAD = 2e-3
+PATIENCE_S = 60.0
+"""Longest time for the way to the start, on which the shield may wait for people."""
 CHECKED_RAD = np.radians(1.0)
 """Distance of the poses that are checked on the way."""
 AT_ONCE_M_S = 1e3
@@ -65,7 +68,7 @@ class RobotEngine(Engine):
         """Take the arm to the start of the episode `index` of the entries and begin it; return its first state.
 
         Raises:
-          StoppedError: the way there is not free, or the arm was stopped on it.
+          StoppedError: no way there is free, or the arm was stopped on it.
         """
         first = self._begin(index)
         self._approach(first.joint_pos[0].numpy())
@@ -121,37 +124,58 @@ class RobotEngine(Engine):
         return self.episodes.state
 
     def _begin(self, index: int) -> State:
+        safety = self.episodes.config.safety
+        self._predictor = Predictor(safety.lag_s, safety.latency_s, self.link.report.point)
         return super().reset(np.zeros(1, dtype=np.int64), self._entries.part(index, index + 1))
 
     def _approach(self, start: Array) -> None:
-        """Move the arm straight to the joint angles `start` (J,) rad, slowly and behind the shield."""
-        self._check_way(start)
+        """Move the arm to the joint angles `start` (J,) rad, slowly and behind the shield, which waits for people."""
         largest = np.radians(self.episodes.config.task.max_step_deg)
         assert self.episodes.state is not None
         state = self.episodes.state
         here = self.link.report.reading
         measured = {"joint_pos": here.angles, "joint_vel": here.velocity}
         self.episodes.state = state.with_(**{k: torch.from_numpy(v[None].copy()) for k, v in measured.items()})
-        state = self._follow()
-        while np.abs(left := start - self.link.report.point).max() > AT_START_RAD:
-            asked = APPROACH_GAIN * CONTROL_STEP_S * left / largest
-            result = self._control_step((asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE))[None])
-            if hit := [name for name in COLLISIONS if bool(getattr(result.state, name))]:
-                raise StoppedError(f"on the way to the start: {hit[0].replace('_', ' ')}")
+        self._follow()
+        left_steps = round(PATIENCE_S / CONTROL_STEP_S)
+        for goal in self._way(start):
+            while np.abs(left := goal - self.link.report.point).max() > AT_START_RAD:
+                asked = APPROACH_GAIN * CONTROL_STEP_S * left / largest
+                state = self._control_step((asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE))[None]).state
+                if bool(self.episodes.subtask.failure(state)):
+                    hit = [name for name in (*COLLISIONS, "unsafe_contact") if bool(getattr(state, name))]
+                    raise StoppedError(f"on the way to the start: {hit[0].replace('_', ' ')}")
+                left_steps -= 1
+                if not left_steps:
+                    raise StoppedError(
+                        f"on the way to the start: not there after {PATIENCE_S:g} s, somebody is in the way"
+                    )
         self.link.rest()
 
-    def _check_way(self, start: Array) -> None:
-        """Raise StoppedError unless the arm can go straight to the joint angles `start` (J,) rad."""
+    def _way(self, start: Array) -> list[Array]:
+        """Return the joint angles (J,) rad to go straight to, one after the other: `start`, or home before it.
+
+        Raises:
+          StoppedError: neither way is free.
+        """
         here = self.link.report.reading.angles
-        count = int(np.ceil(np.abs(start - here).max() / CHECKED_RAD)) + 1
+        for way in ([start], [self.scene.home, start]):
+            if not (touched := next(filter(None, map(self._touched, [here, *way], way)), "")):
+                return way
+        degrees = np.degrees(here).round().astype(int).tolist()
+        raise StoppedError(
+            f"the way from {degrees} degrees to the start would touch the {touched}: move the arm by hand"
+        )
+
+    def _touched(self, begin: Array, end: Array) -> str:
+        """Return what the arm would touch straight from `begin` to `end` (J,) rad: table, self, or nothing."""
+        count = int(np.ceil(np.abs(end - begin).max() / CHECKED_RAD)) + 1
         for share in np.linspace(0.0, 1.0, max(count, 2)):
-            sensed = self._sense(here + share * (start - here), np.zeros_like(here))
+            sensed = self._sense(begin + share * (end - begin), np.zeros_like(begin))
             for key in ("table", "self"):
                 if sensed[self.scene.sensors[key]].any():
-                    degrees = np.degrees(here).round().astype(int).tolist()
-                    raise StoppedError(
-                        f"the way from {degrees} degrees to the start would touch the {key}: move the arm by hand"
-                    )
+                    return key
+        return ""
 
     def _sense(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
         """Return the sensors (nsensor,) of the model at joint angles and velocities (J,), beside those of `control`."""
@@ -170,7 +194,8 @@ class RobotEngine(Engine):
         report = self.link.step(control[0, 0, : len(self.scene.home)])
         if report.stopped:
             raise StoppedError(report.stopped)
-        reading = report.reading
+        self._predictor.follow(report.point)
+        reading = self._predictor.ahead(report.reading)
         sensed = self._sense(reading.angles, reading.velocity, control[0, 0])
         reached = np.concatenate([[0.0], reading.angles, reading.velocity])
         return reached[None, None], sensed[None, None]

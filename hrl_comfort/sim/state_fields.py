@@ -22,8 +22,8 @@ def planned_fields(
 ) -> dict[str, NDArray[Any]]:
     """Return the fields (n, ...) that are known before the physics runs, and the `limbs` (n, L, 7).
 
-    `places` (n, 2) m are where the human was measured, `seen` (n, 2) m where policies see them, `steps` (n,) the control
-    steps of the episode afterwards.
+    `places` (n, 2) m are where the human was measured, `seen` (n, 2) m where policies see them, `steps` (n,) the
+    control steps of the episode afterwards.
     """
     return {
         "joint_target": points.angles,

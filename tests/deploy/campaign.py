@@ -1,7 +1,10 @@
 """Cycles on a fake UR: `python -m tests.deploy.campaign docs/tables/robot_cycles.csv 100`.
 
-The arm's network has 20 ms latency in each direction, up to 2 ms jitter, and loses 1 % of its packages. A run lasts ten
-cycles or until the arm is stopped; the next one goes on with the cycle after. A line of the table is a run.
+The arm's network has 20 ms latency in each direction, up to 2 ms jitter, and loses 1 % of its packages. The policies
+were trained behind the shield; beside them walk people who keep to the acceleration that the shield assumes. A run
+lasts ten cycles or until the arm is stopped; the next one goes on with the cycle after. A line of the table is a run.
+
+`python -m tests.deploy.campaign TABLE 100 simulated` runs them in simulated time, with the same delays and losses.
 """
 
 from __future__ import annotations
@@ -10,18 +13,24 @@ import os
 import sys
 import tempfile
 import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pandas import DataFrame
 
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
 from hrl_comfort.config.compose import compose
-from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
-from hrl_comfort.deploy.links import STREAMER, Paced, prefer
-from hrl_comfort.deploy.runner import Run
+from hrl_comfort.deploy.arms import PERIOD_S, Reading, SimulatedArm
+from hrl_comfort.deploy.links import STREAMER, Link, Lockstep, Paced, prefer
+from hrl_comfort.deploy.runner import Run, rehearse
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, TICKS, Limits
 from hrl_comfort.deploy.ur import UrArm
@@ -30,42 +39,84 @@ from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 from tests.deploy.fake_ur import Faults, fake_ur
 
+Array = NDArray[np.float64]
 HOST = f"127.9.{os.getpid() % 250}.1"
 LATENCY_S, JITTER_S, LOSS = 0.02, 0.002, 0.01
-CHAIN = [f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")]
+CHAIN = [f"policies.{name}=runs/reference/shielded/seed2/{name}" for name in ("pick", "place", "return")]
+BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
+JUMPING = ("random_walk", "approach")
+"""Motions of `mixture` without a bound on acceleration: beside them the shield has to stop."""
 RUN_CYCLES = 10
 EMPTY_PERIODS = 2500
 
 
 def config(episodes: int, *more: str) -> DeployConfig:
-    fixed = ["task=cycle", "meta_controller=scripted", "human=still", "confirm=yes", "output=none"]
-    found = compose("deploy", [*CHAIN, *fixed, f"episodes={episodes}", *more])
+    fixed = ["task=cycle", "meta_controller=scripted", "human=mixture", "confirm=yes", "output=none"]
+    late = f"safety.latency_s={2 * LATENCY_S}"
+    found = compose("deploy", [*CHAIN, *BEHIND, *fixed, late, f"episodes={episodes}", *more])
     assert isinstance(found, DeployConfig)
-    return found
+    people = {name: each for name, each in found.human.mixture.items() if name not in JUMPING}
+    return replace(found, human=replace(found.human, mixture=people))
 
 
 def limits_of(asked: DeployConfig, scene: Scene) -> Limits:
     return Limits(rating_of(asked.robot), ArmGeometry(scene), *scene.joint_range.T)
 
 
-def cycles(table: Path, count: int) -> None:
-    """Run cycles on the fake robot; write what was measured after each run."""
+class LateArm(SimulatedArm):
+    """An arm in simulated time at the other end of the network."""
+
+    def __init__(self, model: mujoco.MjModel, start: Array, seed: int) -> None:
+        super().__init__(model, start)
+        periods = round(LATENCY_S / PERIOD_S)
+        self._there, self._back = deque([start] * periods), deque([super().read()] * periods)
+        self._rng, self._newest = np.random.default_rng(seed), super().read()
+
+    def send(self, angles: Array) -> None:
+        self._there.append(self._there[-1] if self._rng.random() < LOSS else angles.copy())
+        super().send(self._there.popleft())
+        self._back.append(self._back[-1] if self._rng.random() < LOSS else super().read())
+        self._newest = self._back.popleft()
+
+    def read(self) -> Reading:
+        return self._newest
+
+
+@contextmanager
+def link_to(scene: Scene, asked: DeployConfig, log: Path, seed: int, simulated: bool) -> Iterator[Link]:
+    limits = limits_of(asked, scene)
+    if simulated:
+        yield Lockstep(partial(LateArm, scene.model, scene.home, seed), limits, log)
+        return
+    with fake_ur(HOST, scene.model, scene.home, Faults(LATENCY_S, JITTER_S, LOSS, seed=seed)):
+        yield Paced(partial(UrArm, HOST, 5.0), limits, log)
+
+
+def cycles(table: Path, count: int, simulated: bool) -> None:
+    """Run cycles on the fake robot, or in simulated time; write what was measured after each run."""
     torch.set_num_threads(1)
     scene, first, lines = build_scene(config(1).robot, config(1).cell, 10), 0, []
+    if not simulated:  # as `deploy` does, so that the code is warm
+        with link_to(scene, config(1), Path(os.devnull), 0, simulated=True) as link:
+            rehearse(config(1), link, lambda: False)
     while first < count:
         asked = config(min(RUN_CYCLES, count - first), f"episode_seed={VALIDATION_SEED + first}")
         log, why = Path(tempfile.mkdtemp()) / "log.bin", ""
         load = os.getloadavg()[0]
-        with fake_ur(HOST, scene.model, scene.home, Faults(LATENCY_S, JITTER_S, LOSS, seed=first)):
-            run = Run(asked, Paced(partial(UrArm, HOST, 5.0), limits_of(asked, scene), log), lambda: False)
+        with link_to(scene, asked, log, first, simulated) as link:
+            run = Run(asked, link, lambda: False)
             try:
                 run.all()
             except StoppedError as stopped:
                 why = str(stopped)
-        began = max(1, len(run.result.episodes))  # one that was stopped on its way to the start counts as failed
+        began = len(run.result.episodes)
+        if why and not (began and run.result.episodes[-1].truncated):  # on its way to the start: failed too
+            began += 1
         done = sum(each.success for each in run.result.episodes)
-        line = {"first_cycle": first, "cycles": began, "succeeded": done, "stopped": why, "load": load}
-        lines.append(line | measured(log, scene, asked) | {"empty_loop_error_p99_ms": empty_loop()})
+        line: dict[str, float | str] = {"first_cycle": first, "cycles": began, "succeeded": done, "stopped": why}
+        if not simulated:
+            line |= {"load": load, **measured(log, scene, asked), "empty_loop_error_p99_ms": empty_loop()}
+        lines.append(line)
         DataFrame(lines).round(4).to_csv(table, index=False)
         first += began
         print(f"{sum(each['succeeded'] for each in lines)} of {first} cycles; {lines[-1]}", flush=True)
@@ -112,4 +163,4 @@ def empty_loop() -> float:
 
 
 if __name__ == "__main__":
-    cycles(Path(sys.argv[1]), int(sys.argv[2]))
+    cycles(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:] == ["simulated"])
