@@ -18,17 +18,23 @@ Show = Callable[[int, str], None]
 
 
 @contextmanager
-def progress(what: str, total: int, done: int = 0) -> Iterator[Show]:
-    """Show how much of `total` is done: a bar in a terminal, else a plain line every EVERY_S."""
+def progress(what: str, total: int, done: int = 0, thread: bool = True) -> Iterator[Show]:
+    """Show how much of `total` is done: a bar in a terminal, else a plain line every EVERY_S.
+
+    A thread draws the bar anew all the time; without one it is drawn when something is done.
+    """
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _lines(what, total, done)
         return
     text = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f}% {task.fields[said]}")
     columns = *text, TextColumn("left"), TimeRemainingColumn()
-    with Progress(*columns, console=console, refresh_per_second=2, speed_estimate_period=60, transient=True) as bar:
+    bar = Progress(
+        *columns, console=console, auto_refresh=thread, refresh_per_second=2, speed_estimate_period=60, transient=True
+    )
+    with bar:
         line = bar.add_task(what, total=total, completed=done, said="")
-        yield lambda now, said: bar.update(line, completed=now, said=said)
+        yield lambda now, said: bar.update(line, completed=now, said=said, refresh=not thread)
 
 
 def _lines(what: str, total: int, done: int) -> Show:

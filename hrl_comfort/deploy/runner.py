@@ -32,13 +32,12 @@ from hrl_comfort.deploy.ur import UrArm
 from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result, split
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
-from hrl_comfort.sim.step_result import StepResult
 
 LOG = "setpoints.parquet"
 """Set-points that were sent, and the measured angles, in the output folder."""
@@ -135,7 +134,8 @@ class Run:
           StoppedError: an episode was stopped; its rows say that it was cut short.
         """
         try:
-            with progress(f"{self._config.connection.name} {self._config.task.name}", self._config.episodes) as show:
+            what = f"{self._config.connection.name} {self._config.task.name}"
+            with progress(what, self._config.episodes, thread=not self._link.paced) as show:
                 for index in range(self._config.episodes):
                     self._episode(index)
                     show(index + 1, success_of([episode.success for episode in self.result.episodes]))
@@ -149,22 +149,30 @@ class Run:
         old, entries = self._executor, self._entries.part(index, index + 1)
         executor = OptionExecutor(old.options, old.time_limit, self._engine.episodes, old.retries)
         recorder = EpisodeRecorder(self._config, None, self._engine, entries, self.result)
-        latest: StepResult | None = None
+        taken: list[ExecutedStep] = []
         try:
             recorder.begin(self._engine.start(index))
             for executed in execute(self._engine, executor, self._choose):
-                latest = executed.result
-                recorder.add(latest, executed.active, executed.ended, executed.runs)
+                taken.append(executed)  # told afterwards: the next plan has no time for tables
             self._link.rest()
-            gc.collect()  # not while the arm moves
+            if self._link.report.stopped:
+                raise StoppedError(self._link.report.stopped)
         except StoppedError as error:
             self._link.stop(str(error))
-            if latest is not None:
-                every = torch.ones(1, dtype=torch.bool)
-                recorder.add(replace(latest, valid=torch.zeros_like(latest.valid)), ~every, every, [])
-                recorder.finish()
+            self._tell(recorder, taken, cut=True)
             raise
-        recorder.finish()
+        self._tell(recorder, taken, cut=False)
+        gc.collect()  # not while the arm moves
+
+    def _tell(self, recorder: EpisodeRecorder, taken: list[ExecutedStep], cut: bool) -> None:
+        """Add an episode's decisions to the tables; `cut` says that it was stopped."""
+        for each in taken:
+            recorder.add(each.result, each.active, each.ended, each.runs)
+        if cut and taken:
+            every, latest = torch.ones(1, dtype=torch.bool), taken[-1].result
+            recorder.add(replace(latest, valid=torch.zeros_like(latest.valid)), ~every, every, [])
+        if taken:
+            recorder.finish()
 
     def write(self, output: Path) -> None:
         """Write the tables of the episodes that began and the set-points."""

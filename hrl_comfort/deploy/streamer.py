@@ -108,6 +108,8 @@ class Streamer:
         else:
             self.velocity = (target - self.point) / CONTROL_STEP_S
         self.point = self.point + self.velocity * CONTROL_STEP_S
+        if not self.stopped:  # the report of this control step tells it already
+            self._check(self._between(1 / TICKS))
         self._planned = -1 if late else int(target is not None)
         self.step += abs(self._planned)
         self._misses = self._misses + 1 if late else 0
@@ -118,10 +120,8 @@ class Streamer:
         """Send the set-point `number`, 0 to TICKS - 1, of the control step; `late_s` goes to the log."""
         share = (number + 1) / TICKS
         if not self.stopped:
-            way = self._before * share + (self.velocity - self._before) * share * share / 2
-            angles = self._from + way * CONTROL_STEP_S
-            if broken := self._limits.broken(self._sent, self._speed, angles):
-                self.stop(f"limit: the next set-point has {broken}")
+            angles = self._between(share)
+            self._check(angles)
         if self.stopped:
             angles = self._braked()
         self._speed = (angles - self._sent) / PERIOD_S
@@ -136,6 +136,16 @@ class Streamer:
         code = -2 if self.stopped else self._planned
         row = [time.monotonic(), late_s, self.step, number, code, *self._sent, *self._reading.angles]
         self._log.write(np.array(row, dtype=np.float64).tobytes())
+
+    def _between(self, share: float) -> Array:
+        """Return the set-point (J,) rad when the `share` of the control step has passed."""
+        way = self._before * share + (self.velocity - self._before) * share * share / 2
+        return self._from + way * CONTROL_STEP_S
+
+    def _check(self, angles: Array) -> None:
+        """Stop the arm where the set-point `angles` (J,) rad, the next one, would break a limit."""
+        if broken := self._limits.broken(self._sent, self._speed, angles):
+            self.stop(f"limit: the next set-point has {broken}")
 
     def stop(self, why: str) -> None:
         """Bring the set-points to rest by the rated brake and hold them there; the first reason counts."""
