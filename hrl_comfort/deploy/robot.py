@@ -25,7 +25,7 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-APPROACH_SHARE, APPROACH_GAIN = 0.25, 1.5
+APPROACH_SHARE, APPROACH_GAIN = 0.25, 4.0
 """Way to the start of an episode: largest share of `task.max_step_deg`, and speed over the angle that is left, 1/s."""
 AT_START_RAD = 2e-3
 PATIENCE_S = 60.0

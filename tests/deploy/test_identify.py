@@ -1,6 +1,9 @@
 """Lag and latency of servos are found again in logs made with known ones."""
 
 import json
+from functools import partial
+from itertools import count
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -10,8 +13,12 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.identify import identify
+from hrl_comfort.deploy.links import Lockstep
+from hrl_comfort.deploy.runner import Run
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import build_scene
+from tests.deploy.campaign import LATENCY_S, LateArm, limits_of
+from tests.deploy.campaign import config as campaign
 
 FINE_S = 1e-4
 NAMES = ("time_s", "late_s", "step", "tick", "planned")
@@ -76,6 +83,43 @@ def test_the_simulated_arm_has_the_lag_of_its_servos(tmp_path):
     assert len(found) == 6
     for each in found:
         assert each["lag_s"] + each["latency_s"] == pytest.approx(SERVO_LAG_S, abs=5e-3)
+
+
+class Ticks:
+    """A clock that each reading advances by a period of the set-points."""
+
+    def __init__(self):
+        self._count = count()
+
+    def monotonic(self):
+        return next(self._count) * PERIOD_S
+
+
+class LaggingArm(LateArm):
+    """An arm behind a network, whose servos follow low-pass filtered set-points."""
+
+    def __init__(self, lag_s, *args):
+        super().__init__(*args)
+        self._gain, self._target = PERIOD_S / (lag_s + PERIOD_S), args[1].copy()
+
+    def send(self, angles):
+        self._target = self._target + self._gain * (angles - self._target)
+        super().send(self._target)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_a_deployment_tells_the_sum_of_lag_and_latency_of_its_arm(tmp_path, lag_s):
+    asked = campaign(1, f"safety.lag_s={SERVO_LAG_S + lag_s}")
+    scene = build_scene(asked.robot, asked.cell, 10)
+    with patch("hrl_comfort.deploy.streamer.time", Ticks()):
+        arm = partial(LaggingArm, lag_s, scene.model, scene.home, 0)
+        run = Run(asked, Lockstep(arm, limits_of(asked, scene), tmp_path / "setpoints.bin"), lambda: False)
+        run.all()
+    run.write(tmp_path)
+    found = json.loads(identify(compose("identify", [f"run={tmp_path}"])).read_text())["joints"]
+    assert len(found) >= 3
+    for each in found:  # each alone is not: a servo of second order looks like less lag and more latency
+        assert each["lag_s"] + each["latency_s"] == pytest.approx(SERVO_LAG_S + lag_s + 2 * LATENCY_S, abs=5e-3)
 
 
 def test_a_log_without_motion_is_refused(tmp_path):
