@@ -174,9 +174,10 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     key, allowed = parsed.key_or_group, groups(root)
     if re.split("[./]", key)[0] == "hydra":
         return line
-    if parsed.is_delete():
-        raise ConfigError(f"{line} deletes a key; every key needs a value: {key}=VALUE")
+    deletes = f"{line} deletes a key; every key needs a value: {key}=VALUE"
     if key in allowed:
+        if parsed.is_delete():
+            raise ConfigError(deletes)
         if isinstance(parsed.value(), Glob):
             raise ConfigError(f"{line} is a pattern; list the choices: {key}={','.join(allowed[key][:2])}")
         swept = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]
@@ -197,7 +198,7 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             kind = get_args(kind)[0]
             continue
         if get_origin(kind) is dict:
-            return line if line[0] == "+" else f"++{line}"  # Hydra adds new keys of a dict only with ++
+            return line if line[0] in "+~" else f"++{line}"  # Hydra adds new keys of a dict only with ++
         fields = get_type_hints(kind) if is_dataclass(kind) else {}
         if name not in fields:
             inside = ".".join(parts[:depth]) or root.replace("_", " ")
@@ -206,6 +207,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             line = f"{key} is not a key{near}; {inside} has {', '.join(names) or 'none'}"
             raise UnknownKeyError(line, key)
         kind = fields[name]
+    if parsed.is_delete():
+        raise ConfigError(deletes)
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
     in_list = any(part.isdigit() for part in parts)  # an entry may leave out keys that have a default

@@ -16,7 +16,6 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -44,19 +43,18 @@ HOST = f"127.9.{os.getpid() % 250}.1"
 LATENCY_S, JITTER_S, LOSS = 0.02, 0.002, 0.01
 CHAIN = [f"policies.{name}=runs/reference/shielded/seed2/{name}" for name in ("pick", "place", "return")]
 BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
-JUMPING = ("random_walk", "approach")
-"""Motions of `mixture` without a bound on acceleration: beside them the shield has to stop."""
+PEOPLE = ["human=mixture", "~human.mixture.random_walk", "~human.mixture.approach"]
+"""Without the motions that have no bound on acceleration: beside them the shield has to stop."""
 RUN_CYCLES = 10
 EMPTY_PERIODS = 2500
 
 
 def config(episodes: int, *more: str) -> DeployConfig:
-    fixed = ["task=cycle", "meta_controller=scripted", "human=mixture", "confirm=yes", "output=none"]
+    fixed = ["task=cycle", "meta_controller=scripted", *PEOPLE, "confirm=yes", "output=none"]
     late = f"safety.latency_s={2 * LATENCY_S}"
     found = compose("deploy", [*CHAIN, *BEHIND, *fixed, late, f"episodes={episodes}", *more])
     assert isinstance(found, DeployConfig)
-    people = {name: each for name, each in found.human.mixture.items() if name not in JUMPING}
-    return replace(found, human=replace(found.human, mixture=people))
+    return found
 
 
 def limits_of(asked: DeployConfig, scene: Scene) -> Limits:

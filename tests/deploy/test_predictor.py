@@ -50,7 +50,7 @@ def test_the_prediction_is_the_state_of_an_arm_without_latency() -> None:
 
 def engine_at(angles: np.ndarray) -> RobotEngine:
     """Return an engine whose arm stands at joint angles (6,) rad."""
-    asked = config(1, "human=none")
+    asked = config(1)
     link = Lockstep(partial(SimulatedArm, scene().model, angles), limits(), Path(os.devnull))
     return RobotEngine(environment(asked), link, split(asked), lambda: False, endure=False)
 

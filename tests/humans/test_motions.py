@@ -172,6 +172,13 @@ def test_the_afraid_keep_farther_from_the_arm_than_the_curious() -> None:
     assert afraid > neutral > curious
 
 
+def test_a_motion_can_be_left_out_of_a_mixture() -> None:
+    config = compose("train", ["human=mixture", "~human.mixture.approach"]).human
+    assert [person.motion for person in config.people] == ["random_walk", "patrol", "worker", "reactive"]
+    with pytest.raises(ConfigError, match=r"~human.motion deletes a key; every key needs a value"):
+        compose("train", ["~human.motion"])
+
+
 def test_a_mixture_draws_each_of_its_motions_equally_often() -> None:
     config = human("mixture")
     assert [person.motion for person in config.people] == list(config.mixture)
