@@ -32,7 +32,7 @@ lint: setup
 # Where the page cannot be built, its tests are skipped.
 test: lint
 	-$(MAKE) page
-	$(BIN)/python -m pytest -n 2 --cov --cov-report=term --cov-fail-under=90
+	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term --cov-fail-under=90
 
 # Every command of docs/*.md, with small budgets. Some minutes.
 test-docs: setup

@@ -55,6 +55,11 @@ def browser() -> Iterator[Any]:
         launched.close()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest test, so that no worker is left alone with it at the end."""
+    items.sort(key=lambda item: item.name != "test_every_command_of_the_readme_runs")
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print the number of inputs generated in this process."""
     if RAN:

@@ -137,7 +137,7 @@ class EvaluateConfig(EnvConfig):
     meta_controller: MetaControllerConfig
     policy: str | None
     """Run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`, `onnx:FILE`, `expert`,
-    `potential_field` or `random`; without a meta-controller."""
+    `potential_field`, `predictive_sampling` or `random`; without a meta-controller."""
     policies: dict[str, str]
     """Policy of each subtask, with a meta-controller."""
     checkpoints: Annotated[str, choice("none", "all")]

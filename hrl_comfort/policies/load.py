@@ -18,6 +18,7 @@ from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_module, from_sb3
 from hrl_comfort.policies.graph import ONNX, read_onnx
 from hrl_comfort.policies.potential_field import PotentialField
+from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
@@ -182,6 +183,7 @@ def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvC
 SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "expert": lambda task, scene, config, seed: Expert(scene, config, task).act,
     "potential_field": lambda task, scene, config, seed: PotentialField(scene, config, task).act,
+    "predictive_sampling": lambda task, scene, config, seed: PredictiveSampling(scene, config, task).act,
     "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),
 }
 """Value of `policy=` -> function that makes the policy."""

@@ -1,0 +1,189 @@
+"""Model-predictive control by sampling: motions are tried in MuJoCo, and the cheapest one begins.
+
+Predictive sampling (Howell et al. 2022, arXiv:2212.00541) over joint velocities. At every decision, motions are rolled
+out for every row: straight to postures of the goal at several paces, a stop, and random variations of these, beside the
+person where they stand now. A motion costs its control steps and those that are left to the nearest posture, a touch,
+and its discomfort at the level in force. The policy has no memory; it forecasts neither people nor the shield.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.comfort.terms import discomfort
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.policies.collision_checker import CollisionChecker
+from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene.ratings import RATINGS
+from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
+from hrl_comfort.sim.signals import pack_controls
+from hrl_comfort.tasks import State, Subtask
+
+Array = NDArray[np.float64]
+
+HORIZON = 6
+"""Decisions of a motion; in the last one it brakes, so that no motion ends fast beside a table."""
+PACES = (1.0, 0.5, 0.2)
+"""Shares of full speed of the straight motions."""
+VARIATIONS = 12
+"""Random variations of the straight motions."""
+SPREAD = 0.5
+"""Standard deviation of their joint velocities, which change once on the way, in shares of full speed."""
+POSTURES = 4
+"""Postures kept of a goal, those nearest to home."""
+SOUGHT, TRIES = 12, 200
+"""Postures from which those are chosen, and seeds of inverse kinematics from which they are sought."""
+BEND_RAD = np.radians(60.0)
+"""Standard deviation of a seed's joints from home; the first one is turned towards the goal."""
+TOLERANCE = 0.5
+"""Distance of a posture's tool from the goal, in tolerances of the task."""
+ARRIVED_RAD = np.radians(1.0)
+"""Distance of every joint from a posture at which nothing is left of the way."""
+TOUCH_STEPS = 300.0
+"""Price of a touch, in control steps."""
+DISCOMFORT_STEPS = 4.0
+"""Price of a control step of discomfort 1, in control steps."""
+
+
+class PredictiveSampling:
+    """Policy for any rows of any subtask; a function of the state."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
+        self._goals = StageGoals("predictive_sampling", config, subtask)
+        self._scene, self._comfort, self._repeat = scene, config.comfort, config.task.action_repeat
+        self._max_step_deg = config.task.max_step_deg
+        self._step = np.radians(config.task.max_step_deg)
+        self._change = self._accelerating(config)
+        precision = config.task.precision
+        self._tolerance = TOLERANCE * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
+        model = copy(scene.model)
+        model.opt.timestep = CONTROL_STEP_S
+        self._model, self._data, self._rollout = model, mujoco.MjData(model), rollout.Rollout(nthread=0)
+        self._checker, self._separation = CollisionChecker(scene), Separation(scene)
+        self._known: dict[tuple[float, ...], Array] = {}
+        early = HORIZON // 2
+        noise = np.random.default_rng(0).standard_normal((VARIATIONS, 2, len(scene.home)))
+        self._noise = SPREAD * np.repeat(noise, [early, HORIZON - early], axis=1)
+
+    @torch.no_grad()
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, J) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
+        points, homeward = self._goals(state)
+        goals = np.stack([self._postures(point, home) for point, home in zip(points, homeward, strict=True)])
+        motions = self.motions(state.joint_target.numpy(), goals)
+        cost = self._cost(state, motions, goals)
+        return torch.from_numpy(motions[np.arange(len(cost)), cost.argmin(axis=1), 0])
+
+    def motions(self, joints: Array, goals: Array) -> Array:
+        """Return K motions (N, K, HORIZON, J) in shares of full speed, from `joints` (N, J) rad.
+
+        `goals` (N, G, J) rad are postures.
+        """
+        way = goals - joints[:, None]
+        length = np.abs(way).max(axis=-1)[..., None, None] / (self._step * self._repeat)
+        pace = np.array(PACES)[:, None]
+        share = np.clip(length - pace * np.arange(HORIZON), 0.0, pace)
+        along = way / np.maximum(np.abs(way).max(axis=-1, keepdims=True), 1e-9)
+        straight = share[..., None] * along[:, :, None, None]
+        nearest = np.abs(way).max(axis=-1).argmin(axis=1)
+        varied = np.clip(straight[np.arange(len(way)), nearest, 0][:, None] + self._noise, -1.0, 1.0)
+        every = straight.reshape(len(way), -1, *straight.shape[-2:])
+        motions = np.concatenate([every, np.zeros_like(every[:, :1]), varied], axis=1)
+        motions[:, :, -1] = 0.0
+        return motions
+
+    def _cost(self, state: State, motions: Array, goals: Array) -> Array:
+        """Return the cost (N, K), in control steps, of `motions` (N, K, HORIZON, J) on the way to `goals` (N, G, J)."""
+        targets = self._targets(state, motions)
+        people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
+        limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._scene.floor_z)
+        reached, touched = self._tried(state, targets, limbs)
+        left = np.abs(reached[:, :, -1, None] - goals[:, None]).max(axis=-1).min(axis=-1)
+        arrived = np.abs(reached[:, :, :, None] - goals[:, None, None]).max(axis=-1).min(axis=-1) < ARRIVED_RAD
+        last = np.where(arrived.any(axis=-1), arrived.argmax(axis=-1), HORIZON - 1)
+        steps = self._repeat * (1 + last) + left / self._step * ~arrived.any(axis=-1)
+        uneasy = self._discomfort(state, reached, limbs) if self._comfort.source != "none" else 0.0
+        return steps + TOUCH_STEPS * touched + DISCOMFORT_STEPS * self._repeat * uneasy
+
+    def _targets(self, state: State, motions: Array) -> Array:
+        """Return the targets (N, K, HORIZON * repeat, J) rad of a rated arm that follows `motions`."""
+        asked = np.repeat(motions * self._step, self._repeat, axis=2)
+        targets, passed = np.empty_like(asked), state.target_vel.numpy()[:, None] * CONTROL_STEP_S
+        at = state.joint_target.numpy()[:, None]
+        for k in range(asked.shape[2]):
+            passed = passed + np.clip(asked[:, :, k] - passed, -self._change, self._change)
+            at = np.clip(at + passed, *self._scene.joint_range.T)
+            targets[:, :, k] = at
+        return targets
+
+    def _tried(self, state: State, targets: Array, limbs: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the joints (N, K, HORIZON, J) rad after each decision, and whether (N, K) anything was touched.
+
+        People stand at `limbs` (N, L, 7).
+        """
+        n, count, steps, joints = targets.shape
+        rows = np.repeat(np.arange(n), count)
+        state_of = np.concatenate([np.zeros((n, 1)), state.joint_pos.numpy(), state.joint_vel.numpy()], axis=1)
+        beside = np.repeat(limbs[rows], steps, axis=0)
+        balls, points = np.zeros((n * count, 0, 3)), np.zeros((n * count, 0, 3))
+        flat = targets.reshape(n * count, steps, joints)
+        control = pack_controls(self._scene, flat, beside, balls, np.zeros((n * count, 0), dtype=np.int64), points)
+        sensed = self._rollout.rollout(self._model, self._data, state_of[rows], control, control_spec=CONTROL_SPEC)[
+            1
+        ].reshape(n, count, steps, -1)
+        at = self._scene.sensors
+        touched = sum(sensed[..., at[name]].any(axis=(-1, -2)) for name in ("human", "table", "self")) > 0
+        return sensed[:, :, self._repeat - 1 :: self._repeat, at["joint_pos"]], np.asarray(touched)
+
+    def _discomfort(self, state: State, reached: Array, limbs: Array) -> Array:
+        """Return the discomfort (N, K) of the joints `reached` (N, K, HORIZON, J), summed over the decisions."""
+        n, count, ends, joints = reached.shape
+        beside = np.repeat(limbs, count * ends, axis=0)
+        distance = self._separation.gap(reached.reshape(-1, joints), beside).reshape(n, count, ends)
+        begun = np.broadcast_to(state.joint_pos.numpy()[:, None, None], (n, count, 1, joints))
+        moved = np.degrees(np.abs(np.diff(reached, axis=2, prepend=begun)).max(axis=-1)) / self._repeat
+        level = state.level[:, None, None].expand(n, count, ends)
+        cost = discomfort(torch.from_numpy(distance), torch.from_numpy(moved), level, self._max_step_deg, self._comfort)
+        return cost.sum(dim=-1).numpy()
+
+    def _postures(self, goal: Array, home: bool) -> Array:
+        """Return postures (POSTURES, J) rad with the tool at `goal` (3,) m, or the home posture.
+
+        Raises:
+          ConfigError: there is none without a collision.
+        """
+        if home:
+            return np.tile(self._scene.home, (POSTURES, 1))
+        key = tuple(goal.round(3))
+        if key not in self._known:
+            found, rng = [], np.random.default_rng(0)
+            for _ in range(TRIES):
+                seed = self._scene.home + BEND_RAD * rng.standard_normal(len(self._scene.home))
+                tool = self._separation.arm.tool(seed[None])[0]
+                turned = seed[0] + np.arctan2(goal[1], goal[0]) - np.arctan2(tool[1], tool[0])
+                seed[0] = (turned + np.pi) % (2 * np.pi) - np.pi
+                posture = self._checker.reach(np.clip(seed, *self._scene.joint_range.T), goal, self._tolerance)
+                found += [] if posture is None else [posture]
+                if len(found) == SOUGHT:
+                    break
+            if not found:
+                raise ConfigError(f"no posture found that brings the tool to {goal.tolist()}: is it within reach?")
+            found.sort(key=lambda each: float(np.abs(each - self._scene.home).max()))
+            self._known[key] = np.array(found)[np.arange(POSTURES) % len(found)]
+        return self._known[key]
+
+    def _accelerating(self, config: EnvConfig) -> Array:
+        """Return the largest change (J,) of a joint's increment in a control step, rad."""
+        if config.robot.rating == "paper":
+            return np.full(len(self._scene.home), np.inf)
+        rated = RATINGS[config.robot.name][config.robot.rating]
+        return np.array(rated.acceleration_rad_s2) * CONTROL_STEP_S**2
