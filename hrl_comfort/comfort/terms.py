@@ -108,22 +108,32 @@ def target_distance_one_sided(distance: Tensor, theta: Tensor, config: ComfortCo
     return -off.clamp(max=1.0).pow(config.power)
 
 
+def hinge(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
+    """Return `target_distance` nearer than theta, else 0; this project's.
+
+    The arm is never paid to come near, so that nothing holds it beside a person.
+    """
+    return target_distance(torch.minimum(distance, theta), theta, config)
+
+
 Form = Callable[[Tensor, Tensor, ComfortConfig], Tensor]
 """(distance (...,) m, theta (...,) m, config) -> F_conf1 (...,)."""
 FORMS: dict[str, Form] = {
-    form.__name__: form for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided)
+    form.__name__: form
+    for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided, hinge)
 }
+TIMED = ("target_distance", "target_distance_one_sided", "hinge")
+"""Forms with a time penalty."""
 
 
 def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Tensor:
     """Return F_conf1 (...,) at distance (...,) m and level (...,), by `config.form` and `config.threshold`.
 
-    The `target_distance` forms also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
+    TIMED forms also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
     """
     form, threshold, _ = forms(config)
     term = form(distance, threshold(level, config), config)
-    timed = config.form in ("target_distance", "target_distance_one_sided")
-    return term - config.time_penalty * ease(level, config) if timed else term
+    return term - config.time_penalty * ease(level, config) if config.form in TIMED else term
 
 
 def increment_threshold(level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:
@@ -180,8 +190,9 @@ def discomfort(
     the threshold; unlike F_comfort, distance and time cost nothing. Arguments are those of `comfort`.
     """
     theta = forms(config)[1](level, config)
-    near = target_distance(torch.minimum(distance, theta), theta, config)
-    return -near - speed_hinge(increment, increment_threshold(level, max_step_deg, config), max_step_deg)
+    return -hinge(distance, theta, config) - speed_hinge(
+        increment, increment_threshold(level, max_step_deg, config), max_step_deg
+    )
 
 
 def comfort(distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:

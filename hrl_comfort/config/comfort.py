@@ -9,7 +9,7 @@ from typing import Annotated
 from hrl_comfort.config.checks import ConfigError, between, choice, named, within
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated", "frightened")
-FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided")
+FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided", "hinge")
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
 SPEED_FORMS = ("paper", "hinge")
@@ -84,9 +84,9 @@ class ComfortConfig:
     max_m: Annotated[float, within(0.01, 10.0)]
     """d_max of the threshold, m."""
     power: Annotated[float, within(0.5, 8.0)]
-    """`target_distance` forms: exponent of the normalised error."""
+    """`target_distance` forms and `hinge`: exponent of the normalised error."""
     time_penalty: Annotated[float, within(0.0, 10.0)]
-    """`target_distance` forms: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
+    """The same forms: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
     alpha: Annotated[float, within(0.0, 1.0)]
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]
