@@ -4,6 +4,9 @@ At every decision it weighs plans for every row: straight to one of the goal's p
 intermediate posture, or to wait in such a posture. A plan costs its control steps plus a price on the chance
 that the person, modelled as Brownian motion, reaches the arm. The expert follows the first leg of the
 cheapest plan without collision for one decision. It remembers nothing but postures.
+
+Where there is a comfort level, the person counts as wider at a low one (`comfort.alpha`), and joints move more slowly
+(`comfort.beta`).
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
+from hrl_comfort.comfort.terms import ease, increment_threshold
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
 from hrl_comfort.policies.scripted import StageGoals
@@ -49,6 +53,10 @@ RISK_STEPS, LAST_RISK_STEPS = 1500.0, 150.0
 """Price of a certain collision in control steps, at the beginning and at the time limit."""
 WAIT_STEPS = 120.0
 """Price of waiting in control steps."""
+MARGIN_M = 0.50
+"""Width added to the person at level 1; none is at level N_c."""
+SLOWEST = 0.2
+"""Smallest share of full speed, at level 1: more slowly, the time beside the person costs more than the speed."""
 NEGLIGIBLE = 2e-3
 """Collision chance below which a straight plan is not compared with detours."""
 
@@ -66,7 +74,7 @@ class Expert:
                 f"robot.name={config.robot.name} is not allowed with policy=expert; "
                 f"choose one of {', '.join(UR_ARMS)}, or policy=potential_field"
             )
-        self._goals = StageGoals("expert", config, subtask)
+        self._goals, self._comfort = StageGoals("expert", config, subtask), config.comfort
         self._step = np.radians(config.task.max_step_deg)
         self._decision = self._step * config.task.action_repeat
         self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
@@ -90,7 +98,8 @@ class Expert:
         joints = state.joint_target.numpy()
         points, homeward = self._goals(state)
         goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
-        people = np.concatenate([state.human_pos.numpy(), state.human_yaw.numpy()[:, None]], axis=-1)
+        margin, pace = self._heeded(state.level)
+        people = np.column_stack([state.human_pos.numpy(), state.human_yaw.numpy(), margin])
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
 
         nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
@@ -102,7 +111,18 @@ class Expert:
                 target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
-        return torch.from_numpy(move / np.maximum(largest, self._decision))
+        return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._decision))
+
+    def _heeded(self, level: Tensor) -> tuple[Array, Array]:
+        """Return the width (N,) m added to the person, and the share (N,) of full speed, at levels (N,)."""
+        none = np.zeros(len(level)), np.ones(len(level))
+        if self._comfort.source == "none":
+            return none
+        margin = MARGIN_M * (1 - ease(level, self._comfort)).numpy() if self._comfort.alpha else none[0]
+        pace = (
+            increment_threshold(level, 1.0, self._comfort).clamp(min=SLOWEST).numpy() if self._comfort.beta else none[1]
+        )
+        return margin, pace
 
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
         """Return the end (6,) of the first leg: a posture of the goal, or one on the way or to wait in."""
@@ -135,13 +155,14 @@ class Expert:
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
         when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
-        gap = self._gap(self._body.spheres(legs), person[..., None, None, :]) - CLEARANCE_M - self._drift * when
+        gap = self._gap(self._body.spheres(legs), person[..., None, None, :])
+        gap = gap - CLEARANCE_M - person[..., 3, None] - self._drift * when
         z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
         # Within 10 % of the chance that Brownian motion has passed z standard deviations by then.
         return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
 
     def _gap(self, spheres: Array, person: Array) -> Array:
-        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 3) of x, y, yaw.
+        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 4) of x, y, yaw, width.
 
         The person is a cylinder of the trunk's width between two swinging arms.
         """

@@ -11,7 +11,7 @@ import torch
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.humans import load_evaluation_set
-from hrl_comfort.policies.expert import Expert
+from hrl_comfort.policies.expert import SLOWEST, Expert
 from hrl_comfort.sim.engine import Engine
 
 TASKS = ("reach", "point_to_point", "pick", "place", "return", "pick_place", "cycle")
@@ -69,3 +69,20 @@ def test_the_expert_refuses_cartesian_actions() -> None:
     cartesian = replace(config, task=replace(config.task, action="cartesian"))
     with pytest.raises(ConfigError, match=r"task\.action"):
         Expert(engine.scene, cartesian, engine.episodes.subtask)
+
+
+def test_the_expert_is_slower_and_stays_farther_from_a_person_at_level_1_than_at_level_10() -> None:
+    levelled = ["task=pick", "comfort=distance_and_speed", "comfort.source=fixed", "human=patrol"]
+    distance, speed = {}, {}
+    for level in (1, 10):
+        config = environment(compose("train", [*levelled, f"comfort.level={level}"]))
+        engine = Engine(config, EPISODES, 800_000)
+        state, expert = engine.reset(), Expert(engine.scene, config, engine.episodes.subtask)
+        speed[level] = float(expert.act(state).abs().amax())
+        apart = []
+        for _ in range(12):
+            state = engine.step(expert.act(state).numpy()).state
+            apart.append(state.arm_distance.mean().item())
+        distance[level] = np.mean(apart)
+    assert (speed[1], speed[10]) == pytest.approx((SLOWEST, 1.0))
+    assert distance[1] > distance[10] + 0.02
