@@ -23,13 +23,13 @@ class RobotConfig:
     """The arm; its kinematics and masses are those of `scene.robots`."""
 
     name: str
-    """A key of `scene.robots.ROBOTS`, an entry point or `package.module:name`, checked there."""
+    """A key of `scene.robots.ROBOTS`, an entry point or `package.module:name`; it is checked when it is looked up."""
     home_deg: list[Coordinate] | None
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
     calibration: str | None = None
-    """The controller's file calibration.conf of an arm of Universal Robots; null is the model's nominal arm."""
+    """The file calibration.conf of the controller of a Universal Robots arm; null is the model's nominal arm."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class RandomiseConfig:
     link_mass: Factor
     """Factor of mass and inertia, drawn for each link."""
     joint_friction: Share
-    """Coulomb friction over the largest torque, drawn for each joint."""
+    """Coulomb friction as a share of the largest torque, drawn for each joint."""
     joint_noise_deg: Noise
     """Standard deviation of observed joint angles, and so of the observed tool, degrees."""
     joint_velocity_noise_deg_s: Noise
@@ -98,7 +98,7 @@ class RandomiseConfig:
     person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
     """Standard deviation of the person's observed position along x and along y, m."""
     person_rate_hz: Rate
-    """Frames of the person's tracker a second; the last one holds. 50 is one a control step."""
+    """Frames of the person's tracker per second; between frames the last one is kept. 50 is one per control step."""
     person_dropout: Share
     """Probability that a frame is lost; at most two in a row are."""
 

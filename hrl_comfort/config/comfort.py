@@ -24,7 +24,7 @@ class StreamConfig:
     high: Annotated[float, within(-1e9, 1e9)]
     """Value of level N_c, in the unit of the signal; it may be below `low`."""
     tolerance: Annotated[float, within(0.0, 10.0)]
-    """Share of the range by which a value may exceed it; values beyond are ignored."""
+    """How far a value may lie outside of [low, high], as a share of that range; values farther out are ignored."""
     smoothing_s: Annotated[float, within(0.0, 3600.0)]
     """Time constant of the exponential smoothing, s; 0 is none."""
     stall_s: Annotated[float, within(0.0, 3600.0)]
@@ -46,7 +46,7 @@ class PersonConfig:
     """The simulated human of `source=simulated` and `frightened`."""
 
     near_m: Annotated[float, within(0.01, 10.0)]
-    """Distance below which the robot causes stress, m: horizontal to the tool, or `frightened` to the nearest link."""
+    """Distance below which the robot causes stress, m: of the tool, horizontal; `frightened`: of the nearest link."""
     fast_m_s: Annotated[float, within(0.01, 10.0)]
     """Tool speed of full stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]

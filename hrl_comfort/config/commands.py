@@ -136,15 +136,15 @@ class EvaluateConfig(EnvConfig):
 
     meta_controller: MetaControllerConfig
     policy: str | None
-    """Run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`, `onnx:FILE`, `expert`,
-    `potential_field`, `predictive_sampling` or `random`; without a meta-controller."""
+    """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
+    `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
-    """Policy of each subtask, with a meta-controller."""
+    """With a meta-controller: policy of each subtask."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: episodes drawn as in training. `test`: episodes
-    from a part of the world that no training with `human.partitioned` sees; the ledger records each evaluation."""
+    from a part of the world that no training with `human.partitioned` sees; docs/tables/test_ledger.csv lists each."""
     episodes: int
     """Number of episodes (at each level)."""
     episode_seed: int | None
@@ -160,8 +160,8 @@ class EvaluateConfig(EnvConfig):
     disturbance: Annotated[str, choice(*DISTURBANCES)]
     """Disturbance of each episode, one of DISTURBANCES."""
     terminal_states: str | None
-    """File (.npz) for the joint states at the end of successful episodes, drawn as in training: angles, rad,
-    velocities, rad/s, and servo targets, rad. No evaluation is made."""
+    """File (.npz) for the joint states at the end of successful episodes: angles (rad), velocities (rad/s) and servo
+    targets (rad). Episodes are drawn as in training, and no evaluation is made."""
     output: str
     """Folder of the evaluation."""
 
@@ -251,7 +251,7 @@ class DeployConfig(EvaluateConfig):
 
     connection: ConnectionConfig
     confirm: Annotated[str, choice("ask", "yes")]
-    """`ask` waits for a typed word between the dry run and the first motion; `yes` does not, for a simulated arm."""
+    """`ask` waits for a typed word between the dry run and the first motion; `yes`, for simulated arms, does not."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -296,7 +296,7 @@ class ReportConfig(CommandConfig):
     video: bool
     """Include videos of the first recorded failure and success."""
     episode: int | None = None
-    """Recorded episode of the video, in place of both."""
+    """Recorded episode of the video, in place of the first failure and the first success."""
     speed: Annotated[float, within(0.1, 1.0)] = 1.0
     """Speed of the video; 0.5 is half."""
 
@@ -324,11 +324,11 @@ class FigureConfig(CommandConfig):
     labels: list[str]
     """`plane`, `people`: a name for each of `evaluations`; equal names form one series of `plane`."""
     over: Annotated[str, choice("pairs", "all")]
-    """`levels`, `speed`, `plane`: average over `pairs`, episodes with success at every level, or over `all`."""
+    """`levels`, `speed`, `plane`: `pairs` averages over episodes that succeed at every level, `all` over all."""
     levels: list[int]
     """`paths`: levels to draw. `people`: the level to draw."""
     episodes: list[int]
-    """`paths`, `people`: one or two; [] is the first orange and the first pink one with success in all.
+    """`paths`, `people`: one or two episodes; [] is the first orange and the first pink one that succeed in all.
     `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""

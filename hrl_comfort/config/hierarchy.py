@@ -20,7 +20,7 @@ class MetaControllerConfig:
     options: list[str]
     """Subtasks in the order of the scripted controller."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option (of `sort`, a skill) is preempted."""
+    """Control steps after which an option is preempted; in `task=sort`, a skill."""
     retries: Annotated[int, within(0, 100)]
     """Retries of a preempted option; `sort` retries until the episode ends."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
@@ -71,11 +71,11 @@ class HierarchyConfig:
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Episodes that record the starts of the next option."""
     refinement: list[StageConfig]
-    """Stages of a second training of every option, from the last to the first, with the value of the next skill;
+    """Stages of a second training of every option, the last one first; its targets end in the next skill's value;
     none: no second training."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: list[str]
-    """Overrides of `train meta_controller`, run above the options; none: the scripted controller alone."""
+    """Overrides of a `train meta_controller` above the options; none: only the scripted controller."""

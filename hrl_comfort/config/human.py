@@ -17,7 +17,7 @@ class HumanConfig:
     """The human beside the robot; metres, cell frame."""
 
     motion: str
-    """A key of `humans.MOTIONS`, an entry point or `package.module:name`, checked there."""
+    """A key of `humans.MOTIONS`, an entry point or `package.module:name`; it is checked when it is looked up."""
     spawns_m: Annotated[list[XY], Field(min_length=1)]
     """Spawn points (x, y), m; those within `keep_out_m` of a goal are moved out. By default those of the authors'
     scene, where points 3 and 10 are the same."""
@@ -26,7 +26,7 @@ class HumanConfig:
     spawn: Annotated[str, choice("points", "anywhere", "mixed")]
     """Training spawns: a point that is not held out, a random position around the robot, or either at 50 %."""
     spawn_jitter_m: Annotated[float, within(0.0, 0.5)]
-    """`spawn=points`: radius of the disc around the point in which the spawn is uniform, m."""
+    """`spawn=points`: the spawn is uniform in a disc of this radius around the point, m."""
     spawn_radius_m: XY
     """`spawn=anywhere`: smallest and largest distance from the robot's base, m."""
     spawn_margin_m: Annotated[float, within(0.0, 0.5)]
@@ -52,15 +52,15 @@ class HumanConfig:
     curiosity: Annotated[float, within(0.0, 1.0)]
     """`reactive`: 0 is afraid of the moving arm, 0.5 yields to it as to a person, 1 goes to look at the tool."""
     mixture: dict[str, dict[str, Any]]
-    """`mixture`: motions, one of which is drawn an episode, and for each the values of this section that it changes."""
+    """`mixture`: motions, one of which is drawn for each episode, and the values of this section that each changes."""
     partitioned: bool
-    """Give each of the splits `train`, `validation` and `test` sectors around the robot, traits of people, recordings
-    and arm starts of its own; training sees those of `train`."""
+    """Each split (`train`, `validation`, `test`) has its own sectors around the robot, traits of people, recordings and
+    arm starts; training sees only those of `train`."""
     file: str | None
     """`recorded`: CSV of t, x, y, yaw in s, m, m, rad, BVH file, or folder of such files. `live`: udp://HOST:PORT,
     lsl:NAME or package.module:callable; null is the person of `hrl-comfort studio`."""
     clipping: Annotated[str, choice("off", "full", "partial")]
-    """Observation of the nearest spawn point instead of the human: never, always, or if nearer to the robot."""
+    """Policies observe the spawn point nearest to the human instead: never, always, or if it is nearer to the robot."""
     masked: bool
     """Hide the human from the policy, which then observes one far away."""
     stations_m: list[XY]

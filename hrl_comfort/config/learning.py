@@ -44,7 +44,7 @@ class CurriculumConfig:
     step_m: Annotated[float, within(0.001, 0.5)]
     """`adaptive`: reduction of the tolerance at one tightening."""
     threshold: Annotated[float, within(0.0, 1.0)]
-    """`adaptive`: success rate over the last `window` episodes that tightens."""
+    """`adaptive`: precision tightens when the last `window` episodes have this success rate."""
     window: Annotated[int, within(1, 100_000)]
     """`adaptive`: number of episodes."""
     fraction: Annotated[float, within(0.01, 1.0)]
@@ -68,7 +68,7 @@ class AgentConfig:
     updates_per_policy_step: Annotated[float, within(0.0, 16.0)]
     """Updates a policy step."""
     critic_warmup_updates: Annotated[int, within(0, 1e9)]
-    """First updates of a training or stage, of the critics alone: they learn its rewards before the policy moves."""
+    """First updates of a training or stage, which change only the critics: these learn its rewards first."""
     batch_size: Annotated[int, within(1, 65536)]
     """Transitions a batch."""
     buffer_size: int

@@ -31,7 +31,7 @@ class TaskConfig:
     """A subtask, or a chain of subtasks for one policy."""
 
     name: str
-    """A key of `tasks.SUBTASKS`, an entry point or `package.module:name`, checked there."""
+    """A key of `tasks.SUBTASKS`, an entry point or `package.module:name`; it is checked when it is looked up."""
     colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""
     balls: int
@@ -46,7 +46,7 @@ class TaskConfig:
     max_option_steps: Annotated[int, within(1, 100_000)]
     """Default of `meta_controller.time_limit_steps`, control steps."""
     action_repeat: Annotated[int, within(1, 100)]
-    """Control steps a decision."""
+    """Control steps per decision."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
     """Largest joint increment a control step, degrees."""
     max_step_m: Annotated[float, within(0.001, 0.05)]
@@ -56,7 +56,7 @@ class TaskConfig:
     action: Annotated[str, choice("joint", "cartesian")]
     """Joint increments, or tool displacements and rotations."""
     observation: Annotated[str, choice(*OBSERVATIONS)]
-    """Layout of the observation, as of `tasks.observations`."""
+    """Layout of the observation, defined in `tasks.observations`."""
     point: Annotated[str, choice("fixed", "random")]
     """`reach`: the goal is `point_m`, or random in each episode."""
     point_m: XYZ
@@ -64,11 +64,11 @@ class TaskConfig:
     second_point_m: XYZ
     """`point_to_point`: fixed second point, m."""
     start: str
-    """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), restored in motion."""
+    """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), their velocities included."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """Speed of the joints (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
-    """Contact with the human that ends an episode; after another one it goes on."""
+    """Kind of contact with the human that ends an episode; after any other contact the episode goes on."""
     resample_start_probability: Annotated[float, within(0.0, 1.0)]
     """Training: probability of a new random human and level for a recorded start, instead of the recorded ones."""
 

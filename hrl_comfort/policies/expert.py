@@ -53,7 +53,7 @@ RISK_STEPS, LAST_RISK_STEPS = 1500.0, 150.0
 """Price of a certain collision in control steps, at the beginning and at the time limit."""
 WAIT_STEPS = 120.0
 """Price of waiting in control steps."""
-MARGIN_M = 0.50
+MARGIN_M = 0.5
 """Width added to the person at level 1; none is at level N_c."""
 SLOWEST = 0.2
 """Smallest share of full speed, at level 1: more slowly, the time beside the person costs more than the speed."""
