@@ -108,7 +108,7 @@ def target_distance_one_sided(distance: Tensor, theta: Tensor, config: ComfortCo
     return -off.clamp(max=1.0).pow(config.power)
 
 
-def hinge(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
+def minimum_distance(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
     """Return `target_distance` nearer than theta, else 0; this project's.
 
     The arm is never paid to come near, so that nothing holds it beside a person.
@@ -120,9 +120,9 @@ Form = Callable[[Tensor, Tensor, ComfortConfig], Tensor]
 """(distance (...,) m, theta (...,) m, config) -> F_conf1 (...,)."""
 FORMS: dict[str, Form] = {
     form.__name__: form
-    for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided, hinge)
+    for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided, minimum_distance)
 }
-TIMED = ("target_distance", "target_distance_one_sided", "hinge")
+TIMED = ("target_distance", "target_distance_one_sided", "minimum_distance")
 """Forms with a time penalty."""
 
 
@@ -190,7 +190,7 @@ def discomfort(
     the threshold; unlike F_comfort, distance and time cost nothing. Arguments are those of `comfort`.
     """
     theta = forms(config)[1](level, config)
-    return -hinge(distance, theta, config) - speed_hinge(
+    return -minimum_distance(distance, theta, config) - speed_hinge(
         increment, increment_threshold(level, max_step_deg, config), max_step_deg
     )
 

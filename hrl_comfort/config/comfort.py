@@ -9,7 +9,15 @@ from typing import Annotated
 from hrl_comfort.config.checks import ConfigError, between, choice, named, within
 
 SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated", "frightened")
-FORMS = ("paper", "reference", "linear", "logarithmic", "target_distance", "target_distance_one_sided", "hinge")
+FORMS = (
+    "paper",
+    "reference",
+    "linear",
+    "logarithmic",
+    "target_distance",
+    "target_distance_one_sided",
+    "minimum_distance",
+)
 THRESHOLDS = ("range", "reference", "levels")
 DISTANCES = ("tool", "arm")
 SPEED_FORMS = ("paper", "hinge")
@@ -84,7 +92,7 @@ class ComfortConfig:
     max_m: Annotated[float, within(0.01, 10.0)]
     """d_max of the threshold, m."""
     power: Annotated[float, within(0.5, 8.0)]
-    """`target_distance` forms and `hinge`: exponent of the normalised error."""
+    """`target_distance` forms and `minimum_distance`: exponent of the normalised error."""
     time_penalty: Annotated[float, within(0.0, 10.0)]
     """The same forms: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
     alpha: Annotated[float, within(0.0, 1.0)]

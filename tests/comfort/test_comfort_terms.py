@@ -97,8 +97,8 @@ def test_the_one_sided_form_costs_nothing_beyond_theta_at_level_1_and_else_is_th
         assert alike[0].item() == pytest.approx(alike[1].item())
 
 
-def test_the_hinge_costs_what_the_two_sided_form_does_nearer_than_theta_and_time_alone_beyond() -> None:
-    config = comfort(form="hinge", min_m=0.2, max_m=1.0, power=2, time_penalty=0.1)
+def test_minimum_distance_costs_what_the_two_sided_form_does_nearer_than_theta_and_time_alone_beyond() -> None:
+    config = comfort(form="minimum_distance", min_m=0.2, max_m=1.0, power=2, time_penalty=0.1)
     near, far = torch.tensor([0.2, 0.6], dtype=torch.float64), torch.tensor([0.61, 3.0], dtype=torch.float64)
     level = torch.full((2,), 5.5, dtype=torch.float64)  # theta is 0.6 m
     assert terms.distance_term(near, level, config).tolist() == pytest.approx([-0.25 - 0.05, -0.05])
