@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Train and measure every reference result anew: docs/reference.sh [FOLDER] (default runs/remade).
-# Each command can be pasted alone. `train hierarchy` goes on when its command is given again; a stopped `train`
-# goes on with `hrl-comfort train resume=FOLDER`.
+# Each command can be pasted alone; one that was stopped goes on when it is given again (`train`: as `train resume=FOLDER`).
 set -euo pipefail
 export OMP_NUM_THREADS=1
 out=${1:-runs/remade}
@@ -17,13 +16,15 @@ for task in pick place return; do
     hrl-comfort evaluate policy=$out/fine/$task $all output=$out/fine/$task/eval
 done
 
-# One policy for ten comfort levels at 30 cm and at 10 cm.
+# One policy for ten comfort levels at 30 cm, and the skills of a shift for ten levels, with and without comfort.
 for s in 0 1 2 3 4; do
-    for experiment in comfort comfort_10cm; do
-        hrl-comfort train experiment=$experiment train_seed=$s episode_seed=$s output=$out/$experiment/seed$s
-        hrl-comfort evaluate policy=$out/$experiment/seed$s $all $levels output=$out/$experiment/seed$s/eval
-    done
+    hrl-comfort train experiment=comfort train_seed=$s episode_seed=$s output=$out/comfort/seed$s
+    hrl-comfort evaluate policy=$out/comfort/seed$s $all $levels output=$out/comfort/seed$s/eval
+    hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
+    hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
+    for kind in levels off; do hrl-comfort benchmark policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done
 done
+for p in expert potential_field predictive_sampling; do hrl-comfort benchmark policy=$p output=$out/benchmark/$p; done
 
 # The cycle with levels; the same with a learned controller that sorts balls; the cycle with one to three networks.
 for s in 0 1 2; do
@@ -37,9 +38,7 @@ for s in 0 1 2; do
 done
 
 # Two baselines that learn nothing.
-for task in reach point_to_point pick place return pick_place cycle; do
-    hrl-comfort evaluate task=$task policy=expert $all output=$out/expert/$task
-done
+for t in reach point_to_point pick place return pick_place cycle; do hrl-comfort evaluate task=$t policy=expert $all output=$out/expert/$t; done
 hrl-comfort evaluate task=pick_place policy=potential_field comfort=conditioned $all $levels \
     task.precision.grasp_tolerance_m=0.30 task.precision.place_tolerance_m=0.30 output=$out/comfort/potential_field
 
