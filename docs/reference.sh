@@ -22,9 +22,9 @@ for s in 0 1 2 3 4; do
     hrl-comfort evaluate policy=$out/comfort/seed$s $all $levels output=$out/comfort/seed$s/eval
     hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
     hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
-    for kind in levels off; do hrl-comfort benchmark policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done
+    for kind in levels off; do hrl-comfort benchmark split=validation policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done
 done
-for p in expert potential_field predictive_sampling; do hrl-comfort benchmark policy=$p output=$out/benchmark/$p; done
+for p in expert potential_field predictive_sampling; do hrl-comfort benchmark split=validation policy=$p output=$out/benchmark/$p; done
 
 # The cycle with levels; the same with a learned controller that sorts balls; the cycle with one to three networks.
 for s in 0 1 2; do

@@ -20,15 +20,12 @@ import pandas as pd
 from hrl_comfort.analysis import comparison, handover
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.intervals import SHARE, Clusters
-from hrl_comfort.analysis.tables import cell, cells, levels, markdown, series
-from hrl_comfort.benchmarks import env, suite, train, update
+from hrl_comfort.analysis.tables import cell, levels, markdown, series
+from hrl_comfort.benchmarks import env, train, update
 from hrl_comfort.files.tables import read_table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (
-    *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "safety")),
-    *sorted((ROOT / "docs" / "tables").glob("*.md")),
-)
+PAGES = (ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "safety.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
 REFERENCE = ROOT / "runs" / "reference"
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
@@ -104,43 +101,6 @@ def on_test(policies: str) -> str:
     return markdown(head, lines)
 
 
-def entries(names: str) -> list[dict[int, dict[str, Any]]]:
-    """Return the estimates by level of the benchmark's entries that match, one for each training seed."""
-    files = sorted(file for name in names.split() for file in suite.ENTRIES.glob(f"{name}.json"))
-    if not files:
-        raise FileNotFoundError(f"docs/tables/benchmark/{names}.json does not exist")
-    return [{at["level"]: at for at in json.loads(file.read_text(encoding="utf-8"))["levels"]} for file in files]
-
-
-def benchmark(names: str) -> str:
-    """Return the table of methods by level: of several training seeds, means over them."""
-    lines = []
-    for name in names.split():
-        found = entries(name)
-        seeds = Clusters.of_runs(len(found))
-        for level, alone in found[0].items():
-            means = pd.DataFrame([{each: one[level][each]["mean"] for each in suite.QUANTITIES} for one in found])
-            at = seeds.estimates(means) if len(found) > 1 else alone
-            lines.append([name.rstrip("-*"), str(level), f"{len(found)}", *cells(at, suite.QUANTITIES)])
-    return markdown(("policy", "level", "seeds", *(each.label for each in suite.QUANTITIES.values())), lines)
-
-
-def responses(name: str) -> str:
-    """Return the table of what a level changes against the first one, %, over the training seeds of a method."""
-    found, told = entries(name), ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
-    seeds, first = Clusters.of_runs(len(found)), min(found[0])
-    changed = {
-        level: [
-            seeds.estimate(np.array([each[level][name]["mean"] / each[first][name]["mean"] - 1 for each in found]))
-            for name in told
-        ]
-        for level in found[0]
-        if level != first
-    }
-    lines = [[f"{first} to {level}", *(cell(each, 100) for each in line)] for level, line in changed.items()]
-    return markdown(("level", *(suite.QUANTITIES[name].label.split(",")[0] + ", %" for name in told)), lines)
-
-
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
@@ -149,8 +109,6 @@ KINDS: dict[str, Callable[[str], str]] = {
     "divisions": of_json(comparison.table),
     "handover": of_json(handover.table),
     "ledger": on_test,
-    "benchmark": benchmark,
-    "responses": responses,
     "curricula": of_rows(curricula),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),

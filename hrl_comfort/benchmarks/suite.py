@@ -10,8 +10,8 @@ from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.analysis.tables import Quantity, cells, markdown
-from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
+from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.ledger import FILE, hash_of
 from hrl_comfort.files.atomic import write_json, write_text
@@ -45,10 +45,12 @@ def benchmark(config: EvaluateConfig) -> Path:
     Return the entry's file.
 
     Raises:
-      ConfigError: the task is another than the suite's.
+      ConfigError: the task is another than the suite's, or a policy was trained with other steps.
     """
     if config.task.name != "shift":
         raise ConfigError(f"task={config.task.name}: the benchmark's figures are of task=shift alone")
+    for name, source in config.policies.items():
+        check_steps(config, name, source)
     output = evaluate(config)
     entry = entry_of(config, output)
     every = [*(read_json(file, dict) for file in sorted(ENTRIES.glob("*.json"))), entry]
@@ -57,6 +59,17 @@ def benchmark(config: EvaluateConfig) -> Path:
     save_png(front(every), output / "benchmark.png")
     print(table([entry]), end="")
     return output / "benchmark.json"
+
+
+def check_steps(config: EvaluateConfig, name: str, source: str) -> None:
+    """Raise ConfigError if the policy `source` is of a run whose actions are in units of another step."""
+    here = config.task.max_step_deg
+    trained = load_config(source) if (Path(source) / "config.yaml").is_file() else None
+    if isinstance(trained, EnvConfig) and (there := trained.task.max_step_deg) != here:
+        raise ConfigError(
+            f"task.max_step_deg={here:g}, but policies.{name}={source!r} was trained with {there:g}, the unit of its "
+            f"actions; give task.max_step_deg={there:g}, which is outside the suite"
+        )
 
 
 def entry_of(config: EvaluateConfig, folder: Path) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class ComfortConfig:
     power: Annotated[float, within(0.5, 8.0)]
     """`target_distance` forms and `minimum_distance`: exponent of the normalised error."""
     time_penalty: Annotated[float, within(0.0, 10.0)]
-    """The same forms: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
+    """Forms with `power`: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
     alpha: Annotated[float, within(0.0, 1.0)]
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]

@@ -127,7 +127,7 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """Return `overrides` in the form that Hydra composes; with `sweep`, a key may have several values.
 
     Raises:
-      ConfigError: an unknown key or choice, a deletion, bad grammar, or several values without `sweep`.
+      ConfigError: an unknown key or choice, a deleted key, bad grammar, or several values without `sweep`.
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")

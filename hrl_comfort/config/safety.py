@@ -27,6 +27,6 @@ class SafetyConfig:
     lag_s: Annotated[float, within(0.0, 2.0)]
     """Lag of the servos behind a ramp of set-points, s."""
     latency_s: Annotated[float, within(0.0, 2.0)]
-    """Time from a set-point until the servos have it, s."""
+    """Time from a set-point until the servos have it, s; `deploy`: until its effect is measured, there and back."""
     margin_m: Annotated[float, within(0.0, 0.5)]
     """Error of measured positions of person and arm, m."""

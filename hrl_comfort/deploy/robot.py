@@ -148,7 +148,8 @@ class RobotEngine(Engine):
                 left_steps -= 1
                 if not left_steps:
                     raise StoppedError(
-                        f"on the way to the start: not there after {PATIENCE_S:g} s, somebody is in the way"
+                        f"on the way to the start: not there after {PATIENCE_S:g} s; somebody is in the way, or "
+                        f"task.max_step_deg={self.episodes.config.task.max_step_deg:g} is too slow"
                     )
         self.link.rest()
 

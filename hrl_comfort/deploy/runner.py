@@ -131,7 +131,7 @@ class Run:
         """Run every episode; bring the arm to rest at the end, and where one is stopped.
 
         Raises:
-          StoppedError: an episode was stopped; its rows say that it was cut short.
+          StoppedError: an episode was stopped; unless it was over, its row says that it was cut short.
         """
         try:
             what = f"{self._config.connection.name} {self._config.task.name}"
@@ -157,18 +157,19 @@ class Run:
             self._link.rest()
             if self._link.report.stopped:
                 raise StoppedError(self._link.report.stopped)
-        except StoppedError as error:
-            self._link.stop(str(error))
+        except (StoppedError, ConnectionError) as error:
+            if isinstance(error, StoppedError):
+                self._link.stop(str(error))
             self._tell(recorder, taken, cut=True)
             raise
         self._tell(recorder, taken, cut=False)
         gc.collect()  # not while the arm moves
 
     def _tell(self, recorder: EpisodeRecorder, taken: list[ExecutedStep], cut: bool) -> None:
-        """Add an episode's decisions to the tables; `cut` says that it was stopped."""
+        """Add an episode's decisions to the tables; `cut` says that the arm was stopped, before its end or after."""
         for each in taken:
             recorder.add(each.result, each.active, each.ended, each.runs)
-        if cut and taken:
+        if cut and taken and not bool(taken[-1].ended.all()):
             every, latest = torch.ones(1, dtype=torch.bool), taken[-1].result
             recorder.add(replace(latest, valid=torch.zeros_like(latest.valid)), ~every, every, [])
         if taken:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
-from hrl_comfort.comfort.terms import ease, increment_threshold
+from hrl_comfort.comfort.terms import ease, increment_threshold, present
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
 from hrl_comfort.policies.scripted import StageGoals
@@ -98,8 +98,8 @@ class Expert:
         joints = state.joint_target.numpy()
         points, homeward = self._goals(state)
         goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
-        margin, pace = self._heeded(state.level)
-        people = np.column_stack([state.human_pos.numpy(), state.human_yaw.numpy(), margin])
+        margin, pace = self._margin_and_pace(state)
+        people = np.column_stack([state.human_pos.numpy(), state.human_yaw.numpy(), margin, pace])
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
 
         nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
@@ -113,16 +113,15 @@ class Expert:
         largest = np.abs(move).max(axis=-1, keepdims=True)
         return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._decision))
 
-    def _heeded(self, level: Tensor) -> tuple[Array, Array]:
-        """Return the width (N,) m added to the person, and the share (N,) of full speed, at levels (N,)."""
-        none = np.zeros(len(level)), np.ones(len(level))
-        if self._comfort.source == "none":
-            return none
-        margin = MARGIN_M * (1 - ease(level, self._comfort)).numpy() if self._comfort.alpha else none[0]
-        pace = (
-            increment_threshold(level, 1.0, self._comfort).clamp(min=SLOWEST).numpy() if self._comfort.beta else none[1]
-        )
-        return margin, pace
+    def _margin_and_pace(self, state: State) -> tuple[Array, Array]:
+        """Return the width (N,) m added to the person, and the share (N,) of full speed; 0 and 1 without a person."""
+        margin, pace = torch.zeros_like(state.level), torch.ones_like(state.level)
+        if self._comfort.source != "none" and self._comfort.alpha:
+            margin = MARGIN_M * (1 - ease(state.level, self._comfort))
+        if self._comfort.source != "none" and self._comfort.beta:
+            pace = increment_threshold(state.level, 1.0, self._comfort).clamp(min=SLOWEST)
+        there = present(state.human_pos)
+        return torch.where(there, margin, 0.0).numpy(), torch.where(there, pace, 1.0).numpy()
 
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
         """Return the end (6,) of the first leg: a posture of the goal, or one on the way or to wait in."""
@@ -150,8 +149,11 @@ class Expert:
         return self._cell.escape(joints)
 
     def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps."""
-        steps = np.abs(end - start).max(axis=-1) / self._step
+        """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps.
+
+        `person` (..., 5) is their x, y, yaw, and the margin and pace that the level asks for.
+        """
+        steps = np.abs(end - start).max(axis=-1) / self._step / person[..., 4]
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
         when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
@@ -162,7 +164,7 @@ class Expert:
         return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
 
     def _gap(self, spheres: Array, person: Array) -> Array:
-        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 4) of x, y, yaw, width.
+        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 5), whose x, y and yaw count.
 
         The person is a cylinder of the trunk's width between two swinging arms.
         """

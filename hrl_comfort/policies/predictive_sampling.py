@@ -1,9 +1,10 @@
 """Model-predictive control by sampling: motions are tried in MuJoCo, and the cheapest one begins.
 
-Predictive sampling (Howell et al. 2022, arXiv:2212.00541) over joint velocities. At every decision, motions are rolled
-out for every row: straight to postures of the goal at several paces, a stop, and random variations of these, beside the
-person where they stand now. A motion costs its control steps and those that are left to the nearest posture, a touch,
-and its discomfort at the level in force. The policy has no memory; it forecasts neither people nor the shield.
+Predictive sampling (Howell et al. 2022, arXiv:2212.00541) over joint velocities, without a warm start and with the same
+noise at every decision, so that the policy has no memory. Motions are rolled out for every row: straight to postures of
+the goal at several paces, a stop, and random variations of these, beside the person where they stand now. A motion
+costs its control steps and those that are left to the nearest posture, its touches, and its discomfort at the level in
+force. It forecasts neither people nor the shield.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.comfort.terms import discomfort
+from hrl_comfort.comfort.terms import discomfort, present
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CollisionChecker
 from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import limb_poses
-from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
 from hrl_comfort.sim.signals import pack_controls
 from hrl_comfort.tasks import State, Subtask
@@ -39,7 +40,7 @@ VARIATIONS = 12
 SPREAD = 0.5
 """Standard deviation of their joint velocities, which change once on the way, in shares of full speed."""
 POSTURES = 4
-"""Postures kept of a goal, those nearest to home."""
+"""Postures kept of a goal at most, those nearest to home."""
 SOUGHT, TRIES = 12, 200
 """Postures from which those are chosen, and seeds of inverse kinematics from which they are sought."""
 BEND_RAD = np.radians(60.0)
@@ -49,7 +50,7 @@ TOLERANCE = 0.5
 ARRIVED_RAD = np.radians(1.0)
 """Distance of every joint from a posture at which nothing is left of the way."""
 TOUCH_STEPS = 300.0
-"""Price of a touch, in control steps."""
+"""Price of a control step in touch, in control steps: an arm that touches leaves at once."""
 DISCOMFORT_STEPS = 4.0
 """Price of a control step of discomfort 1, in control steps."""
 
@@ -62,7 +63,7 @@ class PredictiveSampling:
         self._scene, self._comfort, self._repeat = scene, config.comfort, config.task.action_repeat
         self._max_step_deg = config.task.max_step_deg
         self._step = np.radians(config.task.max_step_deg)
-        self._change = self._accelerating(config)
+        self._rating = None if config.robot.rating == "paper" else rating_of(config.robot)
         precision = config.task.precision
         self._tolerance = TOLERANCE * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
         model = copy(scene.model)
@@ -103,32 +104,43 @@ class PredictiveSampling:
 
     def _cost(self, state: State, motions: Array, goals: Array) -> Array:
         """Return the cost (N, K), in control steps, of `motions` (N, K, HORIZON, J) on the way to `goals` (N, G, J)."""
-        targets = self._targets(state, motions)
+        targets = self.targets(state, motions)
         people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
         limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._scene.floor_z)
-        reached, touched = self._tried(state, targets, limbs)
-        left = np.abs(reached[:, :, -1, None] - goals[:, None]).max(axis=-1).min(axis=-1)
-        arrived = np.abs(reached[:, :, :, None] - goals[:, None, None]).max(axis=-1).min(axis=-1) < ARRIVED_RAD
+        reached, touching = self._rolled_out(state, targets, limbs)
+        left = np.abs(reached[:, :, :, None] - goals[:, None, None]).max(axis=-1).min(axis=-1)
+        arrived = left < ARRIVED_RAD
         last = np.where(arrived.any(axis=-1), arrived.argmax(axis=-1), HORIZON - 1)
-        steps = self._repeat * (1 + last) + left / self._step * ~arrived.any(axis=-1)
-        uneasy = self._discomfort(state, reached, limbs) if self._comfort.source != "none" else 0.0
-        return steps + TOUCH_STEPS * touched + DISCOMFORT_STEPS * self._repeat * uneasy
+        steps = self._repeat * (1.0 + last) + np.where(arrived.any(axis=-1), 0.0, left[:, :, -1] / self._step)
+        cost = steps + TOUCH_STEPS * touching
+        if self._comfort.source != "none":
+            on_the_way = np.arange(HORIZON) <= last[..., None]
+            cost += (
+                DISCOMFORT_STEPS * self._repeat * (self._discomfort(state, reached, limbs) * on_the_way).sum(axis=-1)
+            )
+        return np.asarray(cost)
 
-    def _targets(self, state: State, motions: Array) -> Array:
-        """Return the targets (N, K, HORIZON * repeat, J) rad of a rated arm that follows `motions`."""
-        asked = np.repeat(motions * self._step, self._repeat, axis=2)
-        targets, passed = np.empty_like(asked), state.target_vel.numpy()[:, None] * CONTROL_STEP_S
-        at = state.joint_target.numpy()[:, None]
-        for k in range(asked.shape[2]):
-            passed = passed + np.clip(asked[:, :, k] - passed, -self._change, self._change)
-            at = np.clip(at + passed, *self._scene.joint_range.T)
-            targets[:, :, k] = at
-        return targets
+    def targets(self, state: State, motions: Array) -> Array:
+        """Return the targets (N, K, HORIZON * repeat, J) rad of an arm of this rating that follows `motions`."""
+        n, count, _, joints = motions.shape
+        asked = np.repeat(motions * self._step / CONTROL_STEP_S, self._repeat, axis=2).reshape(n * count, -1, joints)
+        at, velocity = (np.repeat(each.numpy(), count, axis=0) for each in (state.joint_target, state.target_vel))
+        arm, (low, high) = self._separation.arm, self._scene.joint_range.T
+        targets = np.empty_like(asked)
+        for k in range(asked.shape[1]):
+            wanted = asked[:, k]
+            if self._rating is not None:
+                limited = self._rating.limited(arm, arm.pose(at), wanted)
+                wanted = self._rating.follow(velocity, self._rating.within(low, high, at, limited))
+            velocity = wanted
+            at = np.clip(at + velocity * CONTROL_STEP_S, low, high)
+            targets[:, k] = at
+        return targets.reshape(n, count, -1, joints)
 
-    def _tried(self, state: State, targets: Array, limbs: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the joints (N, K, HORIZON, J) rad after each decision, and whether (N, K) anything was touched.
+    def _rolled_out(self, state: State, targets: Array, limbs: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return the joints (N, K, HORIZON, J) rad after each decision, and how many control steps (N, K) touch.
 
-        People stand at `limbs` (N, L, 7).
+        The first control step, where the arm is now, does not count. People stand at `limbs` (N, L, 7).
         """
         n, count, steps, joints = targets.shape
         rows = np.repeat(np.arange(n), count)
@@ -141,11 +153,11 @@ class PredictiveSampling:
             1
         ].reshape(n, count, steps, -1)
         at = self._scene.sensors
-        touched = sum(sensed[..., at[name]].any(axis=(-1, -2)) for name in ("human", "table", "self")) > 0
-        return sensed[:, :, self._repeat - 1 :: self._repeat, at["joint_pos"]], np.asarray(touched)
+        touching = np.any([sensed[:, :, 1:, at[name]].any(axis=-1) for name in ("human", "table", "self")], axis=0)
+        return sensed[:, :, self._repeat - 1 :: self._repeat, at["joint_pos"]], touching.sum(axis=-1)
 
     def _discomfort(self, state: State, reached: Array, limbs: Array) -> Array:
-        """Return the discomfort (N, K) of the joints `reached` (N, K, HORIZON, J), summed over the decisions."""
+        """Return the discomfort (N, K, HORIZON) of the joints `reached` (N, K, HORIZON, J); 0 without a person."""
         n, count, ends, joints = reached.shape
         beside = np.repeat(limbs, count * ends, axis=0)
         distance = self._separation.gap(reached.reshape(-1, joints), beside).reshape(n, count, ends)
@@ -153,10 +165,10 @@ class PredictiveSampling:
         moved = np.degrees(np.abs(np.diff(reached, axis=2, prepend=begun)).max(axis=-1)) / self._repeat
         level = state.level[:, None, None].expand(n, count, ends)
         cost = discomfort(torch.from_numpy(distance), torch.from_numpy(moved), level, self._max_step_deg, self._comfort)
-        return cost.sum(dim=-1).numpy()
+        return np.asarray(torch.where(present(state.human_pos)[:, None, None], cost, 0.0).numpy())
 
     def _postures(self, goal: Array, home: bool) -> Array:
-        """Return postures (POSTURES, J) rad with the tool at `goal` (3,) m, or the home posture.
+        """Return postures (POSTURES, J) rad, some of them alike, with the tool at `goal` (3,) m, or the home posture.
 
         Raises:
           ConfigError: there is none without a collision.
@@ -164,6 +176,7 @@ class PredictiveSampling:
         if home:
             return np.tile(self._scene.home, (POSTURES, 1))
         key = tuple(goal.round(3))
+        goal = np.array(key)
         if key not in self._known:
             found, rng = [], np.random.default_rng(0)
             for _ in range(TRIES):
@@ -180,10 +193,3 @@ class PredictiveSampling:
             found.sort(key=lambda each: float(np.abs(each - self._scene.home).max()))
             self._known[key] = np.array(found)[np.arange(POSTURES) % len(found)]
         return self._known[key]
-
-    def _accelerating(self, config: EnvConfig) -> Array:
-        """Return the largest change (J,) of a joint's increment in a control step, rad."""
-        if config.robot.rating == "paper":
-            return np.full(len(self._scene.home), np.inf)
-        rated = RATINGS[config.robot.name][config.robot.rating]
-        return np.array(rated.acceleration_rad_s2) * CONTROL_STEP_S**2

@@ -12,7 +12,7 @@ import pytest
 from hrl_comfort.benchmarks import suite
 from hrl_comfort.cli.first_checks import completed
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.compose import compose, save_config
 
 SHORT = ("split=validation", "episodes=2", "levels=[1,10]", "task.max_episode_steps=150")
 
@@ -46,6 +46,16 @@ def test_the_suite_is_on_the_test_split_and_says_what_was_changed() -> None:
 def test_another_task_than_the_suites_is_refused_before_it_runs(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"task=cycle: the benchmark's figures are of task=shift alone"):
         suite.benchmark(asked("policy=expert", "task=cycle", f"output='{tmp_path / 'entry'}'"))
+    assert not (tmp_path / "entry").exists()
+
+
+def test_a_policy_trained_with_other_steps_is_refused(tmp_path: Path) -> None:
+    for name in ("pick", "place", "return"):
+        (tmp_path / name).mkdir()
+        save_config(compose("train", [f"task={name}"]), tmp_path / name / "config.yaml")
+        (tmp_path / name / "policy.pt").touch()
+    with pytest.raises(ConfigError, match=r"task\.max_step_deg=1\.4, but policies\.pick=.* was trained with 2"):
+        suite.benchmark(asked(str(tmp_path), f"output='{tmp_path / 'entry'}'"))
     assert not (tmp_path / "entry").exists()
 
 

@@ -132,10 +132,6 @@ class FaultyLink(Lockstep):
         for number in range(TICKS):
             self._streamer.tick(number)
 
-    def told_by(self, run: Run) -> FaultyLink:
-        self.run = run
-        return self
-
     def tell_level(self) -> None:
         """Send a level to the source of the run, which reads the simulated clock."""
         assert self.run is not None
