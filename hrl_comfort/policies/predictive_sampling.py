@@ -51,6 +51,8 @@ ARRIVED_RAD = np.radians(1.0)
 """Distance of every joint from a posture at which nothing is left of the way."""
 TOUCH_STEPS = 300.0
 """Price of a control step in touch, in control steps: an arm that touches leaves at once."""
+DEEPEST_M = 1.0
+"""Depth up to which the planner is told of touches without forces, which steps of 20 ms cannot resolve."""
 DISCOMFORT_STEPS = 4.0
 """Price of a control step of discomfort 1, in control steps."""
 
@@ -68,6 +70,7 @@ class PredictiveSampling:
         self._tolerance = TOLERANCE * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
         model = copy(scene.model)
         model.opt.timestep = CONTROL_STEP_S
+        model.geom_margin[:], model.geom_gap[:] = -DEEPEST_M, DEEPEST_M
         self._model, self._data, self._rollout = model, mujoco.MjData(model), rollout.Rollout(nthread=0)
         self._checker, self._separation = CollisionChecker(scene), Separation(scene)
         self._known: dict[tuple[float, ...], Array] = {}
