@@ -55,23 +55,9 @@ def browser() -> Iterator[Any]:
         launched.close()
 
 
-UNCOVERED = (
-    "envs/test_dm.py", "hierarchy/test_shift.py", "policies/test_expert.py", "policies/test_predictive_sampling.py",
-    "policies/test_potential_field.py", "safety/", "sim/test_comfort_engine.py", "sim/test_engine.py",
-    "sim/test_randomisation.py", "studio/test_page_safety.py", "tasks/test_tasks.py",
-    "training/test_controller_trainer.py", "training/test_hierarchy.py", "training/test_stages.py",
-    "training/test_trainer.py",
-)  # fmt: skip
-"""Tests that run the same lines very often: tracing them costs half of their time again and adds no line."""
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest test, so that no worker is left alone with it, and trace no line of UNCOVERED."""
+    """Begin with the longest test, so that no worker is left alone with it at the end."""
     items.sort(key=lambda item: item.name != "test_every_command_of_the_readme_runs")
-    here = Path(__file__).parent
-    for item in items:
-        if item.path.relative_to(here).as_posix().startswith(UNCOVERED):
-            item.add_marker("no_cover")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
