@@ -32,7 +32,7 @@ class StreamConfig:
     high: Annotated[float, within(-1e9, 1e9)]
     """Value of level N_c, in the unit of the signal; it may be below `low`."""
     tolerance: Annotated[float, within(0.0, 10.0)]
-    """How far a value may lie outside of [low, high], as a share of that range; values farther out are ignored."""
+    """Share of the range by which a value may lie outside of [low, high]; values farther out are ignored."""
     smoothing_s: Annotated[float, within(0.0, 3600.0)]
     """Time constant of the exponential smoothing, s; 0 is none."""
     stall_s: Annotated[float, within(0.0, 3600.0)]

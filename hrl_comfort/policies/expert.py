@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
-from hrl_comfort.comfort.terms import ease, increment_threshold, present
+from hrl_comfort.comfort.terms import ease, present
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
-from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.policies.scripted import StageGoals, comfortable_pace
 from hrl_comfort.scene.human import ARM_RADIUS_M, SHOULDER_HALF_WIDTH_M, SHOULDER_M, TRUNK_RADIUS_M
 from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.scene.workcell import Scene
@@ -115,12 +115,10 @@ class Expert:
 
     def _margin_and_pace(self, state: State) -> tuple[Array, Array]:
         """Return the width (N,) m added to the person, and the share (N,) of full speed; 0 and 1 without a person."""
-        margin, pace = torch.zeros_like(state.level), torch.ones_like(state.level)
+        margin, there = torch.zeros_like(state.level), present(state.human_pos)
         if self._comfort.source != "none" and self._comfort.alpha:
             margin = MARGIN_M * (1 - ease(state.level, self._comfort))
-        if self._comfort.source != "none" and self._comfort.beta:
-            pace = increment_threshold(state.level, 1.0, self._comfort).clamp(min=SLOWEST)
-        there = present(state.human_pos)
+        pace = comfortable_pace(state.level, self._comfort).clamp(min=SLOWEST)
         return torch.where(there, margin, 0.0).numpy(), torch.where(there, pace, 1.0).numpy()
 
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:

@@ -19,9 +19,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.comfort.terms import SMALLEST_M, increment_threshold, threshold_levels
+from hrl_comfort.comfort.terms import SMALLEST_M, threshold_levels
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.policies.scripted import StageGoals, comfortable_pace
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import OBSTACLES, Scene
 from hrl_comfort.tasks import State, Subtask
@@ -89,7 +89,7 @@ class PotentialField:
         goals, homeward = self._goals(state)
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
         radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
-        pace = self._pace(level).numpy()
+        pace = comfortable_pace(level, self._comfort).numpy()
         people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
         limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
         before = state.joint_target.numpy()
@@ -100,12 +100,6 @@ class PotentialField:
                 ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
                 joints[row] += pace[row] * (ahead - joints[row])
         return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
-
-    def _pace(self, level: Tensor) -> Tensor:
-        """Return the comfortable share (N,) of full speed at level (N,)."""
-        if self._comfort.source == "none" or not self._comfort.beta:
-            return torch.ones_like(level)
-        return increment_threshold(level, 1.0, self._comfort)
 
     def _place_person(self, limbs: Array) -> None:
         """Put the person's limbs (7, 7) into the model."""

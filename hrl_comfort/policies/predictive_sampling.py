@@ -117,10 +117,8 @@ class PredictiveSampling:
         steps = self._repeat * (1.0 + last) + np.where(arrived.any(axis=-1), 0.0, left[:, :, -1] / self._step)
         cost = steps + TOUCH_STEPS * touching
         if self._comfort.source != "none":
-            on_the_way = np.arange(HORIZON) <= last[..., None]
-            cost += (
-                DISCOMFORT_STEPS * self._repeat * (self._discomfort(state, reached, limbs) * on_the_way).sum(axis=-1)
-            )
+            until = np.arange(HORIZON) <= last[..., None]
+            cost += DISCOMFORT_STEPS * self._repeat * (self._discomfort(state, reached, limbs) * until).sum(axis=-1)
         return np.asarray(cost)
 
     def targets(self, state: State, motions: Array) -> Array:
@@ -152,10 +150,8 @@ class PredictiveSampling:
         balls, points = np.zeros((n * count, 0, 3)), np.zeros((n * count, 0, 3))
         flat = targets.reshape(n * count, steps, joints)
         control = pack_controls(self._scene, flat, beside, balls, np.zeros((n * count, 0), dtype=np.int64), points)
-        sensed = self._rollout.rollout(self._model, self._data, state_of[rows], control, control_spec=CONTROL_SPEC)[
-            1
-        ].reshape(n, count, steps, -1)
-        at = self._scene.sensors
+        run = self._rollout.rollout(self._model, self._data, state_of[rows], control, control_spec=CONTROL_SPEC)
+        sensed, at = run[1].reshape(n, count, steps, -1), self._scene.sensors
         touching = np.any([sensed[:, :, 1:, at[name]].any(axis=-1) for name in ("human", "table", "self")], axis=0)
         return sensed[:, :, self._repeat - 1 :: self._repeat, at["joint_pos"]], touching.sum(axis=-1)
 

@@ -1,14 +1,22 @@
-"""Goals of scripted policies."""
+"""Goals and paces of scripted policies."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.comfort.terms import increment_threshold
+from hrl_comfort.config import ComfortConfig, ConfigError, EnvConfig
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import by_stage
+
+
+def comfortable_pace(level: Tensor, comfort: ComfortConfig) -> Tensor:
+    """Return the comfortable share (N,) of full speed at levels (N,); 1 where comfort does not weigh speed."""
+    weighed = comfort.source != "none" and comfort.beta
+    return increment_threshold(level, 1.0, comfort) if weighed else torch.ones_like(level)
 
 
 class StageGoals:

@@ -115,7 +115,7 @@ class Person:
 
     @property
     def hands(self) -> Array | None:
-        """Where the hands are held, (2, 3) m in the person's frame; None where they hang or do as the motion says."""
+        """Places of held hands, (2, 3) m in the person's frame; None where they hang or do as the motion says."""
         return HELD.hands
 
     def reach(self, hands: Array | None) -> None:

@@ -56,7 +56,7 @@ class Step:
 
     @property
     def outcome(self) -> str:
-        """How the episode ended, empty where it goes on."""
+        """End of the episode in a word, empty where it goes on."""
         if not self.over:
             return ""
         if bool(self.result.success[0]):
@@ -117,7 +117,7 @@ class Session:
 
     @property
     def reach_m(self) -> float:
-        """How far the person may get before the arm is slow, as the shield counts; 0 where it is slow or unshielded."""
+        """Way of the person until the arm is slow, m, as the shield counts; 0 where it is slow or unshielded."""
         drive, state = self.engine.episodes.drive, self.state
         if drive is None:
             return 0.0

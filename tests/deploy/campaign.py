@@ -37,12 +37,12 @@ from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 from tests.deploy.fake_ur import Faults, fake_ur
+from tests.deploy.faulty_link import BEHIND
 
 Array = NDArray[np.float64]
 HOST = f"127.9.{os.getpid() % 250}.1"
 LATENCY_S, JITTER_S, LOSS = 0.02, 0.002, 0.01
 CHAIN = [f"policies.{name}=runs/reference/shielded/seed2/{name}" for name in ("pick", "place", "return")]
-BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
 PEOPLE = ["human=mixture", "~human.mixture.random_walk", "~human.mixture.approach"]
 """Without the motions that have no bound on acceleration: beside them the shield has to stop."""
 RUN_CYCLES = 10

@@ -31,7 +31,7 @@ LEVELS = ["comfort=conditioned", "comfort.source=udp", "comfort.stream.port=0", 
 FAST_M_S = 0.4
 """Speed of the arm from which a person who comes near makes the shield brake."""
 AWAY, NEAR_M, JUMP_M = (1.5, 0.5), 0.5, 0.1
-"""Where the person stands, how far from the tool when they come near, and what they jump by in a control step then."""
+"""Place of the person, their distance from the tool when they come near, and their jumps in a control step then."""
 
 
 class Clock:

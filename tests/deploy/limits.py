@@ -27,10 +27,10 @@ from hrl_comfort.deploy.streamer import COLUMNS, ROUNDING, Limits
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import build_scene
+from tests.deploy.faulty_link import BEHIND
 
 REFERENCE = [f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")]
 SHIELDED = [f"policies.{name}=runs/reference/shielded/seed0/{name}" for name in ("pick", "place", "return")]
-BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
 POLICIES = {
     "reference cycle": ["task=cycle", "meta_controller=scripted", *REFERENCE],
     "shielded cycle": ["task=cycle", "meta_controller=scripted", *SHIELDED, *BEHIND],

@@ -46,14 +46,14 @@ SAYS = {
     "interrupted": "interrupted",
     "runner gone": "the runner has gone",
 }
-"""How the line begins that says why."""
+"""Beginning of the line that says why."""
 FIRST, LAST = 6, 30
 """Control steps among which the moment is drawn, after the first decision."""
 
 
 @dataclass
 class Injection:
-    """What became of one run that was stopped."""
+    """Result of one run that was stopped."""
 
     said: str = ""
     code: int = 0
@@ -132,7 +132,7 @@ def left(seed: int) -> Injection:
             way, report = rng.uniform(-0.3, 0.3, len(scene.home)), streamer.report()
 
             def plan() -> None:
-                """Say what the runner says: a plan each control step, until it is gone."""
+                """Send what the runner sends: a plan each control step, until it is gone."""
                 nonlocal report
                 if (tick := next(ticks)) == end:
                     ours.close()
@@ -157,7 +157,7 @@ def log_of(path: Path) -> Array:
 
 
 def kind_line(kind: str, count: int, first: int = VALIDATION_SEED) -> dict[str, float]:
-    """Return a line of the table: what became of `count` runs."""
+    """Return a line of the table: the results of `count` runs."""
     once = left if kind == "runner gone" else partial(stopped, kind)
     found = [once(seed) for seed in range(first, first + count)]
     code = INTERRUPTED if kind == "interrupted" else STOPPED

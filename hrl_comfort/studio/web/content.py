@@ -33,9 +33,9 @@ from hrl_comfort.tasks import State
 EPISODES = 8
 """Episodes after which the page begins again with the first."""
 RECORDED_S = 20.0
-"""How long the person of an episode walks; then they stand."""
+"""Time that the person of an episode walks; then they stand."""
 ENTRANCE_M = [-0.9, -0.9]
-"""Where a person who is taken over enters a cell without one."""
+"""Place where a person who is taken over enters a cell without one."""
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "human_pos", "human_yaw",
     "human_seen", "ball_pos", "drop_pos", "orange_drop", "pink_drop", "points", "colour", "stage", "level",
