@@ -38,6 +38,8 @@ BASE_M = 0.15
 Point = tuple[float, float]
 Runs = Mapping[str, tuple[Run, DataFrame]]
 """Evaluations by their name in the legend, each with its episodes; their index is the number of the episode."""
+SHOWN = ("colour", "seen", "comfort_level", "steps", "human_distance_mean_m")
+"""Columns of episodes.csv that a figure shows where they are there."""
 
 
 @dataclass(frozen=True)
@@ -148,8 +150,7 @@ def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[i
     """
     found = {}
     for name, run in named.items():
-        assert run.episodes is not None, "the figure's evaluations have episodes"
-        there = [None if pd.isna(level) else int(level) for level in run.episodes["comfort_level"].unique()]
+        there = [None if pd.isna(level) else int(level) for level in _episodes(run)["comfort_level"].unique()]
         level = levels[0] if levels else there[0]
         if level not in there or (len(there) > 1 and not levels):
             raise ConfigError(f"{run.folder} holds the levels {', '.join(map(str, there))}; choose one: levels=[5]")
@@ -157,10 +158,16 @@ def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[i
     return _draw(found, [CYCLE[i % len(CYCLE)] for i in range(len(found))], episodes)
 
 
+def _episodes(run: Run) -> DataFrame:
+    """Return the episodes of an evaluation with `ended`; what they lack of SHOWN is missing in every row."""
+    assert run.episodes is not None, "the figure's evaluations have episodes"
+    whole = run.episodes.reindex(columns=list(dict.fromkeys((*run.episodes, *SHOWN))))
+    return whole.assign(ended=terminations(run.episodes))
+
+
 def _at_level(run: Run, level: int | None) -> DataFrame:
     """Return the episodes of an evaluation at a level (None: without one), by episode, with `ended`."""
-    assert run.episodes is not None, "the figure's evaluations have episodes"
-    rows = run.episodes.assign(ended=terminations(run.episodes)).set_index("episode", drop=False)
+    rows = _episodes(run).set_index("episode", drop=False)
     levels = rows["comfort_level"]
     return rows[levels.isna() if level is None else levels.eq(level).fillna(False)]
 
@@ -175,7 +182,7 @@ def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
     won = [episode for episode in common if all(rows.at[episode, "success"] for rows in tables)]
     if not episodes and not won:
         raise ConfigError(f"no episode succeeds in {' and '.join(found)} alike; choose with episodes=[0,1]")
-    return list(episodes) or tables[0].loc[won].groupby("colour")["episode"].first().tolist()
+    return list(episodes) or tables[0].loc[won].groupby("colour", dropna=False)["episode"].first().tolist()
 
 
 def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
@@ -252,9 +259,10 @@ def _from_above(
 def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precision: Mapping[str, float]) -> None:
     """Draw one episode's paths from above, and what each came to."""
     first = tracks[0].row
-    _from_above(axis, tracks, cell, precision, first["colour"])
+    colour = None if pd.isna(first["colour"]) else first["colour"]
+    _from_above(axis, tracks, cell, precision, colour)
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
-    title = f"{first['colour'].capitalize()} ball, episode {first['episode']} ({spawn} spawn)"
+    title = f"{colour or ''} ball, episode {first['episode']} ({spawn} spawn)".strip().capitalize()
     axis.set(title=title, xlabel="x (m)")
     axis.legend(
         handles=[Line2D([], [], color=track.colour, label=_words(track)) for track in tracks],
@@ -272,8 +280,9 @@ def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precisi
 def _words(track: Track) -> str:
     """Return the legend of a path."""
     distance, ended = track.row["human_distance_mean_m"], track.row["ended"]
-    parts = [] if np.isnan(distance) else [f"{distance:.2f} m"]
-    parts += [f"{track.row['steps']} steps"] + ([] if ended == "success" else [ended])
+    parts = [] if pd.isna(distance) else [f"{distance:.2f} m"]
+    parts += [] if pd.isna(track.row["steps"]) else [f"{track.row['steps']} steps"]
+    parts += [] if ended == "success" else [ended]
     return f"{track.name}: {', '.join(parts)}"
 
 

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hrl_comfort.cli import main as commands
@@ -11,6 +12,7 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.plots.figure import figure
+from hrl_comfort.plots.paths import SHOWN
 
 CONFIG = """\
 cell:
@@ -179,6 +181,16 @@ def test_people_at_one_of_several_levels_under_given_names(tmp_path):
     folders = [evaluation(tmp_path / name, human=name) for name in ("random_walk", "arc")]
     words = ("levels=[4]", "labels=[stays,passes by]", "episodes=[1,2]")
     assert draw(tmp_path / "f.png", "people", folders, *words).is_file()
+
+
+@pytest.mark.parametrize("blank", [False, True])
+@pytest.mark.parametrize("column", [*SHOWN])
+def test_paths_are_drawn_without_what_episodes_lack(tmp_path, column, blank):
+    folder = evaluation(tmp_path / "one", levels=(None,))
+    table = pd.read_csv(folder / "episodes.csv")
+    table = table.assign(**{column: None}) if blank else table.drop(columns=column)
+    table.to_csv(folder / "episodes.csv", index=False)
+    assert draw(tmp_path / "f.png", "people", [folder], "labels=[one]").is_file()
 
 
 def test_the_jump_is_measured_one_second_later(tmp_path):
