@@ -13,6 +13,7 @@ from hrl_comfort.config.overrides import ROOTS, root_of
 from hrl_comfort.studio.tune.keys import Key, keys_of
 
 PAGE = Path(__file__).resolve().parent / "configuration.md"
+CONF = PAGE.parent.parent / "conf"
 HEAD = "| key | meaning | allowed | default |\n|---|---|---|---|\n"
 MARKED = re.compile(r"(<!-- keys: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -20,14 +21,23 @@ MARKED = re.compile(r"(<!-- keys: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 def table(name: str) -> str:
     """Return the Markdown table of a section or of a command's own keys."""
     if (root := root_of(name)) in ROOTS:
-        return HEAD + "".join(_line(key, key.name) for key in keys_of(root) if not key.section)
+        return HEAD + "".join(_line(key, key.name, root) for key in keys_of(root) if not key.section)
     root = next(root for root in ROOTS if any(key.section == name for key in keys_of(root)))
-    return HEAD + "".join(_line(key, key.name.removeprefix(f"{name}.")) for key in keys_of(root) if key.section == name)
+    keys = [key for key in keys_of(root) if key.section == name]
+    return HEAD + "".join(_line(key, key.name.removeprefix(f"{name}."), root) for key in keys)
 
 
-def _line(key: Key, name: str) -> str:
-    default = f"`{key.default}`" if key.default not in ("", "…") else key.default
+def _line(key: Key, name: str, root: str) -> str:
+    default = _file_of(key, root) if key.default == "…" else f"`{key.default}`" if key.default else ""
     return f"| `{name}` | {key.meaning} | {key.allowed} | {default} |\n"
+
+
+def _file_of(key: Key, root: str) -> str:
+    """Return a link to the file of `conf/` that holds a default too long for the table."""
+    line = re.compile(rf"^ *{key.name.rpartition('.')[2]}:", re.MULTILINE)
+    files = [*sorted((CONF / key.section).glob("*.yaml")), CONF / f"{root}.yaml"]
+    file = next(each for each in files if line.search(each.read_text(encoding="utf-8")))
+    return f"[{file.name}](../{file.relative_to(CONF.parent)})"
 
 
 def filled(page: str) -> str:

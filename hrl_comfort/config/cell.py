@@ -23,13 +23,16 @@ class RobotConfig:
     """The arm; its kinematics and masses are those of `scene.robots`."""
 
     name: str
-    """A key of `scene.robots.ROBOTS`, an entry point or `package.module:name`; it is checked when it is looked up."""
+    """Name of a built-in robot, of one that an installed package offers as an entry point, or `package.module:name`."""
     home_deg: list[Coordinate] | None
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
-    """Limits of `scene.ratings` on set-points; `paper` has none but `task.max_step_deg`."""
+    """Limits of joint speed, joint acceleration and the speed of the arm's fastest point. `full`: the acceleration that
+    the arm has, and 1.5 m/s. `collaborative`: half that acceleration, and 1 m/s; both are for UR arms alone. `paper`:
+    no limit but `task.max_step_deg`."""
     calibration: str | None = None
-    """The file calibration.conf of the controller of a Universal Robots arm; null is the model's nominal arm."""
+    """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
+    model."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,11 @@ class EngineConfig:
     """The batched simulation."""
 
     num_envs: Annotated[int, within(1, MAX_ENVS)]
-    """Number of cells."""
+    """Number of cells that are simulated at once."""
     threads: Annotated[int, within(1, 256)]
     """Threads of the simulation."""
     substeps: Annotated[int, within(1, 100)]
-    """Physics steps a control step of 20 ms."""
+    """Physics steps in a control step of 20 ms."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +74,9 @@ class ConnectionConfig:
     host: str
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
-    """Three places of the tool in the frame of the robot's base, m: the origin of the frame in which `cell.*_m`,
-    `task.*point_m` and live positions of people are given, a point on its x axis, and one where y > 0; null is the
-    frame of the base."""
+    """The frame in which `cell.*_m`, `task.*point_m` and live positions of people are given, taught by three places of
+    the tool: its origin, a point on its x axis, and a point of its x-y plane with y > 0, each in the frame of the
+    robot's base, m. null: the frame of the base."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ class RandomiseConfig:
     """
 
     servo_lag_s: Delay
-    """Lag of the servos behind a ramp, s, besides that of the model (0.03)."""
+    """Lag of the servos behind a ramp of set-points, s, in addition to the model's 0.03 s."""
     latency_s: Delay
     """Time from a set-point until the servos have it, s."""
     link_mass: Factor
@@ -98,7 +101,7 @@ class RandomiseConfig:
     person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
     """Standard deviation of the person's observed position along x and along y, m."""
     person_rate_hz: Rate
-    """Frames of the person's tracker per second; between frames the last one is kept. 50 is one per control step."""
+    """Frames of the person's tracker per second; the last frame holds until the next. 50 is one per control step."""
     person_dropout: Share
     """Probability that a frame is lost; at most two in a row are."""
 

@@ -36,7 +36,7 @@ class StreamConfig:
     smoothing_s: Annotated[float, within(0.0, 3600.0)]
     """Time constant of the exponential smoothing, s; 0 is none."""
     stall_s: Annotated[float, within(0.0, 3600.0)]
-    """Time for which the last good value holds, s; after it, the level is 1."""
+    """Time without a good value after which the level is 1, s; until then the last good value holds."""
     host: str
     """`udp`: host to listen on."""
     port: Annotated[int, within(0, 65535)]
@@ -54,13 +54,15 @@ class PersonConfig:
     """The simulated human of `source=simulated` and `frightened`."""
 
     near_m: Annotated[float, within(0.01, 10.0)]
-    """Distance below which the robot causes stress, m: of the tool, horizontal; `frightened`: of the nearest link."""
+    """Distance below which the robot causes stress, m. `simulated`: horizontal, of the tool. `frightened`: of the
+    nearest link."""
     fast_m_s: Annotated[float, within(0.01, 10.0)]
-    """Tool speed of full stress, m/s."""
+    """Tool speed above which more speed adds no stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]
-    """Time from the highest to the lowest level under full stress, s."""
+    """`frightened`: time in which full stress lowers the level from N_c to 1, recovery left out, s. `simulated`: twice
+    that time."""
     recovery_s: Annotated[float, within(0.01, 3600.0)]
-    """Time constant of the recovery, s."""
+    """Time constant with which the level returns to N_c, s."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class ComfortConfig:
     """Source of the comfort level and F_comfort, its reward term (docs/comfort.md)."""
 
     levels: Annotated[int, within(2, 1000)]
-    """N_c. At level 1 the robot is most cautious, at N_c least."""
+    """N_c, the number of levels. At level 1 the robot is most cautious, at N_c least."""
     source: Annotated[str, choice(*SOURCES)]
     """Source of the level; with `none`, comfort is measured but neither observed nor rewarded."""
     level: int | None
@@ -86,15 +88,17 @@ class ComfortConfig:
     threshold: Annotated[str, named("comfort.threshold", *THRESHOLDS)]
     """Distance threshold theta as a function of the level."""
     distance: Annotated[str, choice(*DISTANCES)]
-    """`tool`: horizontal, tool to the human's axis. `arm`: smallest between any link and any body part."""
+    """Distance in the term. `tool`: horizontal, from the tool to the person's axis. `arm`: the smallest between any
+    link and any body part."""
     min_m: float
-    """d_min of the threshold, m."""
+    """d_min of the threshold, m; below `max_m`."""
     max_m: Annotated[float, within(0.01, 10.0)]
     """d_max of the threshold, m."""
     power: Annotated[float, within(0.5, 8.0)]
-    """`target_distance` forms and `minimum_distance`: exponent of the normalised error."""
+    """`target_distance` forms and `minimum_distance`: exponent of the normalised error of distance."""
     time_penalty: Annotated[float, within(0.0, 10.0)]
-    """Forms with `power`: cost of a control step at level N_c, 0 at level 1, before alpha and scale."""
+    """`target_distance` forms and `minimum_distance`: amount by which F_conf1 is lower in every control step at level
+    N_c; it falls linearly to 0 at level 1."""
     alpha: Annotated[float, within(0.0, 1.0)]
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]

@@ -62,7 +62,7 @@ class TrainingConfig(EnvConfig):
     output: str
     """Run folder."""
     resume: str | None
-    """Run folder to continue with its own config.yaml."""
+    """Run folder of a stopped training, which continues with its own config.yaml."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class TrainConfig(TrainingConfig):
     curriculum: CurriculumConfig
     agent: AgentConfig
     initial_policy: str | None
-    """policy.pt or run folder of the initial actor, critics and normaliser."""
+    """policy.pt or run folder from which actor, critics and normaliser start; null starts them at random."""
     logger: Annotated[str, choice("tensorboard", "wandb")]
-    """Place of the curves of metrics.csv: TensorBoard's file alone, or Weights & Biases too."""
+    """Where the curves of metrics.csv go: to TensorBoard's file alone, or to Weights & Biases too."""
 
     def __post_init__(self) -> None:
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
@@ -118,7 +118,7 @@ class MetaControllerTrainConfig(TrainingConfig):
     policies: dict[str, str]
     """Policy of each subtask."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
-    """Disturbance of each episode, one of DISTURBANCES."""
+    """Once in every episode: `drop` knocks a ball out of the gripper, `block` puts a person at a drop table for 8 s."""
 
     def __post_init__(self) -> None:
         if self.task.name not in SORTING:
@@ -143,25 +143,26 @@ class EvaluateConfig(EnvConfig):
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
-    """`paper`: the committed evaluation set. `train`, `validation`: episodes drawn as in training. `test`: episodes
-    from a part of the world that no training with `human.partitioned` sees; docs/tables/test_ledger.csv lists each."""
+    """`paper`: the committed evaluation set. `train`, `validation`: episodes drawn as in training. `test`: people,
+    places, arm starts that no training with `human.partitioned` sees; its evaluations are listed in
+    docs/tables/test_ledger.csv."""
     episodes: int
-    """Number of episodes (at each level)."""
+    """Number of episodes; with `levels`, at each level."""
     episode_seed: int | None
-    """Seed of the first episode; null is the first of the split."""
+    """Seed of the first episode; null is the first seed of the split."""
     levels: Annotated[list[int], unique]
-    """Comfort levels to evaluate on the same episodes; [] leaves the level to `comfort`."""
+    """Comfort levels at which the same episodes are run; [] leaves the level to `comfort`."""
     group_by: list[str]
     """Further columns of episodes.csv by which summary.json is grouped."""
     record: bool
-    """Write paths.csv."""
+    """Write paths.csv, the motion of arm and person at every control step."""
     realtime: bool
-    """Pace the episodes by the wall clock, for live levels and people."""
+    """Run episodes no faster than the wall clock, for live levels and people."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
-    """Disturbance of each episode, one of DISTURBANCES."""
+    """Once in every episode: `drop` knocks a ball out of the gripper, `block` puts a person at a drop table for 8 s."""
     terminal_states: str | None
-    """File (.npz) for the joint states at the end of successful episodes: angles (rad), velocities (rad/s) and servo
-    targets (rad). Episodes are drawn as in training, and no evaluation is made."""
+    """File (.npz) for the states at the end of successful episodes: joint angles, velocities and servo targets (rad,
+    rad/s), and the person's position (m) and level. Episodes are drawn as in training, and nothing else is written."""
     output: str
     """Folder of the evaluation."""
 
@@ -228,13 +229,13 @@ class StudioConfig(EvaluateConfig):
     beside: str | None
     """Second policy, or folder of policies, that acts in a second cell beside the same person."""
     replay: str | None
-    """Folder of an evaluation with paths.csv to play back, instead of a simulation."""
+    """Folder of an evaluation with paths.csv, or run folder with one in eval/, to play back instead of a simulation."""
     export: str | None
     """HTML file that plays the policies without a server, instead of the live view."""
     host: str
-    """Address to listen on; others than loopback need a token, which is printed with the address."""
+    """Address to listen on. Any but the loopback needs a token, which is printed with the address."""
     port: Annotated[int, within(0, 65535)]
-    """Port to listen on, or the next free one; 0 is any free port."""
+    """Port to listen on; if it is taken, the next free one; 0 is any free port."""
     speed: Annotated[float, within(0.1, 4.0)]
     """Simulated time per wall-clock time."""
     frames_per_s: Annotated[float, within(1.0, 60.0)]
@@ -251,7 +252,7 @@ class DeployConfig(EvaluateConfig):
 
     connection: ConnectionConfig
     confirm: Annotated[str, choice("ask", "yes")]
-    """`ask` waits for a typed word between the dry run and the first motion; `yes`, for simulated arms, does not."""
+    """`ask` moves the arm only when `move` is typed after the dry run; `yes`, for simulated arms only, does not ask."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -290,7 +291,7 @@ class ReportConfig(CommandConfig):
     """`hrl-comfort report`."""
 
     run: str
-    """Run folder, or folder of run folders and their `eval/`."""
+    """Run folder, or a folder that holds run folders; their evaluations in `eval/` are read too."""
     output: str | None
     """HTML file; null is report.html in `run`."""
     video: bool
@@ -308,7 +309,7 @@ class IdentifyConfig(CommandConfig):
     run: str
     """Folder that `hrl-comfort deploy` wrote."""
     output: str | None
-    """JSON file of the table; null is identify.json in `run`."""
+    """JSON file for the fitted lags and latencies; null is identify.json in `run`."""
 
 
 @dataclass(frozen=True)
@@ -328,8 +329,8 @@ class FigureConfig(CommandConfig):
     levels: list[int]
     """`paths`: levels to draw. `people`: the level to draw."""
     episodes: list[int]
-    """`paths`, `people`: one or two episodes; [] is the first orange and the first pink one that succeed in all.
-    `timeline`: any number; [] is the first twelve."""
+    """`paths`, `people`: one or two episodes; [] is, for each colour of ball, the first episode that succeeds at every
+    drawn level or beside every drawn motion. `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

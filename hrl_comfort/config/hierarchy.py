@@ -16,15 +16,18 @@ class MetaControllerConfig:
     """The meta-controller, which sequences frozen policies."""
 
     name: Annotated[str, choice(*CONTROLLERS)]
-    """Kind of controller; `none` runs a single policy."""
+    """Kind of controller; `none` runs the one policy of `policy=`."""
     options: list[str]
-    """Subtasks in the order of the scripted controller."""
+    """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted; in `task=sort`, a skill."""
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. The options `wait` and
+    `retreat` of `sort` have no limit."""
     retries: Annotated[int, within(0, 100)]
-    """Retries of a preempted option; `sort` retries until the episode ends."""
+    """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort`
+    without limit."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
-    """`sort`: levels, 1 to `comfort.levels`, that the controller may give a skill instead of the current level."""
+    """`sort`: comfort levels that the controller may tell a skill (the policy of an option) instead of the current
+    level."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +70,17 @@ class HierarchyConfig:
     """Budgets and steps of a hierarchy's trainings."""
 
     shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
-    """Budget of each option's training, as a multiple of `agent.policy_steps`; its stages scale with it."""
+    """Budget of each option's training, as a multiple of `agent.policy_steps`; its curriculum stages are scaled to
+    it."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
-    """Episodes that record the starts of the next option."""
+    """Episodes whose successful ends are recorded, as the starts from which the next option is trained."""
     refinement: list[StageConfig]
-    """Stages of a second training of every option, the last one first; its targets end in the next skill's value;
-    none: no second training."""
+    """Curriculum stages of a second training of every option, from the last option to the first, in which a success is
+    also worth the next option's value of it (`agent.next_skill`); [] is no second training."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: list[str]
-    """Overrides of a `train meta_controller` above the options; none: only the scripted controller."""
+    """Overrides of a `train meta_controller` that follows: it trains a controller of `task=sort` above the options, for
+    example `['human=patrol']`. [] trains none; the chain then has the scripted controller alone."""

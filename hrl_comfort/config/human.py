@@ -17,24 +17,29 @@ class HumanConfig:
     """The human beside the robot; metres, cell frame."""
 
     motion: str
-    """A key of `humans.MOTIONS`, an entry point or `package.module:name`; it is checked when it is looked up."""
+    """Name of a built-in motion, of one that an installed package offers as an entry point, or
+    `package.module:name`."""
     spawns_m: Annotated[list[XY], Field(min_length=1)]
-    """Spawn points (x, y), m; those within `keep_out_m` of a goal are moved out. By default those of the authors'
-    scene, where points 3 and 10 are the same."""
+    """Spawn points (x, y), m: where people start. Those within `keep_out_m` of a goal or the base are moved out. The
+    default is the 19 points of the paper authors' scene; counted from 0, points 3 and 10 are the same."""
     held_out: list[int]
-    """Indices into `spawns_m` that training never uses; they are the unseen spawns of the evaluation set."""
+    """Indices into `spawns_m`, from 0, at which no training episode starts: the unseen spawn points of the evaluation
+    set."""
     spawn: Annotated[str, choice("points", "anywhere", "mixed")]
-    """Training spawns: a point that is not held out, a random position around the robot, or either at 50 %."""
+    """Start of the person in training. `points`: at a point that is not held out. `anywhere`: around the robot.
+    `mixed`: half of the episodes each."""
     spawn_jitter_m: Annotated[float, within(0.0, 0.5)]
-    """`spawn=points`: the spawn is uniform in a disc of this radius around the point, m."""
+    """`spawn=points`, `mixed`: radius of the disc around a point in which the start is uniform, m."""
     spawn_radius_m: XY
-    """`spawn=anywhere`: smallest and largest distance from the robot's base, m."""
+    """`spawn=anywhere`, `mixed`: smallest and largest distance of a start from the robot's base, m."""
     spawn_margin_m: Annotated[float, within(0.0, 0.5)]
-    """Smallest distance of training spawns from held-out points, m."""
+    """Smallest distance of training starts from held-out points, m."""
     keep_out_m: Annotated[float, within(0.0, 1.0)]
-    """Smallest distance of the human's axis from any goal and the robot's base, m."""
+    """Radius of the discs around all goals and the robot's base that the person's axis stays out of, m; `adversary`,
+    `recorded` and `live` do not keep to them."""
     bound_m: Annotated[float, within(0.0, 10.0)]
-    """Largest distance from the spawn point, m."""
+    """`random_walk`, `arc`, `approach`, and `patrol` without an acceleration: largest distance from the spawn point,
+    m."""
     jitter_m: Annotated[float, within(0.0, 0.1)]
     """`random_walk`, `arc`: largest random displacement a control step along x and along y, m."""
     forward_m: Annotated[float, within(0.0, 0.1)]
@@ -46,25 +51,28 @@ class HumanConfig:
     arc_steps: Annotated[int, within(1, 100_000)]
     """`arc`: control steps for the arc in one direction."""
     speed_m_s: Annotated[float, within(0.0, 3.0)]
-    """`approach`: walking speed, m/s. `live`, `patrol`, `worker`, `reactive`, `adversary`: its limit."""
+    """`approach`: walking speed, m/s. `live`, `patrol`, `worker`, `reactive`, `adversary`: largest speed, m/s."""
     acceleration_m_s2: Annotated[float, within(0.1, 20.0)] | None
-    """`patrol`, `worker`, `reactive`, `adversary`: largest acceleration, m/s². null: `patrol` jumps to its speed."""
+    """`patrol`, `worker`, `reactive`, `adversary`: largest acceleration, m/s². null, for `patrol` only, lets it change
+    its speed at once."""
     curiosity: Annotated[float, within(0.0, 1.0)]
-    """`reactive`: 0 is afraid of the moving arm, 0.5 yields to it as to a person, 1 goes to look at the tool."""
+    """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they yield to it as to a person, at 1 they come
+    to look at the tool."""
     mixture: dict[str, dict[str, Any]]
-    """`mixture`: motions, one of which is drawn for each episode, and the values of this section that each changes."""
+    """`mixture`: motions, of which each episode draws one, and the values of this section that each of them changes."""
     partitioned: bool
-    """Each split (`train`, `validation`, `test`) has its own sectors around the robot, traits of people, recordings and
-    arm starts; training sees only those of `train`."""
+    """Whether `train`, `validation` and `test` each have sectors around the robot, traits of people, recordings and arm
+    starts of their own; training then sees those of `train` alone."""
     file: str | None
     """`recorded`: CSV of t, x, y, yaw in s, m, m, rad, BVH file, or folder of such files. `live`: udp://HOST:PORT,
-    lsl:NAME or package.module:callable; null is the person of `hrl-comfort studio`."""
+    lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio` move."""
     clipping: Annotated[str, choice("off", "full", "partial")]
-    """Policies observe the spawn point nearest to the human instead: never, always, or if it is nearer to the robot."""
+    """Position of the person that policies observe: `off` is the true one, `full` the spawn point nearest to the
+    person, `partial` that point where it is nearer to the robot than the person is, else the true one."""
     masked: bool
-    """Hide the human from the policy, which then observes one far away."""
+    """Hide the person from the policy, which then observes one far away."""
     stations_m: list[XY]
-    """Stations (x, y), m: `worker` uses the one nearest to the spawn, `patrol` and `reactive` all."""
+    """Stations (x, y), m: `worker` uses the one nearest to its spawn point, `patrol` and `reactive` use all."""
     stay_s: Annotated[float, within(0.1, 3600.0)]
     """`patrol`, `reactive`: mean time at a station, s."""
 

@@ -12,7 +12,7 @@ from hrl_comfort.config.checks import ConfigError, Widths, between, choice, with
 
 @dataclass(frozen=True)
 class StageConfig:
-    """One stage of a training. The fields with a default are those that a list in YAML may leave out."""
+    """One curriculum stage of a training. The fields with a default are those that a list in YAML may leave out."""
 
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")]
     """Written to the column `stage` of metrics.csv."""
@@ -34,7 +34,7 @@ class CurriculumConfig:
     """
 
     stages: list[StageConfig]
-    """Stages in order; none: one stage of `agent.policy_steps`."""
+    """Curriculum stages in order; []: one stage of `agent.policy_steps`."""
     kind: Annotated[str, choice("off", "linear", "adaptive")]
     """Precision schedule."""
     start_m: Annotated[float, within(0.005, 0.5)]
@@ -48,7 +48,7 @@ class CurriculumConfig:
     window: Annotated[int, within(1, 100_000)]
     """`adaptive`: number of episodes."""
     fraction: Annotated[float, within(0.01, 1.0)]
-    """`linear`: share of the stage after which `end_m` is reached."""
+    """`linear`: share of the curriculum stage after which `end_m` is reached."""
 
     def __post_init__(self) -> None:
         between("curriculum.start_m", self.start_m, self.end_m, 0.5)
@@ -62,13 +62,14 @@ class AgentConfig:
     """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
     policy_steps: Annotated[int, within(1, 1e9)]
-    """Policy calls to train for, over all environments."""
+    """Policy calls to train for, over all environments; the sum of `curriculum.stages`, or what they are scaled to."""
     learning_starts: Annotated[int, within(0, 1e8)]
     """Policy steps with random actions before the first update."""
     updates_per_policy_step: Annotated[float, within(0.0, 16.0)]
     """Updates a policy step."""
     critic_warmup_updates: Annotated[int, within(0, 1e9)]
-    """First updates of a training or stage, which change only the critics: these learn its rewards first."""
+    """Number of updates, at the beginning of a training or curriculum stage, that change the critics alone, so that
+    these know the stage's rewards before the actor changes."""
     batch_size: Annotated[int, within(1, 65536)]
     """Transitions a batch."""
     buffer_size: int
@@ -76,7 +77,7 @@ class AgentConfig:
     learning_rate: Annotated[float, within(0.0, 1.0)]
     """Learning rate of Adam."""
     learning_rate_end: Annotated[float, within(0.0, 1.0)] | None
-    """Learning rate at the end of the stage, reached linearly; null keeps it."""
+    """Learning rate at the end of the curriculum stage, reached linearly; null keeps it."""
     critic_layer_norm: bool
     """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
     tau: Annotated[float, within(0.0, 1.0)]
@@ -98,13 +99,16 @@ class AgentConfig:
     matmul_precision: Annotated[str, choice("highest", "high", "medium")]
     """Inner precision of float32 matrix products (`torch.set_float32_matmul_precision`)."""
     demonstrator: str | None
-    """Policy in `demonstrator_envs` environments: what `policy=` takes, but not `random`; null for none."""
+    """Policy that acts in the first `demonstrator_envs` environments, and that the actor imitates: whatever `policy=`
+    takes, but not `random`; null is none."""
     demonstrator_envs: Annotated[int, within(0, 65535)]
     """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
     bc_weight: Annotated[float, within(0.0, 1e6)]
-    """Weight of the actor's squared distance from demonstrated actions, where the critics rate these higher."""
+    """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
+    the actor's own."""
     next_skill: str | None
-    """Run folder of the policy that acts after a success; its value of the terminal state is added to the target."""
+    """Run folder of the policy that acts after a success. Its critics' value of the state at the success is added to
+    the critics' target, discounted."""
     log_every: Annotated[int, within(1, 1e9)]
     """Policy steps between two rows of metrics.csv."""
     checkpoint_every: Annotated[int, within(1, 1e9)]

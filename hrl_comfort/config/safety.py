@@ -13,9 +13,10 @@ class SafetyConfig:
     """Speed and separation monitoring; its guarantee and assumptions are in docs/safety.md."""
 
     kind: Annotated[str, choice("none", "ssm")]
-    """`ssm` slows the arm so that the person cannot reach it while it is fast; `none` passes everything."""
+    """`ssm` slows the arm so that the person cannot reach it while it is fast; `none` lets every action through."""
     bound: Annotated[str, choice("worst", "observed")]
-    """Assumption about the person: they move at `human_speed_m_s` at any time, or speed up from the measured speed."""
+    """Assumption about the person: `worst` lets them move at `human_speed_m_s` at any time, `observed` lets them speed
+    up from their measured speed."""
     human_speed_m_s: Annotated[float, within(0.1, 5.0)]
     """Largest speed of any part of the person, m/s (ISO 13855: 1.6)."""
     human_acceleration_m_s2: Annotated[float, within(0.1, 100.0)]
@@ -27,6 +28,7 @@ class SafetyConfig:
     lag_s: Annotated[float, within(0.0, 2.0)]
     """Lag of the servos behind a ramp of set-points, s."""
     latency_s: Annotated[float, within(0.0, 2.0)]
-    """Time from a set-point until the servos have it, s; `deploy`: until its effect is measured, there and back."""
+    """Time from a set-point until the servos have it, s. For `deploy`: from sending a set-point until the angles that
+    it led to are measured."""
     margin_m: Annotated[float, within(0.0, 0.5)]
-    """Error of measured positions of person and arm, m."""
+    """Largest error of the measured positions of person and arm, m."""

@@ -19,7 +19,7 @@ class PrecisionConfig:
     """Tolerances of the stages."""
 
     grasp_tolerance_m: Annotated[float, within(0.005, 0.5)]
-    """Distance of the tool from the ball, or from the point of `reach`, at which the stage is done, m."""
+    """Distance of the tool from the ball, or from the point of `reach`, at which that stage is done, m."""
     place_tolerance_m: Annotated[float, within(0.005, 0.5)]
     """Distance of the tool from the drop point at which `place` is done, m."""
     home_tolerance_deg: Annotated[float, within(0.1, 60.0)]
@@ -31,7 +31,8 @@ class TaskConfig:
     """A subtask, or a chain of subtasks for one policy."""
 
     name: str
-    """A key of `tasks.SUBTASKS`, an entry point or `package.module:name`; it is checked when it is looked up."""
+    """Name of a built-in subtask, of one that an installed package offers as an entry point, or
+    `package.module:name`."""
     colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""
     balls: int
@@ -42,11 +43,12 @@ class TaskConfig:
     """Largest offset of a ball from its slot along x and along y, m."""
     precision: PrecisionConfig
     max_episode_steps: Annotated[int, within(1, 100_000)]
-    """Control steps of 20 ms after which an episode is truncated."""
+    """Control steps of 20 ms after which an episode is out of time."""
     max_option_steps: Annotated[int, within(1, 100_000)]
-    """Default of `meta_controller.time_limit_steps`, control steps."""
+    """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set;
+    100 in `sort`, 400 in `shift`."""
     action_repeat: Annotated[int, within(1, 100)]
-    """Control steps per decision."""
+    """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
     """Largest joint increment a control step, degrees."""
     max_step_m: Annotated[float, within(0.001, 0.05)]
@@ -54,23 +56,26 @@ class TaskConfig:
     max_step_rot_deg: Annotated[float, within(0.01, 10.0)]
     """`action=cartesian`: largest tool rotation a control step, each axis, degrees."""
     action: Annotated[str, choice("joint", "cartesian")]
-    """Joint increments, or tool displacements and rotations."""
+    """What a policy commands: joint increments, or displacements and rotations of the tool."""
     observation: Annotated[str, choice(*OBSERVATIONS)]
     """Layout of the observation, defined in `tasks.observations`."""
     point: Annotated[str, choice("fixed", "random")]
-    """`reach`: the goal is `point_m`, or random in each episode."""
+    """`reach`, `point_to_point`: goals are the fixed points below, or random in each episode."""
     point_m: XYZ
-    """`reach`, `point_to_point`: the fixed point, m."""
+    """`reach`, `point_to_point`: the fixed (first) point, m."""
     second_point_m: XYZ
-    """`point_to_point`: fixed second point, m."""
+    """`point_to_point`: the fixed second point, m."""
     start: str
-    """Starts of place and return: `ik`, or a file of recorded terminal states (.npz), their velocities included."""
+    """Starts of `place` and `return`: `ik`, postures at rest by inverse kinematics, or a file (.npz) of `evaluate
+    terminal_states=`: recorded joints in their motion and, in training, the person and level recorded with them."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
-    """Speed of the joints (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
+    """Speed of all joints together (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
-    """Kind of contact with the human that ends an episode; after any other contact the episode goes on."""
+    """Contact with the person that ends an episode: any, or an unsafe one, in which the arm moves towards the person
+    faster than 0.25 m/s."""
     resample_start_probability: Annotated[float, within(0.0, 1.0)]
-    """Training: probability of a new random human and level for a recorded start, instead of the recorded ones."""
+    """Training from recorded starts: probability that person and level are drawn anew for an episode, instead of taken
+    from the start."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.balls <= len(self.ball_slots_m):
@@ -101,7 +106,7 @@ class RewardConfig:
     reach: Weight
     """Completion of `reach`."""
     arrival_speed: Weight
-    """Per rad/s of joint velocity (Euclidean norm) at the control step that completes a stage."""
+    """Per rad/s of joint speed (Euclidean norm) in the control step that completes a stage of the subtask."""
     contact: Weight
     """Beginning of a contact with the human."""
     other_collision: Weight
@@ -109,12 +114,13 @@ class RewardConfig:
     step: Weight
     """Every control step."""
     overtime: Weight
-    """Every control step after `tasks.rewards.LATE_STEPS`."""
+    """Every control step of an episode after the first 150 (3 s)."""
     return_shaping: Weight
-    """The released code's shaping of `return`."""
+    """In `return`: shaping of the paper's released code, -ln(d + 1)/10 a control step, d the tool's distance from its
+    home position, m."""
     k1: Weight
-    """Factor of the bonus `pick` (Eq. 1)."""
+    """Factor of the weight `pick` (Eq. 1 of the paper)."""
     k2: Weight
-    """Factor of the bonus `place` (Eq. 1)."""
+    """Factor of the weight `place` (Eq. 1 of the paper)."""
     k3: Weight
-    """Factor of the bonus `home` (Eq. 1)."""
+    """Factor of the weight `home` (Eq. 1 of the paper)."""
