@@ -26,10 +26,16 @@ class Metric(BaseModel):
 
 
 class Group(BaseModel):
-    """One group of episodes in summary.json; its labels are extra fields."""
+    """One group of episodes in summary.json; labels by `group_by` are extra fields."""
 
     model_config = ConfigDict(extra="allow")
 
+    task: str
+    policy: str
+    human: str
+    comfort_level: int | None = None
+    precision_m: FiniteFloat | None = None
+    split: str | None = None
     episodes: int
     metrics: dict[str, Metric]
 

@@ -467,6 +467,11 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
         ("metrics.csv", "policy_steps,updates\n1,2\n"),
         ("provenance.json", '{"commit": '),
         ("eval/summary.json", "{}"),
+        ("eval/summary.json", '{"groups": [{"task": "pick", "episodes": 1, "metrics": {}}]}'),
+        (
+            "eval/summary.json",
+            '{"groups": [{"task": "", "policy": "", "human": "", "precision_m": [], "episodes": 1, "metrics": {}}]}',
+        ),
         ("eval/episodes.csv", "episode\n1\n"),
         ("eval/paths.csv", "episode,step\n0,1\n"),
         ("config.yaml", "a: [1"),
