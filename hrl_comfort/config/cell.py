@@ -75,8 +75,8 @@ class ConnectionConfig:
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
     """The frame in which `cell.*_m`, `task.*point_m` and live positions of people are given, taught by three places of
-    the tool: its origin, a point on its x axis, and a point of its x-y plane with y > 0, each in the frame of the
-    robot's base, m. null: the frame of the base."""
+    the tool in the frame of the robot's base, m: the origin of the frame, a point on its x axis, and a point of its x-y
+    plane with y > 0. null: the frame of the base."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class RandomiseConfig:
     joint_friction: Share
     """Coulomb friction as a share of the largest torque, drawn for each joint."""
     joint_noise_deg: Noise
-    """Standard deviation of observed joint angles, and so of the observed tool, degrees."""
+    """Standard deviation of the observed joint angles, degrees. The observed tool is that of these angles."""
     joint_velocity_noise_deg_s: Noise
     """Standard deviation of observed joint velocities, degrees/s."""
     person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]

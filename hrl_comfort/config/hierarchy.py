@@ -75,8 +75,8 @@ class HierarchyConfig:
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Episodes whose successful ends are recorded, as the starts from which the next option is trained."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option, from the last option to the first, in which a success is
-    also worth the next option's value of it (`agent.next_skill`); [] is no second training."""
+    """Curriculum stages of a second training of every option; []: none. The last option is trained first, and a success
+    then also earns the value that the next option gives to the state reached (`agent.next_skill`)."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

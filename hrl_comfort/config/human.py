@@ -64,11 +64,12 @@ class HumanConfig:
     """Whether `train`, `validation` and `test` each have sectors around the robot, traits of people, recordings and arm
     starts of their own; training then sees those of `train` alone."""
     file: str | None
-    """`recorded`: CSV of t, x, y, yaw in s, m, m, rad, BVH file, or folder of such files. `live`: udp://HOST:PORT,
-    lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio` move."""
+    """`recorded`: a CSV of t (s), x (m), y (m) and yaw (rad), a BVH file, or a folder of such files. `live`:
+    udp://HOST:PORT, lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio`
+    move."""
     clipping: Annotated[str, choice("off", "full", "partial")]
     """Position of the person that policies observe: `off` is the true one, `full` the spawn point nearest to the
-    person, `partial` that point where it is nearer to the robot than the person is, else the true one."""
+    person, `partial` that point if it is nearer to the robot than the person is, and the true one if not."""
     masked: bool
     """Hide the person from the policy, which then observes one far away."""
     stations_m: list[XY]
