@@ -473,6 +473,7 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
             '{"groups": [{"task": "", "policy": "", "human": "", "precision_m": [], "episodes": 1, "metrics": {}}]}',
         ),
         ("eval/episodes.csv", "episode\n1\n"),
+        ("eval/episodes.csv", "episode,success,steps\n1,True,1e19\n"),
         ("eval/paths.csv", "episode,step\n0,1\n"),
         ("config.yaml", "a: [1"),
     ],
