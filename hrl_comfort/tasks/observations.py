@@ -54,14 +54,12 @@ def human_from_tool(state: State) -> Tensor:
 
 
 def nearness(state: State) -> Tensor:
-    """Return (N, 3): the horizontal direction from the tool to the human as seen, times their nearness, and nearness.
+    """Return (N, 1): nearness of the human as seen: 1 at the tool, 0 from `PERSONAL_M` on and beside nobody.
 
-    Nearness falls from 1 at the tool to 0 at `PERSONAL_M`, beyond which it is the same as beside nobody.
+    It has no direction: a policy that saw where people are would learn the places of training by heart.
     """
-    offset = human(state) - state.tcp_pos[:, :2]
-    distance = offset.norm(dim=-1, keepdim=True)
-    near = (1 - distance / PERSONAL_M).clamp(min=0.0)
-    return torch.cat([near * offset / distance.clamp(min=1e-6), near], dim=-1)
+    distance = (human(state) - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True)
+    return (1 - distance / PERSONAL_M).clamp(min=0.0)
 
 
 def share(state: State) -> Tensor:
