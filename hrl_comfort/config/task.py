@@ -9,7 +9,7 @@ from hrl_comfort.config.checks import XY, XYZ, ConfigError, choice, within
 
 COLOURS = ("orange", "pink")
 """By number in `State.colour`."""
-OBSERVATIONS = ("default", "proximity", "paper")
+OBSERVATIONS = ("default", "proximity", "set_points", "paper")
 SORTING = ("sort", "shift")
 """Tasks of several balls."""
 

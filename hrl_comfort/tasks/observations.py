@@ -37,6 +37,11 @@ def joint_velocity(state: State) -> Tensor:
     return state.joint_vel / SERVO_SPEED
 
 
+def pending(state: State) -> Tensor:
+    """Return (N, J): the way from the joints to their set-points, in units of pi: what was commanded and is to come."""
+    return (state.joint_target - state.joint_pos) / math.pi
+
+
 def tool(state: State) -> Tensor:
     """Return (N, 3): m, tool centre point."""
     return state.tcp_pos
@@ -110,6 +115,11 @@ def proximity(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     return {**terms, "nearness": nearness}
 
 
+def set_points(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
+    """Return the project's observation and `pending`: where an arm is bound for whose set-points come late."""
+    return {**standard(stages), "pending": pending}
+
+
 def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     """Return the 18 numbers of the paper's released code.
 
@@ -140,4 +150,4 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     return {"paper": term}
 
 
-LAYOUTS = {"default": standard, "proximity": proximity, "paper": paper}
+LAYOUTS = {"default": standard, "proximity": proximity, "set_points": set_points, "paper": paper}
