@@ -95,7 +95,8 @@ class RandomiseConfig:
     joint_friction: Share
     """Coulomb friction as a share of the largest torque, drawn for each joint."""
     joint_noise_deg: Noise
-    """Standard deviation of the observed joint angles, degrees. The observed tool is that of these angles."""
+    """Standard deviation of the observed joint angles, degrees. The observed place of the tool is that which these
+    angles give."""
     joint_velocity_noise_deg_s: Noise
     """Standard deviation of observed joint velocities, degrees/s."""
     person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]

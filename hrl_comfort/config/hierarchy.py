@@ -35,11 +35,11 @@ class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
     options: Annotated[int, within(1, 1e9)]
-    """Options to train for, over all cells."""
+    """Length of the training in runs of an option, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]
     """Random options before the first update."""
     updates_per_option: Annotated[float, within(0.0, 16.0)]
-    """Updates of the network an option."""
+    """Updates of the network for each run of an option."""
     batch_size: Annotated[int, within(1, 65536)]
     """Options a batch."""
     buffer_size: int
@@ -75,8 +75,9 @@ class HierarchyConfig:
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Episodes whose successful ends are recorded, as the starts from which the next option is trained."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option; []: none. The last option is trained first, and a success
-    then also earns the value that the next option gives to the state reached (`agent.next_skill`)."""
+    """Curriculum stages of a second training of every option; []: none. It goes from the last option to the first. In
+    it a success of every option but the last also earns the value that the option after it gives to the state
+    reached (`agent.next_skill`)."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

@@ -62,8 +62,8 @@ class AgentConfig:
     """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
     policy_steps: Annotated[int, within(1, 1e9)]
-    """Policy calls to train for, over all environments. If `curriculum.stages` are given: their sum, or, where this key
-    is given too, the sum to which they are scaled."""
+    """Policy calls to train for, over all environments. With `curriculum.stages` it is by default the sum of their
+    `policy_steps`; another value scales these to it."""
     learning_starts: Annotated[int, within(0, 1e8)]
     """Policy steps with random actions before the first update."""
     updates_per_policy_step: Annotated[float, within(0.0, 16.0)]

@@ -66,8 +66,8 @@ class TaskConfig:
     second_point_m: XYZ
     """`point_to_point`: the fixed second point, m."""
     start: str
-    """Starts of `place` and `return`: `ik`, postures at rest by inverse kinematics, or a file (.npz) of `evaluate
-    terminal_states=`: recorded joints in their motion and, in training, the person and level recorded with them."""
+    """Where `place` and `return` start. `ik`: at rest, in postures by inverse kinematics. A file (.npz) that `evaluate
+    terminal_states=` wrote: at its joint angles and velocities and, in training, with its person and level."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """Speed of all joints together (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]

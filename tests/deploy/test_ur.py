@@ -69,12 +69,12 @@ def test_a_protective_stop_of_the_robot_ends_the_run(tmp_path: Path, monkeypatch
 def test_a_dead_runner_stops_the_arm_within_a_tenth_of_a_second() -> None:
     with fake_ur(host(3), scene().model, scene().home) as robot:
         arm = UrArm(host(3), BRAKE)
-        angles = scene().home.copy()
+        angles, fast = scene().home.copy(), 0.0
         for _ in range(100):
             angles[0] += 0.001
             arm.send(angles)
             time.sleep(0.002)
-        fast = np.abs(robot.state()[1]).max()
+            fast = max(fast, np.abs(robot.state()[1]).max())  # a busy machine may let the arm stop before the loop ends
         time.sleep(0.1 + fast / BRAKE + 0.1)  # the script's patience, its brake, the servo's lag
         first = robot.state()[0]
         time.sleep(0.1)
