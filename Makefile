@@ -33,7 +33,7 @@ lint: setup
 # and fails below 90 %.
 test: lint
 	-$(MAKE) page
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(if $(COVERAGE),--cov --cov-report=term --cov-fail-under=90)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(if $(filter 1,$(COVERAGE)),--cov --cov-report=term --cov-fail-under=90)
 
 # Every command of docs/*.md, with small budgets. Some minutes.
 test-docs: setup

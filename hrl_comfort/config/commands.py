@@ -143,9 +143,9 @@ class EvaluateConfig(EnvConfig):
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
-    """`paper`: the committed evaluation set. `train`, `validation`: episodes drawn as in training. `test`: people,
-    places, arm starts that no training with `human.partitioned` sees; its evaluations are listed in
-    docs/tables/test_ledger.csv."""
+    """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training, with `human.partitioned`
+    `validation` from people and places of its own. `test`: people, places, arm starts that no training with
+    `human.partitioned` sees; its evaluations are listed in docs/tables/test_ledger.csv."""
     episodes: int
     """Number of episodes; with `levels`, at each level."""
     episode_seed: int | None

@@ -56,8 +56,8 @@ KNOWN: dict[str, dict[str, str]] = {
 """Columns of a kind of their own that may be absent; all others are `float?`."""
 MOST_CELLS = 5 * 10**7
 """Largest parquet table: 0.4 GB of floats."""
-LARGEST_INT = 2.0**53
-"""Beyond it floats are not all the whole numbers."""
+INT_END = 2.0**63
+"""First whole number that int64 does not hold."""
 TRUTH = {"true": "1", "false": "0"}
 
 
@@ -147,7 +147,7 @@ def _typed(values: Series, kind: str, most: float) -> Series:
         _refuse(values, np.abs(found) > most, f"is beyond ±{most:g}")
     if kind_of == "int":
         _refuse(values, there & (found != np.round(found)), "is not a whole number")
-        _refuse(values, np.abs(found) > LARGEST_INT, f"is beyond ±{LARGEST_INT:.0f}")
+        _refuse(values, np.abs(found) >= INT_END, "is beyond 64 bits")
     return Series(found, index=values.index, name=values.name).astype(DTYPES[kind])
 
 

@@ -19,6 +19,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError
+from hrl_comfort.config.task import COLOURS
 from hrl_comfort.files.run_folder import Recorded, Run, recorded_paths
 from hrl_comfort.files.tables import Floats
 from hrl_comfort.plots.style import BLACK, CYCLE, GOALS, GREY, OUTLINE, TRUNK_RADIUS_M, styled
@@ -182,7 +183,7 @@ def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
     won = [episode for episode in common if all(rows.at[episode, "success"] for rows in tables)]
     if not episodes and not won:
         raise ConfigError(f"no episode succeeds in {' and '.join(found)} alike; choose with episodes=[0,1]")
-    return list(episodes) or tables[0].loc[won].groupby("colour", dropna=False)["episode"].first().tolist()
+    return list(episodes) or tables[0].loc[won].groupby("colour", dropna=False)["episode"].first().tolist()[:2]
 
 
 def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
@@ -259,7 +260,7 @@ def _from_above(
 def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precision: Mapping[str, float]) -> None:
     """Draw one episode's paths from above, and what each came to."""
     first = tracks[0].row
-    colour = None if pd.isna(first["colour"]) else first["colour"]
+    colour = first["colour"] if first["colour"] in COLOURS else None
     _from_above(axis, tracks, cell, precision, colour)
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
     title = f"{colour or ''} ball, episode {first['episode']} ({spawn} spawn)".strip().capitalize()

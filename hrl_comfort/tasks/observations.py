@@ -61,7 +61,7 @@ def human_from_tool(state: State) -> Tensor:
 def nearness(state: State) -> Tensor:
     """Return (N, 1): nearness of the human as seen: 1 at the tool, 0 from `PERSONAL_M` on and beside nobody.
 
-    It has no direction: a policy that saw where people are would learn the places of training by heart.
+    It has no direction: two policies that observed one learned the places of training by heart (docs/benchmark.md).
     """
     distance = (human(state) - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True)
     return (1 - distance / PERSONAL_M).clamp(min=0.0)

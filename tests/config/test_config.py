@@ -46,7 +46,10 @@ def test_every_choice_composes(root, group, name):
         "task": "name",
         "meta_controller": "name",
     }
-    if group in own and name != "servo":  # adaptive, in two stages
+    if name == "servo" and group == "curriculum":
+        assert (config.curriculum.kind, config.agent.policy_steps) == ("adaptive", 96000)
+        assert [stage.name for stage in config.curriculum.stages] == ["model", "late"]
+    elif group in own:
         assert getattr(getattr(config, group), own[group]) == name
 
 
