@@ -36,9 +36,9 @@ MEMORY_BYTES = 2 * 10**9
 NO_MORE_BYTES = 6 * 10**9
 """Limit of a process, so that this machine survives a fault."""
 OUTPUT = re.compile(r"\.?(out|stopped)")
-"""What the commands write, in the folder of a case."""
+"""Names that the commands write, in the folder of a case."""
 MADE = re.compile(r"\.?(out|stopped|run|sweep|tables|controller)")
-"""What the program has made there."""
+"""Names that the program has made there."""
 
 
 class Adversary:

@@ -74,7 +74,7 @@ class TrainConfig(TrainingConfig):
     initial_policy: str | None
     """policy.pt or run folder from which actor, critics and normaliser start; null starts them at random."""
     logger: Annotated[str, choice("tensorboard", "wandb")]
-    """Where the curves of metrics.csv go: to TensorBoard's file alone, or to Weights & Biases too."""
+    """Destination of the curves of metrics.csv: TensorBoard's file alone, or Weights & Biases too."""
 
     def __post_init__(self) -> None:
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)

@@ -56,7 +56,7 @@ class TaskConfig:
     max_step_rot_deg: Annotated[float, within(0.01, 10.0)]
     """`action=cartesian`: largest tool rotation a control step, each axis, degrees."""
     action: Annotated[str, choice("joint", "cartesian")]
-    """What a policy commands: joint increments, or displacements and rotations of the tool."""
+    """Command of a policy: joint increments, or displacements and rotations of the tool."""
     observation: Annotated[str, choice(*OBSERVATIONS)]
     """Layout of the observation, defined in `tasks.observations`."""
     point: Annotated[str, choice("fixed", "random")]
@@ -66,7 +66,7 @@ class TaskConfig:
     second_point_m: XYZ
     """`point_to_point`: the fixed second point, m."""
     start: str
-    """Where `place` and `return` start. `ik`: at rest, in postures by inverse kinematics. A file (.npz) that `evaluate
+    """Starts of `place` and `return`. `ik`: at rest, in postures by inverse kinematics. A file (.npz) that `evaluate
     terminal_states=` wrote: at its joint angles and velocities and, in training, with its person and level."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """Speed of all joints together (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""

@@ -25,7 +25,7 @@ WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
     TrainConfig: ("a subtask", "train"),
     MetaControllerTrainConfig: ("a controller", "train meta_controller"),
 }
-"""What a configuration trains, and by which command."""
+"""Object of a training, and its command, by the class of its configuration."""
 MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError)
 """Errors of torch, TorchRL and this program when a state does not fit."""
 
