@@ -1,6 +1,7 @@
 import csv
 import json
 import math
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -183,14 +184,19 @@ def test_people_at_one_of_several_levels_under_given_names(tmp_path):
     assert draw(tmp_path / "f.png", "people", folders, *words).is_file()
 
 
-@pytest.mark.parametrize("blank", [False, True])
-@pytest.mark.parametrize("column", [*SHOWN])
-def test_paths_are_drawn_without_what_episodes_lack(tmp_path, column, blank):
-    folder = evaluation(tmp_path / "one", levels=(None,))
+@pytest.mark.parametrize(("column", "cell"), [*product(SHOWN, [None, ""]), ("colour", "blue")])
+def test_paths_are_drawn_without_what_episodes_lack(tmp_path, monkeypatch, column, cell):
+    drawn = watch(monkeypatch)
+    folder = evaluation(tmp_path / "one", levels=(5,))
     table = pd.read_csv(folder / "episodes.csv")
-    table = table.assign(**{column: None}) if blank else table.drop(columns=column)
+    table = table.drop(columns=column) if cell is None else table.assign(**{column: cell})
     table.to_csv(folder / "episodes.csv", index=False)
-    assert draw(tmp_path / "f.png", "people", [folder], "labels=[one]").is_file()
+    draw(tmp_path / "f.png", "people", [folder], "labels=[one]")
+    axis = drawn().axes[0]
+    (name,) = (text.get_text() for text in axis.get_legend().get_texts())
+    assert axis.get_title(loc="left").startswith("Ball, episode 1" if column == "colour" else "Orange ball, episode 2")
+    assert ("steps" in name, " m" in name) == (column != "steps", column != "human_distance_mean_m")
+    assert "nan" not in name.lower() and "<na>" not in name.lower()
 
 
 def test_the_jump_is_measured_one_second_later(tmp_path):
