@@ -9,7 +9,7 @@ export OMP_NUM_THREADS := 1
 WEB := hrl_comfort/studio/web
 PAGE := $(WEB)/dist/page.js
 
-.PHONY: setup page test test-docs lint fuzz campaign demo clean
+.PHONY: setup page test pytest test-docs lint style types fuzz campaign demo clean
 
 setup: $(STAMP)
 
@@ -24,15 +24,22 @@ page: $(PAGE)
 $(PAGE): $(WEB)/package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/src/*.js $(WEB)/licenses/*)
 	cd $(WEB) && npm ci --no-fund --no-audit --loglevel=error && node build.mjs
 
-lint: setup
+lint: style types
+
+style: setup
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Where the page cannot be built, its tests are skipped. COVERAGE=1 traces the package, which takes half as long again,
-# and fails below 90 %.
-test: lint
+types: setup
+	$(BIN)/mypy
+
+# Where the page cannot be built, its tests are skipped. Types are checked beside the tests. COVERAGE=1 traces the
+# package, which takes half as long again, and fails below 90 %.
+test: style
 	-$(MAKE) page
+	$(MAKE) -j 2 types pytest
+
+pytest: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(if $(filter 1,$(COVERAGE)),--cov --cov-report=term --cov-fail-under=90)
 
 # Every command of docs/*.md, with small budgets. Some minutes.
