@@ -1,9 +1,10 @@
-"""Fill the marked tables of docs/tables/*.md and docs/benchmarks.md: `python docs/tables.py`.
+"""Fill the marked tables of docs/tables/*.md, benchmark.md, benchmarks.md and safety.md: `python docs/tables.py`.
 
 A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the
 kind `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of
-all folders that match. For the other kinds the name is the file that `hrl-comfort figure` or `hrl-comfort
-bench` wrote.
+all folders that match. For `ledger` it is the start of a policy's name. For `entries` (or `all`), `responses` and
+`closed loop` names are in docs/tables/benchmark. For the other kinds the name is the file that `hrl-comfort figure` or
+`hrl-comfort bench` wrote.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from hrl_comfort.analysis import comparison, handover
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import cell, levels, markdown, series
-from hrl_comfort.benchmarks import env, train, update
+from hrl_comfort.benchmarks import entries, env, train, update
 from hrl_comfort.files.tables import read_table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "safety.md", *sorted((ROOT / "docs" / "tables").glob("*.md")))
+PAGES = (
+    *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "safety")),
+    *sorted((ROOT / "docs" / "tables").glob("*.md")),
+)
 REFERENCE = ROOT / "runs" / "reference"
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
@@ -101,6 +105,17 @@ def on_test(policies: str) -> str:
     return markdown(head, lines)
 
 
+def entered(names: str) -> str:
+    """Return the table of the benchmark's entries, `all` or those named."""
+    found = entries.committed(entries.ENTRIES)
+    return entries.table([each for each in found if names == "all" or each["policy"].split(",")[0] in names.split()])
+
+
+def of_entries(table: Callable[[Path, Path], str]) -> Callable[[str], str]:
+    """Return what makes a table of the two folders of entries that it is given the names of."""
+    return lambda names: table(*(entries.ENTRIES / name for name in names.split()))
+
+
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
@@ -109,6 +124,9 @@ KINDS: dict[str, Callable[[str], str]] = {
     "divisions": of_json(comparison.table),
     "handover": of_json(handover.table),
     "ledger": on_test,
+    "entries": entered,
+    "responses": of_entries(entries.responses),
+    "closed loop": of_entries(entries.at_same_throughput),
     "curricula": of_rows(curricula),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),

@@ -9,34 +9,19 @@ from typing import Any
 from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
-from hrl_comfort.analysis.tables import Quantity, cells, markdown
+from hrl_comfort.benchmarks.entries import ENTRIES, QUANTITIES, committed, table
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.evaluation.evaluate import evaluate
-from hrl_comfort.evaluation.ledger import FILE, hash_of
+from hrl_comfort.evaluation.ledger import hash_of
 from hrl_comfort.files.atomic import write_json, write_text
-from hrl_comfort.files.documents import read_json
 from hrl_comfort.files.provenance import commit
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 
-ENTRIES = FILE.parent / "benchmark"
-"""Folder of the entries, a JSON each."""
 OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime")
 """Keys that a policy may set without leaving the suite."""
-QUANTITIES = {
-    "balls_per_min": Quantity("balls a minute", digits=2),
-    "discomfort_per_min": Quantity("discomfort, s a minute", digits=2),
-    "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2),
-    "contacts_per_h": Quantity("contacts an hour", digits=1),
-    "other_collisions_per_h": Quantity("other collisions an hour", digits=1),
-    "protective_stops_per_min": Quantity("protective stops a minute", digits=2),
-    "arm_distance_mean_m": Quantity("arm distance, m", digits=2),
-    "tool_speed_beside_m_s": Quantity("tool speed within 1 m, m/s", digits=2),
-    "person_level_mean": Quantity("level of a frightened person", digits=2),
-}
-"""Columns of the table."""
 
 
 def benchmark(config: EvaluateConfig) -> Path:
@@ -53,7 +38,7 @@ def benchmark(config: EvaluateConfig) -> Path:
         check_steps(config, name, source)
     output = evaluate(config)
     entry = entry_of(config, output)
-    every = [*(read_json(file, dict) for file in sorted(ENTRIES.glob("*.json"))), entry]
+    every = [*committed(ENTRIES), entry]
     write_json(output / "benchmark.json", entry)
     write_text(output / "benchmark.md", table(every))
     save_png(front(every), output / "benchmark.png")
@@ -108,21 +93,3 @@ def changed(config: EvaluateConfig) -> dict[str, Any]:
         for key, value in asked.items()
         if key not in OWN and not key.startswith("policies.") and (key not in suite or str(suite[key]) != str(value))
     }
-
-
-def table(entries: list[dict[str, Any]]) -> str:
-    """Return the entries as a Markdown table, a line a level; a star marks one of another suite or split."""
-    heads = ["policy", "level", "shifts", *(each.label for each in QUANTITIES.values())]
-    return markdown(
-        heads,
-        (
-            [
-                entry["policy"] + "*" * bool(entry["changed"]),
-                str(at["level"]),
-                str(at["shifts"]),
-                *cells(at, QUANTITIES),
-            ]
-            for entry in entries
-            for at in entry["levels"]
-        ),
-    )

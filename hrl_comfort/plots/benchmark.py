@@ -15,7 +15,7 @@ from hrl_comfort.plots.style import BLACK, CYCLE, OUTLINE, around, of_estimates,
 def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw balls over discomfort a minute, a line a policy and a point a level, with 95 % intervals.
 
-    A cross marks levels with unsafe contacts, a star entries of another suite.
+    A cross marks levels with unsafe contacts; a star and a dashed line, entries of another suite.
     """
     with styled():
         figure = Figure(figsize=(5.6, 3.8))
@@ -25,12 +25,13 @@ def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
             y, x = (of_estimates([at[name] for at in levels]) for name in ("balls_per_min", "discomfort_per_min"))
             label = entry["policy"] + "*" * bool(entry["changed"])
             look: dict[str, Any] = {"marker": "o", "markersize": 4, "capsize": 2, "color": colour, "label": label}
+            look["linestyle"] = "--" if entry["changed"] else "-"
             axis.errorbar(x[0], y[0], around(*y), around(*x), elinewidth=0.7, **look)
             unsafe = np.array([at["unsafe_contacts_per_h"]["mean"] > 0 for at in levels])
             axis.plot(x[0][unsafe], y[0][unsafe], "X", color="white", markeredgecolor=colour, markersize=9, zorder=3)
             for at, place in zip(levels, zip(x[0], y[0], strict=True), strict=True):
                 above: dict[str, Any] = {"xytext": (0, 6), "textcoords": "offset points", "ha": "center"}
-                axis.annotate(str(at["level"]), place, color=colour, size=7.5, path_effects=[OUTLINE], **above)
+                axis.annotate(str(at["level"] or ""), place, color=colour, size=7.5, path_effects=[OUTLINE], **above)
         axis.set(title="Throughput against discomfort", xlabel="discomfort (s a minute)", ylabel="balls a minute")
         figure.legend(loc="outside lower center", ncols=2)
         return figure

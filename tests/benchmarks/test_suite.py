@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.benchmarks import suite
+from hrl_comfort.benchmarks import entries, suite
 from hrl_comfort.cli.first_checks import completed
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, save_config
@@ -74,3 +74,61 @@ def test_an_entry_has_its_levels_a_table_and_a_figure_with_the_others(
     lines = second.with_suffix(".md").read_text(encoding="utf-8").splitlines()
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| random*"] * 2 + ["| potential_field*"] * 2
     assert second.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def write_seeds(folder: Path, balls: list[list[float]], mood: float = 0.0, changed: str = "") -> Path:
+    """Write entries, one a training seed, of the balls a minute at each level; a person's level falls with them."""
+    folder.mkdir(parents=True)
+    for seed, each in enumerate(balls):
+        levels = [
+            {
+                "level": 1 + 9 * number if len(each) > 1 else None,
+                "shifts": 16,
+                **{name: {"mean": count, "ci95": None} for name in entries.ANSWERS},
+                "person_level_mean": {"mean": 10 - count / 2 + mood, "ci95": None},
+            }
+            for number, count in enumerate(each)
+        ]
+        entry = {"policy": str(seed), "changed": {"human.motion": changed} if changed else {}, "levels": levels}
+        (folder / f"{seed}.json").write_text(json.dumps(entry), encoding="utf-8")
+    return folder
+
+
+def cells_of(table: str) -> list[list[str]]:
+    return [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
+
+
+def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path) -> None:
+    write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.0], [6.0, 14.0]])
+    (tmp_path / "alone.json").write_text((tmp_path / "ours" / "0.json").read_text(encoding="utf-8"), encoding="utf-8")
+    alone, ours = entries.committed(tmp_path)
+    assert (alone["policy"], ours["policy"]) == ("0", "ours, 3 seeds")
+    low, high = ours["levels"]
+    # Student's t with two degrees of freedom: 4.303 standard errors of 1 / sqrt(3).
+    assert low["balls_per_min"] == {"mean": 5.0, "ci95": pytest.approx([5 - 2.484, 5 + 2.484], abs=1e-3)}
+    assert (low["shifts"], high["level"], high["balls_per_min"]["mean"]) == (48, 10, 12.0)
+    assert cells_of(entries.table([ours]))[1][:4] == ["ours, 3 seeds", "10", "48", "12.00 [7.03, 16.97]"]
+
+
+def test_entries_of_a_folder_that_differ_in_the_suite_are_refused(tmp_path: Path) -> None:
+    write_seeds(tmp_path / "ours", [[4.0, 10.0]], changed="still")
+    write_seeds(tmp_path / "other", [[4.0, 10.0], [5.0, 12.0]])
+    (tmp_path / "ours" / "0.json").rename(tmp_path / "other" / "2.json")
+    with pytest.raises(ConfigError, match="must be of the same levels and the same suite"):
+        entries.pooled(tmp_path / "other")
+
+
+def test_levels_are_compared_with_each_other_and_with_comfort_off_seed_by_seed(tmp_path: Path) -> None:
+    ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
+    off = write_seeds(tmp_path / "off", [[8.0, 8.0], [10.0, 10.0], [99.0, 99.0]])
+    *_, balls = cells_of(entries.responses(ours, off))
+    assert balls == ["balls a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "11.25 [-4.63, 27.13]",
+                     "150.0", "-50.0", "25.0"]  # fmt: skip
+
+
+def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput(tmp_path: Path) -> None:
+    fixed = write_seeds(tmp_path / "fixed", [[4.0, 10.0], [5.0, 12.0]])
+    told = write_seeds(tmp_path / "told", [[7.0], [9.0]], mood=0.25, changed="frightened")
+    assert cells_of(entries.at_same_throughput(told, fixed))[0] == ["8.00 [-4.71, 20.71]", "6.25 [-0.10, 12.60]",
+                                                                    "6.00 [-0.35, 12.35]", "0.25"]  # fmt: skip
+    assert [line[:2] for line in cells_of(entries.table(entries.committed(tmp_path)))][-1] == ["told, 2 seeds*", "–"]
