@@ -20,8 +20,8 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 
-OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime")
-"""Keys that a policy may set without leaving the suite."""
+OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime", "task.observation", "human.masked")
+"""Keys that a policy may set without leaving the suite; the last two say what an outside policy observes."""
 
 
 def benchmark(config: EvaluateConfig) -> Path:
