@@ -1,5 +1,7 @@
 """Fill the marked tables of docs/tables/*.md, benchmark.md, benchmarks.md and safety.md: `python docs/tables.py`.
 
+It also draws docs/images/benchmark.png.
+
 A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the
 kind `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of
 all folders that match. For `ledger` it is the start of a policy's name. For `entries` (or `all`), `responses` and
@@ -24,6 +26,8 @@ from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import cell, levels, markdown, series
 from hrl_comfort.benchmarks import entries, env, train, update
 from hrl_comfort.files.tables import read_table
+from hrl_comfort.plots.benchmark import front
+from hrl_comfort.plots.style import save_png
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
@@ -141,5 +145,6 @@ def filled(page: str) -> str:
 
 
 if __name__ == "__main__":
+    save_png(front(entries.committed(entries.ENTRIES)), ROOT / "docs" / "images" / "benchmark.png")
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -36,9 +36,9 @@ class Normaliser(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(observation_dim, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(observation_dim, dtype=torch.float64))
-        for name in ("_shift", "_scale"):
-            self.register_buffer(name, torch.empty(observation_dim), persistent=False)
-        self._refresh()
+        # What `_refresh` makes of these, which on the meta device would import the compiler of torch, a second.
+        self.register_buffer("_shift", torch.zeros(observation_dim), persistent=False)
+        self.register_buffer("_scale", torch.ones(observation_dim), persistent=False)
 
     def _refresh(self) -> None:
         self._shift = self.mean.float()

@@ -35,7 +35,7 @@ def test_a_viewer_is_counted_and_a_key_reaches_the_policy(tmp_path: Path, monkey
 
 def test_what_trainings_need_alone_is_not_imported_before_the_first_picture() -> None:
     code = (
-        "import sys, hrl_comfort.studio.server;"
+        "import sys, hrl_comfort.studio.server; hrl_comfort.load_policy('runs/reference/pick');"
         "print(*sorted({'torchrl', 'tensordict', 'torch._dynamo', 'scipy.stats', 'matplotlib'} & sys.modules.keys()))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
