@@ -1,11 +1,9 @@
-"""Fill the marked tables of docs/tables/*.md, benchmark.md, benchmarks.md and safety.md: `python docs/tables.py`.
+"""Fill the marked tables of README.md and of pages in docs/: `python docs/tables.py`; draw docs/images/benchmark.png.
 
-It also draws docs/images/benchmark.png.
-
-A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the
-kind `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of
-all folders that match. For `ledger` it is the start of a policy's name. For `entries` (or `all`), `responses` and
-`closed loop` names are in docs/tables/benchmark. For the other kinds the name is the file that `hrl-comfort figure` or
+A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the kind
+`evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of all folders that
+match. For `ledger` it is the start of a policy's name. For `entries` and `entries in brief` (or `all`), `responses` and
+`closed loop` they are in docs/tables/benchmark. For the other kinds it is the file that `hrl-comfort figure` or
 `hrl-comfort bench` wrote.
 """
 
@@ -31,6 +29,7 @@ from hrl_comfort.plots.style import save_png
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
+    ROOT / "README.md",
     *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "safety")),
     *sorted((ROOT / "docs" / "tables").glob("*.md")),
 )
@@ -111,8 +110,18 @@ def on_test(policies: str) -> str:
 
 def entered(names: str) -> str:
     """Return the table of the benchmark's entries, `all` or those named."""
-    found = entries.committed(entries.ENTRIES)
-    return entries.table([each for each in found if names == "all" or each["policy"].split(",")[0] in names.split()])
+    return entries.table(of_names(names))
+
+
+def in_brief(names: str) -> str:
+    """Return the short table of the benchmark's entries, `all` or those named."""
+    return entries.table(of_names(names), entries.HEADLINE)
+
+
+def of_names(names: str) -> list[entries.Entry]:
+    """Return the benchmark's entries, `all` or those named, in the order of the names."""
+    found = {each["policy"].split(",")[0]: each for each in entries.committed(entries.ENTRIES)}
+    return [found[name] for name in (found if names == "all" else names.split())]
 
 
 def of_entries(table: Callable[[Path, Path], str]) -> Callable[[str], str]:
@@ -129,6 +138,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "handover": of_json(handover.table),
     "ledger": on_test,
     "entries": entered,
+    "entries in brief": in_brief,
     "responses": of_entries(entries.responses),
     "closed loop": of_entries(entries.at_same_throughput),
     "curricula": of_rows(curricula),

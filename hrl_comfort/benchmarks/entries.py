@@ -33,6 +33,10 @@ QUANTITIES = {
     "person_level_mean": Quantity("level of a frightened person", digits=2),
 }
 """Columns of the table."""
+HEADLINE = (
+    "balls_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
+)  # fmt: skip
+"""Quantities of the short table."""
 ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
 """Quantities that a level is meant to change."""
 
@@ -67,16 +71,20 @@ def pooled(folder: Path) -> Entry:
     return {"policy": f"{folder.name}, {len(seeds)} seeds", "changed": told[0][0], "levels": levels}
 
 
-def table(entries: Sequence[Entry]) -> str:
-    """Return the entries as a Markdown table, a line a level; a star marks one of another suite or split."""
+def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
+    """Return quantities of the entries as a Markdown table, a line a level.
+
+    A star marks an entry of another suite or split.
+    """
+    quantities = {name: QUANTITIES[name] for name in names}
     return markdown(
-        ["policy", "level", "shifts", *(each.label for each in QUANTITIES.values())],
+        ["policy", "level", "shifts", *(each.label for each in quantities.values())],
         (
             [
                 name_of(entry),
                 "–" if at["level"] is None else str(at["level"]),
                 str(at["shifts"]),
-                *cells(at, QUANTITIES),
+                *cells(at, quantities),
             ]
             for entry in entries
             for at in entry["levels"]
