@@ -23,6 +23,7 @@ for s in 0 1 2 3 4; do
     hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
     hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
     for kind in levels off; do hrl-comfort benchmark split=validation policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done
+    hrl-comfort benchmark split=validation policy=$out/comfort_shift/levels$s comfort.source=frightened 'levels=[]' output=$out/benchmark/told-$s
 done
 for p in expert potential_field predictive_sampling; do hrl-comfort benchmark split=validation policy=$p output=$out/benchmark/$p; done
 

@@ -1,16 +1,21 @@
 """Entries of the benchmark: those committed, pooled over training seeds, as tables.
 
-An entry is `NAME.json`. A folder `NAME/` has one a training seed, and counts as one entry: means and Student's t
-intervals over seeds.
+An entry is `NAME.json`. A folder `NAME/` has one a training seed, `SEED.json`, and counts as one entry: means and
+Student's t intervals over seeds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NotRequired
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, FiniteFloat, PositiveInt, with_config
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import Quantity, cell, cells, markdown
@@ -20,14 +25,52 @@ from hrl_comfort.files.documents import read_json
 
 ENTRIES = FILE.parent / "benchmark"
 """Folder of the entries."""
-Entry = dict[str, Any]
+
+
+class Number(TypedDict):
+    """A mean and its 95 % interval, if it can be told."""
+
+    mean: FiniteFloat
+    ci95: tuple[FiniteFloat, FiniteFloat] | None
+
+
+class Level(TypedDict):
+    """What a policy did at a level: means over `shifts`, in the units of QUANTITIES; no level where it changes."""
+
+    level: int | None
+    shifts: PositiveInt
+    balls_per_min: Number
+    discomfort_per_min: Number
+    unsafe_contacts_per_h: Number
+    contacts_per_h: NotRequired[Number | None]
+    other_collisions_per_h: NotRequired[Number | None]
+    protective_stops_per_min: NotRequired[Number | None]
+    arm_distance_mean_m: NotRequired[Number | None]
+    tool_speed_beside_m_s: NotRequired[Number | None]
+    person_level_mean: NotRequired[Number | None]
+
+
+@with_config(ConfigDict(extra="allow"))
+class Entry(TypedDict):
+    """A policy, the name and hash of each skill's, what it observes, what was changed of the suite, and the levels."""
+
+    policy: str
+    policies: NotRequired[dict[str, str]]
+    commit: NotRequired[str | None]
+    observation: NotRequired[dict[str, Any]]
+    changed: dict[str, Any]
+    levels: Annotated[list[Level], Field(min_length=1)]
+
+
+RATE = (0.0, math.inf)
+"""Bounds of a rate."""
 QUANTITIES = {
-    "balls_per_min": Quantity("balls a minute", digits=2),
-    "discomfort_per_min": Quantity("discomfort, s a minute", digits=2),
-    "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2),
-    "contacts_per_h": Quantity("contacts an hour", digits=1),
-    "other_collisions_per_h": Quantity("other collisions an hour", digits=1),
-    "protective_stops_per_min": Quantity("protective stops a minute", digits=2),
+    "balls_per_min": Quantity("balls a minute", digits=2, bounds=RATE),
+    "discomfort_per_min": Quantity("discomfort, s a minute", digits=2, bounds=RATE),
+    "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2, bounds=RATE),
+    "contacts_per_h": Quantity("contacts an hour", digits=1, bounds=RATE),
+    "other_collisions_per_h": Quantity("other collisions an hour", digits=1, bounds=RATE),
+    "protective_stops_per_min": Quantity("protective stops a minute", digits=2, bounds=RATE),
     "arm_distance_mean_m": Quantity("arm distance, m", digits=2),
     "tool_speed_beside_m_s": Quantity("tool speed within 1 m, m/s", digits=2),
     "person_level_mean": Quantity("level of a frightened person", digits=2),
@@ -42,33 +85,55 @@ ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
 
 
 def committed(folder: Path) -> list[Entry]:
-    """Return the entries of a folder by name, those of a sub-folder as one.
+    """Return the entries of a folder with their names, those of a sub-folder as one.
 
     Raises:
-      ConfigError: the entries of a sub-folder differ in their levels or in what they changed of the suite.
+      ConfigError: a file is damaged, or the files of a sub-folder cannot be pooled.
     """
-    found = sorted(path for path in folder.glob("*") if path.is_dir() or path.suffix == ".json")
-    return [pooled(path) if path.is_dir() else read_json(path, dict) for path in found]
+    found = sorted(path for path in folder.glob("[!.]*") if path.is_dir() or path.suffix == ".json")
+    return [pooled(path) if path.is_dir() else {**read(path), "policy": path.stem} for path in found]
+
+
+def read(file: Path) -> Entry:
+    """Return the entry of a file; raise ConfigError if it does not exist or is damaged."""
+    return read_json(file, Entry)
 
 
 def of_seeds(folder: Path) -> dict[str, Entry]:
-    """Return the entries of a folder by the name of their file, the training seed."""
-    return {file.stem: read_json(file, dict) for file in sorted(folder.glob("*.json"))}
+    """Return the entries of a folder by the name of their file, the training seed.
+
+    Raises:
+      ConfigError: there is none, or one is damaged.
+    """
+    found = {file.stem: read(file) for file in sorted(folder.glob("[!.]*.json"))}
+    if not found:
+        raise ConfigError(f"{folder} holds no entry")
+    return found
 
 
 def pooled(folder: Path) -> Entry:
-    """Return the entries of a folder, one a training seed, as one entry with its name."""
+    """Return the entries of a folder, one a training seed, as one entry with its name.
+
+    Raises:
+      ConfigError: there is none, one is damaged, two are of the same policies, or their levels or suites differ.
+    """
     seeds = list(of_seeds(folder).values())
     told = [(entry["changed"], [at["level"] for at in entry["levels"]]) for entry in seeds]
-    if not seeds or any(each != told[0] for each in told):
+    if any(each != told[0] for each in told):
         raise ConfigError(f"{folder}: its entries must be of the same levels and the same suite")
+    named = [entry["policies"] for entry in seeds if "policies" in entry]
+    if any(one == other for one, other in combinations(named, 2)):
+        raise ConfigError(f"{folder}: two of its entries are of the same policies; give one for each training seed")
     runs = Clusters.of_runs(len(seeds))
-    levels: list[dict[str, Any]] = []
+    levels: list[Any] = []
     for each in zip(*(entry["levels"] for entry in seeds), strict=True):
-        level = {"level": each[0]["level"], "shifts": sum(at["shifts"] for at in each)}
-        there = [name for name in QUANTITIES if all(name in at for at in each)]
-        levels.append(level | {name: runs.estimate(np.array([at[name]["mean"] for at in each])) for name in there})
-    return {"policy": f"{folder.name}, {len(seeds)} seeds", "changed": told[0][0], "levels": levels}
+        rows: tuple[Any, ...] = each
+        there = [name for name in QUANTITIES if all(row.get(name) for row in rows)]
+        means = {name: np.array([row[name]["mean"] for row in rows]) for name in there}
+        numbers = {name: runs.estimate(mean, bounds=QUANTITIES[name].bounds) for name, mean in means.items()}
+        levels.append({"level": rows[0]["level"], "shifts": sum(row["shifts"] for row in rows), **numbers})
+    count = f"{len(seeds)} seed" + "s" * (len(seeds) > 1)
+    return {"policy": f"{folder.name}, {count}", "changed": told[0][0], "levels": levels}
 
 
 def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
@@ -92,61 +157,91 @@ def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) ->
     )
 
 
-def name_of(entry: Mapping[str, Any]) -> str:
+def name_of(entry: Entry) -> str:
     """Return the name of an entry, with a star if it is of another suite."""
     return entry["policy"] + "*" * bool(entry["changed"])
 
 
 def responses(folder: Path, off: Path) -> str:
-    """Return what levels change: the first against the last and each against comfort off, in %, over training seeds.
+    """Return what levels change, in %, over training seeds: the first against the last, and each against comfort off.
 
-    Seeds that both folders have are compared, each with its own.
+    Each seed of `folder` is compared with that of `off`, at the same level.
+
+    Raises:
+      ConfigError: an entry is damaged, or the folders have no seed or not the same levels in common.
     """
-    mine, others = of_seeds(folder), of_seeds(off)
-    names = sorted(mine.keys() & others.keys())
-    runs = Clusters.of_runs(len(names))
+    mine, others = pairs(folder, off)
+    runs = Clusters.of_runs(len(mine))
+    ends = [mine[0]["levels"][at]["level"] for at in (0, -1)]
+    for entry in (*mine, *others):
+        if [entry["levels"][at]["level"] for at in (0, -1)] != ends:
+            raise ConfigError(f"{folder} and {off}: their entries must be of the same levels")
     lines = []
-    for quantity in ANSWERS:
-        first, last = (means([mine[name] for name in names], quantity, end) for end in (0, -1))
-        without = means([others[name] for name in names], quantity, 0)
-        scale = QUANTITIES[quantity]
-        changes = (last / first - 1, first / without - 1, last / without - 1)
-        lines.append(
-            [
-                scale.label,
-                *(cell(runs.estimate(each), scale.scale, scale.digits) for each in (first, without, last)),
-                *(cell(runs.estimate(each), 100) for each in changes),
-            ]
-        )
-    start, end = (mine[names[0]]["levels"][at]["level"] for at in (0, -1))
-    heads = ["", f"level {start}", "comfort off", f"level {end}", f"{start} to {end}, %"]
-    return markdown([*heads, f"{start} against off, %", f"{end} against off, %"], lines)
+    for name in ANSWERS:
+        quantity, line, owns = QUANTITIES[name], [], []
+        for at in (0, -1):
+            own, without = means(mine, name, at), means(others, name, at)
+            line += [cell(runs.estimate(each), quantity.scale, quantity.digits) for each in (own, without)]
+            line.append(cell(runs.estimate(own / without - 1), 100))
+            owns.append(own)
+        lines.append([quantity.label, *line, cell(runs.estimate(owns[1] / owns[0] - 1), 100)])
+    heads = [head for level in ends for head in (f"level {level}", f"comfort off, {level}", "change, %")]
+    return markdown(["", *heads, f"level {ends[0]} to {ends[1]}, %"], lines)
 
 
-def means(entries: Sequence[Entry], quantity: str, at: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def means(entries: Sequence[Entry], quantity: str, at: int) -> NDArray[np.float64]:
     """Return the mean (n,) of a quantity in n entries, at their level number `at`."""
-    return np.array([entry["levels"][at][quantity]["mean"] for entry in entries])
+    rows: list[Any] = [entry["levels"][at] for entry in entries]
+    return np.array([row[quantity]["mean"] for row in rows])
+
+
+def pairs(folder: Path, other: Path) -> tuple[list[Entry], list[Entry]]:
+    """Return the entries (n,) of the training seeds that two folders have in common.
+
+    Raises:
+      ConfigError: there is none, or an entry is damaged.
+    """
+    mine, others = of_seeds(folder), of_seeds(other)
+    names = sorted(mine.keys() & others.keys())
+    if not names:
+        raise ConfigError(f"{folder} and {other} have no training seed in common")
+    return [mine[name] for name in names], [others[name] for name in names]
 
 
 def at_same_throughput(folder: Path, fixed: Path) -> str:
     """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
 
-    Between two fixed levels balls and the person's level are interpolated, as when some shifts are worked at one and
-    some at the other.
+    The latter is the best that a mix of two fixed levels gives at the same balls a minute, some shifts being worked at
+    one and some at the other.
+
+    Raises:
+      ConfigError: an entry is damaged, the folders have no seed in common or other policies for it, or no mix is as
+        productive.
     """
-    told, untold = of_seeds(folder), of_seeds(fixed)
-    names = sorted(told.keys() & untold.keys())
-    runs = Clusters.of_runs(len(names))
     columns = []
-    for name in names:
-        (mine, person), *_ = work_and_mood(told[name])
-        balls, moods = zip(*sorted(work_and_mood(untold[name])), strict=True)
-        same = float(np.interp(mine, balls, moods))
-        columns.append((mine, person, same, person - same))
-    heads = ["balls a minute", "person's level, told", "the same, at a fixed level", "difference"]
+    for told, untold in zip(*pairs(folder, fixed), strict=True):
+        if told.get("policies") != untold.get("policies"):
+            raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
+        (balls, person), *_ = work_and_mood(told)
+        same = best_mix(work_and_mood(untold), balls)
+        if same is None:
+            raise ConfigError(f"{folder}: no mix of the levels in {fixed} gives {balls:g} balls a minute")
+        columns.append((balls, person, same, person - same))
+    runs = Clusters.of_runs(len(columns))
+    heads = ["balls a minute", "person's level, told", "the same, at fixed levels", "difference"]
     return markdown(heads, [[cell(runs.estimate(np.array(each)), digits=2) for each in zip(*columns, strict=True)]])
+
+
+def best_mix(points: Sequence[tuple[float, float]], x: float) -> float | None:
+    """Return the largest y at `x` of the lines between any two points (x, y); None if none reaches so far."""
+    found = [y for at, y in points if at == x]
+    for (low, y_low), (high, y_high) in combinations(sorted(points), 2):
+        if low <= x <= high and low < high:
+            found.append(y_low + (y_high - y_low) * (x - low) / (high - low))
+    return max(found, default=None)
 
 
 def work_and_mood(entry: Entry) -> list[tuple[float, float]]:
     """Return the balls a minute and the level of a frightened person at each level of an entry."""
-    return [(at["balls_per_min"]["mean"], at["person_level_mean"]["mean"]) for at in entry["levels"]]
+    rows: list[Any] = list(entry["levels"])
+    return [(row["balls_per_min"]["mean"], row["person_level_mean"]["mean"]) for row in rows]

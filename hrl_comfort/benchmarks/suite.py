@@ -9,7 +9,7 @@ from typing import Any
 from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
-from hrl_comfort.benchmarks.entries import ENTRIES, QUANTITIES, committed, table
+from hrl_comfort.benchmarks.entries import ENTRIES, QUANTITIES, Entry, committed, table
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.evaluation.evaluate import evaluate
@@ -30,15 +30,19 @@ def benchmark(config: EvaluateConfig) -> Path:
     Return the entry's file.
 
     Raises:
-      ConfigError: the task is another than the suite's, or a policy was trained with other steps.
+      ConfigError: the task is another than the suite's, there is no level, a policy was trained with other steps, or a
+        committed entry is damaged.
     """
     if config.task.name != "shift":
         raise ConfigError(f"task={config.task.name}: the benchmark's figures are of task=shift alone")
     for name, source in config.policies.items():
         check_steps(config, name, source)
+    if config.comfort.source == "none":
+        raise ConfigError("comfort.source=none: the benchmark's discomfort is that of a level")
+    others = committed(ENTRIES)
     output = evaluate(config)
     entry = entry_of(config, output)
-    every = [*committed(ENTRIES), entry]
+    every = [*others, entry]
     write_json(output / "benchmark.json", entry)
     write_text(output / "benchmark.md", table(every))
     save_png(front(every), output / "benchmark.png")
@@ -57,24 +61,26 @@ def check_steps(config: EvaluateConfig, name: str, source: str) -> None:
         )
 
 
-def entry_of(config: EvaluateConfig, folder: Path) -> dict[str, Any]:
+def entry_of(config: EvaluateConfig, folder: Path) -> Entry:
     """Return the entry of the evaluation in `folder`: policy, what differs from the suite, means by level."""
     episodes = read_table(folder / "episodes.csv")
     assert episodes is not None, "an evaluation has episodes"
     groups = summarise(episodes, [], config.task.max_episode_steps)["groups"]
+    levels: list[Any] = [
+        {
+            "level": group["comfort_level"],
+            "shifts": group["episodes"],
+            **{name: group["metrics"][name] for name in QUANTITIES if name in group["metrics"]},
+        }
+        for group in groups
+    ]
     return {
         "policy": name_of(config),
         "policies": {name: hash_of(source) for name, source in config.policies.items()},
         "commit": commit(),
+        "observation": {"task.observation": config.task.observation, "human.masked": config.human.masked},
         "changed": changed(config),
-        "levels": [
-            {
-                "level": group["comfort_level"],
-                "shifts": group["episodes"],
-                **{name: group["metrics"][name] for name in QUANTITIES if name in group["metrics"]},
-            }
-            for group in groups
-        ],
+        "levels": levels,
     }
 
 

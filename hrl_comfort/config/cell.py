@@ -74,9 +74,9 @@ class ConnectionConfig:
     host: str
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
-    """The frame in which `cell.*_m`, `task.*point_m` and live positions of people are given, taught by three places of
-    the tool in the frame of the robot's base, m: the origin of the frame, a point on its x axis, and a point of its x-y
-    plane with y > 0. null: the frame of the base."""
+    """Frame of `cell.*_m`, `task.*point_m` and live positions of people, if not the base's. Three tool positions in the
+    frame of the robot's base define it, m: its origin, a point on its x axis, a point of its x-y plane with y > 0.
+    null: the frame of the base."""
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,8 @@ class PersonConfig:
     fast_m_s: Annotated[float, within(0.01, 10.0)]
     """Tool speed above which more speed adds no stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]
-    """`frightened`: time in which full stress lowers the level from N_c to 1, without recovery, s; `simulated` takes
-    half of it."""
+    """`frightened`: time in which full stress alone, recovery ignored, lowers the level from N_c to 1, s. `simulated`:
+    half of that time."""
     recovery_s: Annotated[float, within(0.01, 3600.0)]
     """Time constant with which the level returns to N_c, s."""
 
@@ -97,8 +97,8 @@ class ComfortConfig:
     power: Annotated[float, within(0.5, 8.0)]
     """`target_distance` forms and `minimum_distance`: exponent of the normalised error of distance."""
     time_penalty: Annotated[float, within(0.0, 10.0)]
-    """`target_distance` forms and `minimum_distance`: amount by which F_conf1 is lower in every control step at level
-    N_c; it falls linearly to 0 at level 1."""
+    """`target_distance` forms and `minimum_distance`: amount subtracted from F_conf1 in every control step at level
+    N_c; the amount decreases linearly with the level, to 0 at level 1."""
     alpha: Annotated[float, within(0.0, 1.0)]
     """Weight of the distance term, F_conf1 (Eq. 4)."""
     beta: Annotated[float, within(0.0, 1.0)]

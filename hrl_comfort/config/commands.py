@@ -143,8 +143,8 @@ class EvaluateConfig(EnvConfig):
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
-    """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training, with `human.partitioned`
-    `validation` from people and places of its own. `test`: people, places, arm starts that no training with
+    """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
+    `validation` has people and places of its own. `test`: people, places, arm starts that no training with
     `human.partitioned` sees; its evaluations are listed in docs/tables/test_ledger.csv."""
     episodes: int
     """Number of episodes; with `levels`, at each level."""

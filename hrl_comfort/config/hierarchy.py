@@ -35,7 +35,7 @@ class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
     options: Annotated[int, within(1, 1e9)]
-    """Length of the training in runs of an option, over all cells."""
+    """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]
     """Random options before the first update."""
     updates_per_option: Annotated[float, within(0.0, 16.0)]
@@ -73,15 +73,16 @@ class HierarchyConfig:
     """Budget of each option's training, as a multiple of `agent.policy_steps`; its curriculum stages are scaled to
     it."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
-    """Episodes whose successful ends are recorded, as the starts from which the next option is trained."""
+    """Number of episodes run to record terminal states; the next option is trained from the ends of those that
+    succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option; []: none. It goes from the last option to the first. In
-    it a success of every option but the last also earns the value that the option after it gives to the state
-    reached (`agent.next_skill`)."""
+    """Curriculum stages of a second training of every option, from the last option to the first; []: none. There, a
+    success of any option but the last also earns the value of the reached state under the next option
+    (`agent.next_skill`)."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: list[str]
-    """Overrides of a `train meta_controller` that follows: it trains a controller of `task=sort` above the options, for
-    example `['human=patrol']`. [] trains none; the chain then has the scripted controller alone."""
+    """If not empty, a `train meta_controller` with these overrides follows, for example `['human=patrol']`; it trains a
+    controller of `task=sort` above the options. []: none; the chain then has the scripted controller alone."""

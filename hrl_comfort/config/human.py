@@ -38,14 +38,14 @@ class HumanConfig:
     """Radius of the discs around all goals and the robot's base that the person's axis stays out of, m; `adversary`,
     `recorded` and `live` do not keep to them."""
     bound_m: Annotated[float, within(0.0, 10.0)]
-    """`random_walk`, `arc`, `approach`, and `patrol` without an acceleration: largest distance from the spawn point,
-    m."""
+    """`random_walk`, `arc`, `approach`, and `patrol` with `acceleration_m_s2=null`: largest distance from the spawn
+    point, m."""
     jitter_m: Annotated[float, within(0.0, 0.1)]
     """`random_walk`, `arc`: largest random displacement a control step along x and along y, m."""
     forward_m: Annotated[float, within(0.0, 0.1)]
     """`random_walk`, `arc`: length of a step towards the robot, m."""
     forward_probability: Annotated[float, within(0.0, 1.0)]
-    """`random_walk`, `arc`: probability that a control step is such a step."""
+    """`random_walk`, `arc`: probability that the person moves `forward_m` towards the robot in a control step."""
     arc_deg: Annotated[float, within(0.0, 360.0)]
     """`arc`: angle of the arc, degrees."""
     arc_steps: Annotated[int, within(1, 100_000)]

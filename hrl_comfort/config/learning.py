@@ -108,8 +108,8 @@ class AgentConfig:
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""
     next_skill: str | None
-    """Run folder of the policy that acts after a success. Its critics' value of the state at the success is added to
-    the critics' target, discounted."""
+    """Run folder of the policy that acts after a success. The value that its critics give to the state at the
+    success is discounted and added to the target of the critics being trained."""
     log_every: Annotated[int, within(1, 1e9)]
     """Policy steps between two rows of metrics.csv."""
     checkpoint_every: Annotated[int, within(1, 1e9)]

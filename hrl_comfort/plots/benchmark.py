@@ -11,6 +11,9 @@ from matplotlib.figure import Figure
 
 from hrl_comfort.plots.style import BLACK, CYCLE, OUTLINE, around, of_estimates, styled
 
+MARKERS = "osD^v"
+"""One for each round of colours."""
+
 
 def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw balls over discomfort a minute, a line a policy and a point a level, with 95 % intervals.
@@ -20,11 +23,13 @@ def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
     with styled():
         figure = Figure(figsize=(5.6, 3.8))
         axis = figure.subplots()
-        for entry, colour in zip(entries, cycle((*CYCLE, BLACK)), strict=False):
+        colours = (*CYCLE, BLACK)
+        for number, (entry, colour) in enumerate(zip(entries, cycle(colours), strict=False)):
             levels = entry["levels"]
             y, x = (of_estimates([at[name] for at in levels]) for name in ("balls_per_min", "discomfort_per_min"))
             label = entry["policy"] + "*" * bool(entry["changed"])
-            look: dict[str, Any] = {"marker": "o", "markersize": 4, "capsize": 2, "color": colour, "label": label}
+            marker = MARKERS[number // len(colours) % len(MARKERS)]
+            look: dict[str, Any] = {"marker": marker, "markersize": 4, "capsize": 2, "color": colour, "label": label}
             look["linestyle"] = "--" if entry["changed"] else "-"
             axis.errorbar(x[0], y[0], around(*y), around(*x), elinewidth=0.7, **look)
             unsafe = np.array([at["unsafe_contacts_per_h"]["mean"] > 0 for at in levels])

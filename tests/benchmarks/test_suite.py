@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -85,12 +87,17 @@ def write_seeds(folder: Path, balls: list[list[float]], mood: float = 0.0, chang
             {
                 "level": 1 + 9 * number if len(each) > 1 else None,
                 "shifts": 16,
-                **{name: {"mean": count, "ci95": None} for name in entries.ANSWERS},
+                **{name: {"mean": count, "ci95": None} for name in (*entries.ANSWERS, *entries.HEADLINE)},
                 "person_level_mean": {"mean": 10 - count / 2 + mood, "ci95": None},
             }
             for number, count in enumerate(each)
         ]
-        entry = {"policy": str(seed), "changed": {"human.motion": changed} if changed else {}, "levels": levels}
+        entry = {
+            "policy": str(seed),
+            "policies": {"pick": f"run@{seed}"},
+            "changed": {"human.motion": changed} if changed else {},
+            "levels": levels,
+        }
         (folder / f"{seed}.json").write_text(json.dumps(entry), encoding="utf-8")
     return folder
 
@@ -103,7 +110,7 @@ def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path
     write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.0], [6.0, 14.0]])
     (tmp_path / "alone.json").write_text((tmp_path / "ours" / "0.json").read_text(encoding="utf-8"), encoding="utf-8")
     alone, ours = entries.committed(tmp_path)
-    assert (alone["policy"], ours["policy"]) == ("0", "ours, 3 seeds")
+    assert (alone["policy"], ours["policy"]) == ("alone", "ours, 3 seeds")
     low, high = ours["levels"]
     # Student's t with two degrees of freedom: 4.303 standard errors of 1 / sqrt(3).
     assert low["balls_per_min"] == {"mean": 5.0, "ci95": pytest.approx([5 - 2.484, 5 + 2.484], abs=1e-3)}
@@ -119,12 +126,17 @@ def test_entries_of_a_folder_that_differ_in_the_suite_are_refused(tmp_path: Path
         entries.pooled(tmp_path / "other")
 
 
+def test_an_interval_of_a_rate_is_not_below_zero(tmp_path: Path) -> None:
+    write_seeds(tmp_path / "ours", [[0.0], [0.0], [6.0]])
+    assert entries.pooled(tmp_path / "ours")["levels"][0]["balls_per_min"]["ci95"][0] == 0.0
+
+
 def test_levels_are_compared_with_each_other_and_with_comfort_off_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
-    off = write_seeds(tmp_path / "off", [[8.0, 8.0], [10.0, 10.0], [99.0, 99.0]])
+    off = write_seeds(tmp_path / "off", [[8.0, 4.0], [10.0, 5.0], [99.0, 99.0]])
     *_, balls = cells_of(entries.responses(ours, off))
-    assert balls == ["balls a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "11.25 [-4.63, 27.13]",
-                     "150.0", "-50.0", "25.0"]  # fmt: skip
+    assert balls == ["balls a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "-50.0",
+                     "11.25 [-4.63, 27.13]", "4.50 [-1.85, 10.85]", "150.0", "150.0"]  # fmt: skip
 
 
 def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput(tmp_path: Path) -> None:
@@ -133,3 +145,51 @@ def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput
     assert cells_of(entries.at_same_throughput(told, fixed))[0] == ["8.00 [-4.71, 20.71]", "6.25 [-0.10, 12.60]",
                                                                     "6.00 [-0.35, 12.35]", "0.25"]  # fmt: skip
     assert [line[:2] for line in cells_of(entries.table(entries.committed(tmp_path)))][-1] == ["told, 2 seeds*", "–"]
+    with pytest.raises(ConfigError, match=r"no mix of the levels in .*fixed gives 14 balls a minute"):
+        entries.at_same_throughput(write_seeds(tmp_path / "fast", [[14.0]], changed="frightened"), fixed)
+
+
+def test_the_best_mix_passes_over_a_level_that_two_others_beat() -> None:
+    points = [(0.0, 10.0), (5.0, 4.0), (10.0, 6.0)]
+    assert entries.best_mix(points, 5.0) == entries.best_mix(points[::2], 5.0) == 8.0
+    assert entries.best_mix(points, 10.0) == 6.0 and entries.best_mix(points, 10.1) is None
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda entry: entry.pop("levels"), "levels"),
+        (lambda entry: entry.update(levels=[]), "levels"),
+        (lambda entry: entry["levels"][0].pop("discomfort_per_min"), "discomfort_per_min"),
+        (lambda entry: entry["levels"][0]["balls_per_min"].update(mean=None), "mean"),
+    ],
+)
+def test_a_damaged_entry_is_named_in_one_line_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[dict[str, Any]], Any], reason: str
+) -> None:
+    file = write_seeds(tmp_path / "ours", [[4.0, 10.0]]) / "0.json"
+    entry = json.loads(file.read_text(encoding="utf-8"))
+    damage(entry)
+    file.write_text(json.dumps(entry), encoding="utf-8")
+    monkeypatch.setattr(suite, "ENTRIES", tmp_path)
+    with pytest.raises(ConfigError, match=rf"ours/0\.json is damaged: .*{reason}"):
+        suite.benchmark(asked("policy=random", *SHORT, f"output='{tmp_path / 'mine'}'"))
+    assert not (tmp_path / "mine").exists()
+
+
+def test_an_empty_folder_and_two_copies_of_a_seed_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="empty holds no entry"):
+        entries.committed(tmp_path)
+    ours = write_seeds(tmp_path / "ours", [[4.0, 10.0]])
+    (ours / "1.json").write_bytes((ours / "0.json").read_bytes())
+    with pytest.raises(ConfigError, match="two of its entries are of the same policies"):
+        entries.pooled(ours)
+    (write_seeds(tmp_path / "seven", [[1.0]]) / "0.json").rename(tmp_path / "seven" / "7.json")
+    with pytest.raises(ConfigError, match="have no training seed in common"):
+        entries.pairs(ours, tmp_path / "seven")
+
+
+def test_a_benchmark_without_levels_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"comfort\.source=none: the benchmark's discomfort is that of a level"):
+        suite.benchmark(asked("policy=random", "comfort=off", "levels=[]", f"output='{tmp_path / 'entry'}'"))
