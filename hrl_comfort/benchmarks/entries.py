@@ -20,11 +20,11 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import Quantity, cell, cells, markdown
 from hrl_comfort.config.checks import ConfigError
-from hrl_comfort.evaluation.ledger import FILE
+from hrl_comfort.evaluation.ledger import ROOT
 from hrl_comfort.files.documents import read_json
 
-ENTRIES = FILE.parent / "benchmark"
-"""Folder of the entries."""
+ENTRIES = ROOT / "docs" / "tables" / "benchmark"
+"""Folder of the entries in a checkout; a wheel has none."""
 
 
 class Number(TypedDict):
