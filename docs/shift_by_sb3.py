@@ -42,7 +42,7 @@ ENVIRONMENT: dict[str, object] = {
     "reward.other_collision": -150,
     "reward.overtime": -0.2,
 }
-"""What `experiment=comfort_shift` sets for each of its skills."""
+"""Overrides that `experiment=comfort_shift` makes for each of its skills."""
 
 
 def learner(algorithm: str, env: Any, seed: int) -> Any:

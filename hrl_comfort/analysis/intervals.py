@@ -12,13 +12,15 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy  # its stats are loaded when they are needed
 from numpy.typing import NDArray
 from pandas import DataFrame
+from pydantic import FiniteFloat
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.files.tables import Floats, column
 
@@ -34,8 +36,8 @@ Statistic = Callable[..., Any]
 class Estimate(TypedDict):
     """A mean and its 95 % interval, None where none can be told."""
 
-    mean: float
-    ci95: list[float] | None
+    mean: FiniteFloat
+    ci95: list[FiniteFloat] | None
 
 
 def itself(mean: Any) -> Any:

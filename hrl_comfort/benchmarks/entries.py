@@ -14,10 +14,10 @@ from typing import Annotated, Any, NotRequired
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, FiniteFloat, PositiveInt, with_config
+from pydantic import ConfigDict, Field, PositiveInt, with_config
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from hrl_comfort.analysis.intervals import Clusters
+from hrl_comfort.analysis.intervals import Clusters, Estimate
 from hrl_comfort.analysis.tables import Quantity, cell, cells, markdown
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.evaluation.ledger import ROOT
@@ -27,27 +27,20 @@ ENTRIES = ROOT / "docs" / "tables" / "benchmark"
 """Folder of the entries in a checkout; a wheel has none."""
 
 
-class Number(TypedDict):
-    """A mean and its 95 % interval, if it can be told."""
-
-    mean: FiniteFloat
-    ci95: tuple[FiniteFloat, FiniteFloat] | None
-
-
 class Level(TypedDict):
-    """What a policy did at a level: means over `shifts`, in the units of QUANTITIES; no level where it changes."""
+    """Results of a policy at a level: means over `shifts`, in the units of QUANTITIES; no level where it changes."""
 
     level: int | None
     shifts: PositiveInt
-    balls_per_min: Number
-    discomfort_per_min: Number
-    unsafe_contacts_per_h: Number
-    contacts_per_h: NotRequired[Number | None]
-    other_collisions_per_h: NotRequired[Number | None]
-    protective_stops_per_min: NotRequired[Number | None]
-    arm_distance_mean_m: NotRequired[Number | None]
-    tool_speed_beside_m_s: NotRequired[Number | None]
-    person_level_mean: NotRequired[Number | None]
+    balls_per_min: Estimate
+    discomfort_per_min: Estimate
+    unsafe_contacts_per_h: Estimate
+    contacts_per_h: NotRequired[Estimate | None]
+    other_collisions_per_h: NotRequired[Estimate | None]
+    protective_stops_per_min: NotRequired[Estimate | None]
+    arm_distance_mean_m: NotRequired[Estimate | None]
+    tool_speed_beside_m_s: NotRequired[Estimate | None]
+    person_level_mean: NotRequired[Estimate | None]
 
 
 @with_config(ConfigDict(extra="allow"))
@@ -84,19 +77,16 @@ ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
 """Quantities that a level is meant to change."""
 
 
-def committed(folder: Path) -> list[Entry]:
-    """Return the entries of a folder with their names, those of a sub-folder as one.
+def committed(folder: Path) -> dict[str, Entry]:
+    """Return the entries of a folder by name, those of a sub-folder as one.
 
     Raises:
       ConfigError: a file is damaged, or the files of a sub-folder cannot be pooled.
     """
     found = sorted(path for path in folder.glob("[!.]*") if path.is_dir() or path.suffix == ".json")
-    return [pooled(path) if path.is_dir() else {**read(path), "policy": path.stem} for path in found]
-
-
-def read(file: Path) -> Entry:
-    """Return the entry of a file; raise ConfigError if it does not exist or is damaged."""
-    return read_json(file, Entry)
+    return {
+        path.stem: pooled(path) if path.is_dir() else {**read_json(path, Entry), "policy": path.stem} for path in found
+    }
 
 
 def of_seeds(folder: Path) -> dict[str, Entry]:
@@ -105,7 +95,7 @@ def of_seeds(folder: Path) -> dict[str, Entry]:
     Raises:
       ConfigError: there is none, or one is damaged.
     """
-    found = {file.stem: read(file) for file in sorted(folder.glob("[!.]*.json"))}
+    found = {file.stem: read_json(file, Entry) for file in sorted(folder.glob("[!.]*.json"))}
     if not found:
         raise ConfigError(f"{folder} holds no entry")
     return found

@@ -39,7 +39,7 @@ def benchmark(config: EvaluateConfig) -> Path:
         check_steps(config, name, source)
     if config.comfort.source == "none":
         raise ConfigError("comfort.source=none: the benchmark's discomfort is that of a level")
-    others = committed(ENTRIES)
+    others = committed(ENTRIES).values()
     output = evaluate(config)
     entry = entry_of(config, output)
     every = [*others, entry]

@@ -109,7 +109,7 @@ def cells_of(table: str) -> list[list[str]]:
 def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path) -> None:
     write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.0], [6.0, 14.0]])
     (tmp_path / "alone.json").write_text((tmp_path / "ours" / "0.json").read_text(encoding="utf-8"), encoding="utf-8")
-    alone, ours = entries.committed(tmp_path)
+    alone, ours = entries.committed(tmp_path).values()
     assert (alone["policy"], ours["policy"]) == ("alone", "ours, 3 seeds")
     low, high = ours["levels"]
     # Student's t with two degrees of freedom: 4.303 standard errors of 1 / sqrt(3).
@@ -144,7 +144,10 @@ def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput
     told = write_seeds(tmp_path / "told", [[7.0], [9.0]], mood=0.25, changed="frightened")
     assert cells_of(entries.at_same_throughput(told, fixed))[0] == ["8.00 [-4.71, 20.71]", "6.25 [-0.10, 12.60]",
                                                                     "6.00 [-0.35, 12.35]", "0.25"]  # fmt: skip
-    assert [line[:2] for line in cells_of(entries.table(entries.committed(tmp_path)))][-1] == ["told, 2 seeds*", "–"]
+    assert [line[:2] for line in cells_of(entries.table([*entries.committed(tmp_path).values()]))][-1] == [
+        "told, 2 seeds*",
+        "–",
+    ]
     with pytest.raises(ConfigError, match=r"no mix of the levels in .*fixed gives 14 balls a minute"):
         entries.at_same_throughput(write_seeds(tmp_path / "fast", [[14.0]], changed="frightened"), fixed)
 

@@ -1,4 +1,4 @@
-"""What is missing on the machine is told by `doctor`, and at the start of the command that needs it."""
+"""Missing parts of the machine are told by `doctor`, and at the start of the command that needs them."""
 
 from __future__ import annotations
 

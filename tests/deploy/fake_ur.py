@@ -39,7 +39,7 @@ NORMAL, PROTECTIVE, EMERGENCY = 1, 3, 7
 
 @dataclass(frozen=True)
 class Faults:
-    """What is wrong with the robot and its network."""
+    """Faults of the robot and its network."""
 
     latency_s: float = 0.0
     """Of packages in each direction."""

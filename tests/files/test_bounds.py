@@ -1,4 +1,4 @@
-"""What a file or a command line asks for is bounded before it is allocated."""
+"""Sizes that a file or a command line asks for are bounded before they are allocated."""
 
 from __future__ import annotations
 

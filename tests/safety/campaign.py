@@ -61,7 +61,7 @@ def frozen(observation: Array) -> Array:
 
 @dataclass
 class Count:
-    """What happened in some control steps."""
+    """Counts of some control steps."""
 
     steps: int = 0
     episodes: int = 0
