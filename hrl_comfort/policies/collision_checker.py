@@ -39,7 +39,7 @@ class ArmSpheres:
         """Return the spheres' centres (..., P, 3) m."""
         ends = self._arm.pose(joints.reshape(-1, joints.shape[-1])).ends[:, self._part]
         centres = ends[:, :, 0] + (ends[:, :, 1] - ends[:, :, 0]) * self._along[:, None]
-        return np.asarray(centres.T.reshape(*joints.shape[:-1], -1, 3))
+        return np.asarray(centres.T.reshape(*joints.shape[:-1], len(self.radius), 3))
 
     def tool(self, joints: Array) -> Array:
         """Return the tool centre points (n, 3) m of postures (n, J)."""

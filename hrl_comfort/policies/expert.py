@@ -11,6 +11,7 @@ Where there is a comfort level, the person counts as wider at a low one (`comfor
 
 from __future__ import annotations
 
+from heapq import heapify, heappop, heappush
 from itertools import product
 
 import numpy as np
@@ -127,22 +128,36 @@ class Expert:
         steps, risk = self._weigh(joints, postures, person)
         direct = steps + price * risk
         blocked = not self._cell.free(joints, postures[direct.argmin()])
-        end_risk = self._weigh(postures, postures, person)[1]
+        end_risk = self._risk(postures[:, None], np.ones((len(postures), 1)), person)
         safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
         # Upright at some pan; any of shoulder to second wrist at home; raised; or the present posture.
         raised = self._cell.raised(joints) if blocked else joints[None]
         ways = np.concatenate([self._upright, np.where(PARTS, self._home, joints), raised])
         first_steps, first_risk = self._weigh(joints, ways, person)
-        steps_on, risk_on = self._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
+        first = first_steps + price * first_risk
+        steps_on = self._steps(ways[:, None], postures[safest], person)
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
         clear[: len(self._upright)] &= self._clear(goal)[:, safest]
-        onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
-        exposed = self._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+        there = np.clip(first_steps + FORESIGHT_STEPS / 2, 1.0, FORESIGHT_STEPS)
+        exposed = self._risk(ways[:, None], there[:, None], person)
         waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
-        cost = np.concatenate([direct, first_steps + price * first_risk + np.minimum(onward, waiting)])
+        least = first + np.minimum(np.where(clear, steps_on, np.inf).min(axis=1), waiting)
+
+        # Best first: a way counts as if the legs after it were safe, until it is the best and they are weighed.
         targets = np.concatenate([postures, ways])
-        for choice in np.argsort(cost):
-            if self._cell.free(joints, targets[choice]):
+        weighed = len(postures)
+        queue = [(cost, choice) for choice, cost in enumerate(np.concatenate([direct, least]))]
+        heapify(queue)
+        pending = set(range(weighed, len(targets)))
+        while queue:
+            _, choice = heappop(queue)
+            if choice in pending:
+                pending.remove(choice)
+                way = choice - weighed
+                legs = safest[clear[way] & (steps_on[way] < waiting[way])]
+                on, risk_on = self._weigh(ways[way], postures[legs], person, first_steps[way])
+                heappush(queue, (first[way] + min((on + price * risk_on).min(initial=np.inf), waiting[way]), choice))
+            elif self._cell.free(joints, targets[choice]):
                 return targets[choice]
         return self._cell.escape(joints)
 
@@ -151,15 +166,23 @@ class Expert:
 
         `person` (..., 5) is their x, y, yaw, and the margin and pace that the level asks for.
         """
-        steps = np.abs(end - start).max(axis=-1) / self._step / person[..., 4]
+        steps = self._steps(start, end, person)
         share = np.arange(1, SAMPLES + 1) / SAMPLES
         legs = start[..., None, :] + share[:, None] * (end - start)[..., None, :]
         when = np.clip(np.asarray(begun)[..., None] + share * steps[..., None], 1.0, FORESIGHT_STEPS)
-        gap = self._gap(self._body.spheres(legs), person[..., None, None, :])
+        return steps, self._risk(legs, when, person)
+
+    def _steps(self, start: Array, end: Array, person: Array) -> Array:
+        """Return the control steps (...,) of straight legs."""
+        return np.asarray(np.abs(end - start).max(axis=-1) / self._step / person[..., 4])
+
+    def _risk(self, postures: Array, when: Array, person: Array) -> Array:
+        """Return the greatest chance (...,) that the person is at one of `postures` (..., S, 6), `when` (..., S) steps on."""
+        gap = self._gap(self._body.spheres(postures), person[..., None, None, :])
         gap = gap - CLEARANCE_M - person[..., 3, None] - self._drift * when
         z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
         # Within 10 % of the chance that Brownian motion has passed z standard deviations by then.
-        return steps, (np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1)
+        return np.asarray((np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1))
 
     def _gap(self, spheres: Array, person: Array) -> Array:
         """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 5), whose x, y and yaw count.
