@@ -177,7 +177,7 @@ class Expert:
         return np.asarray(np.abs(end - start).max(axis=-1) / self._step / person[..., 4])
 
     def _risk(self, postures: Array, when: Array, person: Array) -> Array:
-        """Return the greatest chance (...,) that the person is at one of `postures` (..., S, 6), `when` (..., S) steps on."""
+        """Return the greatest chance (...,) that the person meets `postures` (..., S, 6) in `when` (..., S) steps."""
         gap = self._gap(self._body.spheres(postures), person[..., None, None, :])
         gap = gap - CLEARANCE_M - person[..., 3, None] - self._drift * when
         z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
