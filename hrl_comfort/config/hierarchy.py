@@ -34,6 +34,9 @@ class MetaControllerConfig:
 class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
+    observation: Annotated[str, choice("default", "proximity")]
+    """What it sees of the person: where they stand and face, or how near they are to the tool. In both, how far they
+    are from each ball and drop point."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]

@@ -8,21 +8,28 @@ from torch import Tensor
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.observations import human, joint_error, tool
+from hrl_comfort.tasks.observations import human, joint_error, nearness, tool
 
 ROUND = len(CYCLE.stages)
 """Stages of one ball's round: pick, place, return."""
-OTHERS, BALL = 18, 9
-"""Sizes of the part that is of no ball, and of the part of each ball."""
+OTHERS, BALL = 14, 9
+"""Sizes of the parts of neither a ball nor the person, and of each ball."""
+PERSON = {"default": 4, "proximity": 1}
+"""Size of the person's part, by `meta_controller_agent.observation`."""
 
 
-def meta_observation(state: State, levels: int) -> Tensor:
-    """Return (N, OTHERS + BALL * B).
+def observed(layout: str, balls: int) -> int:
+    """Return the size of `meta_observation`."""
+    return PERSON[layout] + OTHERS + BALL * balls
 
-    Person (2) and their facing direction (2, zero where their position is clipped or masked), tool (3),
-    joints from home (6), stage of the round (3), level and whether there is one (2); of each ball its position
-    (3), its drop point (2), the person's distance from both (2), whether it is placed and whether it is the
-    target (2).
+
+def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
+    """Return (N, observed(layout, B)).
+
+    Person (2) and their facing direction (2, zero where their position is clipped or masked) or, with the layout
+    `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of the round (3), level and
+    whether there is one (2); of each ball its position (3), its drop point (2), the person's distance from both (2),
+    whether it is placed and whether it is the target (2).
     """
     drop = state.drops
     person = human(state)[:, None]
@@ -41,7 +48,12 @@ def meta_observation(state: State, levels: int) -> Tensor:
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
-    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * state.human_shown[:, None]
     told = torch.stack([ease, leveled.double()], dim=-1)
-    parts = [human(state), facing, tool(state), joint_error(state), stage, told, balls.flatten(1)]
-    return torch.cat(parts, dim=-1).float()
+    seen = nearness(state) if layout == "proximity" else _place(state)
+    return torch.cat([seen, tool(state), joint_error(state), stage, told, balls.flatten(1)], dim=-1).float()
+
+
+def _place(state: State) -> Tensor:
+    """Return the person's position and facing direction (N, 4)."""
+    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * state.human_shown[:, None]
+    return torch.cat([human(state), facing], dim=-1)

@@ -22,10 +22,12 @@ from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
 from hrl_comfort.hierarchy.executor import Choose, Decision
-from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
+from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observed
 from hrl_comfort.policies.actor import WIDEST
 
-SPEC: dict[str, type] = {"names": list, "levels": int, "balls": int, "observation_dim": int, "hidden": list}
+SPEC: dict[str, type] = {
+    "names": list, "levels": int, "balls": int, "observation": str, "observation_dim": int, "hidden": list,
+}  # fmt: skip
 """Fields of the `spec` in a meta-controller's file, and their types."""
 
 
@@ -108,6 +110,7 @@ class QLearner:
     def save(self, path: Path, spec: dict[str, Any]) -> None:
         """Write the averaged network and its spec."""
         shape = {
+            "observation": self.config.observation,
             "observation_dim": self.observation_dim,
             "options": self.count,
             "hidden": list(self.config.hidden),
@@ -150,7 +153,12 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
             f"policies.meta_controller={source!r} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
         )
-    seen = OTHERS + BALL * spec["balls"]
+    layout = spec["observation"]
+    if layout not in PERSON:
+        raise ConfigError(
+            f"policies.meta_controller={source!r} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}"
+        )
+    seen = observed(layout, spec["balls"])
     if spec["observation_dim"] != seen:
         raise ConfigError(
             f"policies.meta_controller={source!r} was trained on {spec['observation_dim']} observations; "
@@ -170,6 +178,6 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
 
     @torch.no_grad()
     def choose(decision: Decision) -> Tensor:
-        return greedy(network, meta_observation(decision.state, levels), decision.mask)
+        return greedy(network, meta_observation(decision.state, levels, layout), decision.mask)
 
     return choose

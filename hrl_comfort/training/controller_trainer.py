@@ -49,6 +49,7 @@ class ControllerTraining:
     def __init__(self, config: MetaControllerTrainConfig, folder: Path, resumes: bool) -> None:
         self.config, self.folder, self._resumes = config, folder, resumes
         env_config, levels = environment(config), config.comfort.levels
+        layout = config.meta_controller_agent.observation
         self.env = OptionEnv(
             env_config,
             lambda engine: sorting_options(
@@ -58,7 +59,7 @@ class ControllerTraining:
             config.engine.num_envs,
             config.episode_seed,
             config.meta_controller_agent.gamma,
-            observe=lambda state: meta_observation(state, levels),
+            observe=lambda state: meta_observation(state, levels, layout),
             disturbance=config.disturbance,
         )
         spec = self.env.observation_spec

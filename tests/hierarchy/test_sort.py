@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy import sort as sorting_module
 from hrl_comfort.hierarchy.executor import TERMINATIONS, Decision, OptionExecutor, execute
 from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, nearest
-from hrl_comfort.hierarchy.observation import BALL, OTHERS, meta_observation
+from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observed
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import Termination, act
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
@@ -250,9 +251,22 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(begun) -> None
 
 def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(begun) -> None:
     state = begun[0].episodes.state
-    for level in (float("nan"), 3.0):
-        seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10)
-        assert seen.shape == (8, OTHERS + BALL * 4) == (8, 18 + 9 * 4) and bool(seen.isfinite().all())
+    for level, layout in product((float("nan"), 3.0), PERSON):
+        seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10, layout)
+        assert seen.shape == (8, observed(layout, 4)) and bool(seen.isfinite().all())
+    assert (observed("default", 4), observed("proximity", 4)) == (18 + 9 * 4, 15 + 9 * 4)
+
+
+def test_a_controller_that_observes_proximity_does_not_see_from_which_side_a_person_comes() -> None:
+    engine = Engine(config("human=patrol"), 8, 0)
+    state = engine.reset()
+    tool = state.tcp_pos[:, :2]
+    # Mirrored at the tool, and with the balls' distances of before: only the direction differs.
+    there = state.with_(human_seen=2 * tool - state.human_seen, human_yaw=state.human_yaw + 1.0)
+    seen, mirrored = (meta_observation(each, 10, "proximity") for each in (state, there))
+    balls = seen.shape[1] - 9 * 4
+    torch.testing.assert_close(seen[:, :balls], mirrored[:, :balls])
+    assert not torch.allclose(meta_observation(state, 10), meta_observation(there, 10))
 
 
 TRACKER = ("randomise.person_noise_m=[0.02,0.02]", "randomise.person_rate_hz=[10,10]")
