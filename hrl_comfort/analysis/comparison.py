@@ -6,6 +6,7 @@ Differences are those of the first group from each other one, over the same epis
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,25 +53,53 @@ Numbers = dict[str, dict[str, Any]]
 def controllers(groups: Groups) -> dict[str, Numbers]:
     """Return the means of every controller's PARTS, and the first one's differences from the others.
 
-    Differences are with the same skills; in per cent of the other's return where the interval of that is positive.
+    Each evaluation of the first one is compared with that of another one with the same skills: several trained
+    controllers of the same skills with one that learns nothing. Differences are in per cent too, of the other's return,
+    where the interval of that is positive.
 
     Raises:
       ConfigError: an evaluation has several levels, another reward or no `balls_placed`; or two did not run the
         same episodes in the same way with the same skills.
     """
+    first, *others = groups
     frames = {label: _earnings(runs) for label, runs in groups.items()}
-    means, differences = _compare(groups, frames, PARTS)
-    (first, own), *others = frames.items()
-    for label, frame in others:
-        for mine, other in zip(groups[first], groups[label], strict=False):
-            if _skills(mine) != _skills(other):
-                raise ConfigError(f"{mine.folder} and {other.folder} differ in policies; compare like with like")
+    beside = {label: _earnings(_with_same_skills(groups[first], label, groups[label])) for label in others}
+    means, differences = _compare(groups, frames, PARTS, beside)
+    own = frames[first]
+    for label, frame in beside.items():
         whole = means[label].get("return")
         if whole and (whole["ci95"] or [whole["mean"]])[0] > 0:
             earned = column(own, "return"), column(frame, "return")
             percent = Clusters.of(own).estimate(*earned, statistic=lambda mine, other: 100 * (mine / other - 1))
             differences[f"{first} - {label}"]["return_percent"] = percent
     return {"controllers": means, "differences": differences}
+
+
+def _with_same_skills(first: Sequence[Run], label: str, runs: Sequence[Run]) -> list[Run]:
+    """Return for each run of `first` that of `label` with the same skills, told as one of the same training seed."""
+    found = []
+    for mine in first:
+        same = [run for run in runs if _skills(run) == _skills(mine)]
+        same = [run for run in same if _seed(run) == _seed(mine)] or same
+        if len(same) != 1:
+            raise ConfigError(f"{len(same)} of {label} have the policies of {mine.folder}; it is compared with one")
+        (run,) = same
+        whole, own = _episodes(run), _episodes(mine)
+        seed = pd.Series([_seed(mine)] * len(whole), dtype=own["train_seed"].dtype)
+        found.append(replace(run, episodes=whole.assign(train_seed=seed)))
+    return found
+
+
+def _episodes(run: Run) -> DataFrame:
+    if run.episodes is None:
+        raise ConfigError(f"{run.folder} has no episodes")
+    return run.episodes
+
+
+def _seed(run: Run) -> int | None:
+    """Return the training seed of an evaluation, None where nothing was trained."""
+    seed = _episodes(run)["train_seed"].iloc[0]
+    return None if pd.isna(seed) else int(seed)
 
 
 def _earnings(runs: Sequence[Run]) -> DataFrame:
@@ -117,7 +146,7 @@ def divisions(groups: Groups) -> dict[str, Numbers]:
             steps=np.where(won, column(frame, "steps"), np.nan),
             distance=np.where(won, column(frame, "human_distance_mean_m"), np.nan),
         )
-    means, differences = _compare(groups, frames, RESULTS)
+    means, differences = _compare(groups, frames, RESULTS, dict(list(frames.items())[1:]))
     for label, runs in groups.items():
         means[label] |= DataFrame([training_cost(run) for run in runs]).mean().to_dict()
     return {"divisions": means, "differences": differences}
@@ -154,8 +183,10 @@ def _pooled(runs: Sequence[Run]) -> DataFrame:
     return frame.assign(success=column(frame, "success"))
 
 
-def _compare(groups: Groups, frames: Mapping[str, DataFrame], names: Sequence[str]) -> tuple[Numbers, Numbers]:
-    """Return the means of columns of each group's episodes, and of the first one's differences from the others."""
+def _compare(
+    groups: Groups, frames: Mapping[str, DataFrame], names: Sequence[str], beside: Mapping[str, DataFrame]
+) -> tuple[Numbers, Numbers]:
+    """Return the means of columns of each group's episodes, and how the first one differs from those `beside` it."""
     one, *others = [run for runs in groups.values() for run in runs]
     for run in others:
         for section in SAME:
@@ -163,11 +194,11 @@ def _compare(groups: Groups, frames: Mapping[str, DataFrame], names: Sequence[st
                 raise ConfigError(f"{one.folder} and {run.folder} differ in {section}; compare like with like")
     means: Numbers = {}
     differences: Numbers = {}
-    (first, own), *rest = frames.items()
+    first, own = next(iter(frames.items()))
     for label, frame in frames.items():
         bounds = {name: QUANTITIES[name].bounds for name in names}
         means[label] = {"episodes": len(frame), **Clusters.of(frame).estimates(frame[[*names]], bounds)}
-    for label, frame in rest:
+    for label, frame in beside.items():
         if not own[EPISODE].equals(frame[EPISODE]):
             raise ConfigError(f"labels={[first, label]}: both must have run the same episodes with the same seeds")
         differences[f"{first} - {label}"] = {**Clusters.of(own).estimates(own[[*names]] - frame[[*names]])}

@@ -17,7 +17,7 @@ from hrl_comfort.plots.figure import figure
 REWARD = {"place": 1.0, "step": -0.001, "progress": 0.0, "k1": 1.0}
 
 
-def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward: float) -> Run:
+def evaluation(returns: list[float], placed: int = 2, seed: str = "0", skills: str = "p", **reward: float) -> Run:
     episodes = [
         {
             "train_seed": seed, "episode": str(i), "spawn_id": str(i % 2), "success": "True",
@@ -25,7 +25,7 @@ def evaluation(returns: list[float], placed: int = 2, seed: str = "0", **reward:
         }
         for i, earned in enumerate(returns)
     ]  # fmt: skip
-    config = {"reward": {**REWARD, **reward}, "policies": {"pick": "p", "meta_controller": seed}}
+    config = {"reward": {**REWARD, **reward}, "policies": {"pick": skills, "meta_controller": seed}}
     return Run("run", Path("run"), config=config, episodes=records_of(episodes, "episodes"))
 
 
@@ -43,7 +43,19 @@ def test_differences_are_of_the_same_episodes() -> None:
     assert found["return"]["ci95"] is None, "all differ by the same, though the episodes differ by far more"
     assert found["return_percent"]["mean"] == pytest.approx(100 * 0.1 / 1.45)
     with pytest.raises(ConfigError, match="must have run the same episodes"):
-        controllers({**groups, "b": [evaluation(worse), evaluation(worse, seed="2")]})
+        controllers({**groups, "b": [evaluation(worse[:3])]})
+
+
+def test_several_trained_controllers_are_compared_with_one_that_has_the_same_skills() -> None:
+    trained = [evaluation([2.0, 1.0], seed=f"{seed}", skills=skills) for seed, skills in enumerate("ppqq")]
+    others = [evaluation([1.0, 0.0], skills="q"), evaluation([0.0, 0.0], skills="p")]
+    found = controllers({"trained": trained, "other": others})
+    assert found["differences"]["trained - other"]["return"]["mean"] == pytest.approx((1.5 + 1.5 + 1.0 + 1.0) / 4)
+    assert found["controllers"]["other"]["episodes"] == 4
+    with pytest.raises(ConfigError, match="0 of other have the policies of run; it is compared with one"):
+        controllers({"trained": trained, "other": others[:1]})
+    with pytest.raises(ConfigError, match="2 of other have the policies of run; it is compared with one"):
+        controllers({"trained": trained, "other": [*others, others[0]]})
 
 
 def test_a_return_of_other_parts_is_refused() -> None:
