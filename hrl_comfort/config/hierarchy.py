@@ -27,7 +27,7 @@ class MetaControllerConfig:
     without limit."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`: comfort levels that the controller may tell a skill (the policy of an option) instead of the current
-    level."""
+    level. `scripted` and `cautious` tell every skill the first of them."""
 
 
 @dataclass(frozen=True)

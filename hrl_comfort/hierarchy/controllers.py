@@ -72,7 +72,7 @@ def check_stages(parts: list[Subtask], task: Subtask) -> None:
 def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
     """Return the meta-controller of `sort` that `config` names."""
     if config.meta_controller.name != "learned":
-        return make_choice(config.meta_controller.name, seed)
+        return make_choice(config.meta_controller.name, seed, tells=bool(config.meta_controller.level_override))
     if "meta_controller" not in config.policies:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
     from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl

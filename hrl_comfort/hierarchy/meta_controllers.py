@@ -69,13 +69,29 @@ def at_random(seed: int) -> Choose:
     return choose
 
 
-def make_choice(name: str, seed: int) -> Choose:
+def telling(choose: Choose) -> Choose:
+    """Return the meta-controller that chooses alike, and tells every skill the first level it may be told."""
+
+    def chosen(decision: Decision) -> Tensor:
+        option, count = choose(decision), decision.mask.shape[1]
+        skills = decision.state.balls.shape[1] + 2
+        return torch.where(option < count + WAIT, option + skills, option)
+
+    return chosen
+
+
+def make_choice(name: str, seed: int, tells: bool = False) -> Choose:
     """Return the meta-controller `name` of `sort`; `learned` is loaded by `q_learning.load_choice`.
+
+    With `tells`, where there are levels that a skill may be told, `scripted` and `cautious` tell every skill the first
+    of them.
 
     Raises:
       ConfigError: there is no such controller.
     """
-    known: dict[str, Choose] = {"scripted": nearest, "cautious": cautious, "random": at_random(seed)}
+    known: dict[str, Choose] = {"scripted": nearest, "cautious": cautious}
+    if name == "random":
+        return at_random(seed)
     if name not in known:
-        raise ConfigError(f"meta_controller={name} does not sort; choose one of {', '.join(known)} or learned")
-    return known[name]
+        raise ConfigError(f"meta_controller={name} does not sort; choose one of {', '.join(known)}, random or learned")
+    return telling(known[name]) if tells else known[name]

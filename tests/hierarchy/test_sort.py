@@ -18,7 +18,7 @@ from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy import sort as sorting_module
 from hrl_comfort.hierarchy.executor import TERMINATIONS, Decision, OptionExecutor, execute
-from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, nearest
+from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, make_choice, nearest
 from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observed
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import Termination, act
@@ -247,6 +247,18 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(begun) -> None
     wait = asked.mask.shape[1] + WAIT
     assert (cautious(replace(asked, state=here)) == wait).all()
     assert (cautious(replace(asked, state=here, waits=torch.full((8,), 6))) != wait).all()
+
+
+def test_a_controller_that_learns_nothing_tells_every_skill_the_first_level_it_may() -> None:
+    engine = Engine(config("comfort=sort"), 8, 0)
+    engine.reset()
+    options = sorting_options(replace(META, level_override=[6, 2]), STILL, engine.scene, engine.episodes.config, 0)
+    asked, names = decision(engine, OptionExecutor(options, 500, engine.episodes)), [each.name for each in options]
+    for name in ("scripted", "cautious"):
+        plain, told = (make_choice(name, 0, tells)(asked).tolist() for tells in (False, True))
+        assert [names[each] for each in told] == [
+            names[each] if names[each] in ("wait", "retreat") else f"{names[each]}_as_6" for each in plain
+        ]
 
 
 def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(begun) -> None:
