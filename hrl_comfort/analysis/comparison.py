@@ -6,7 +6,6 @@ Differences are those of the first group from each other one, over the same epis
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,21 +52,24 @@ Numbers = dict[str, dict[str, Any]]
 def controllers(groups: Groups) -> dict[str, Numbers]:
     """Return the means of every controller's PARTS, and the first one's differences from the others.
 
-    Each evaluation of the first one is compared with that of another one with the same skills: several trained
-    controllers of the same skills with one that learns nothing. Differences are in per cent too, of the other's return,
-    where the interval of that is positive.
+    Each evaluation of the first one is compared with the one of another controller that has the same skills, so that
+    several trained controllers may stand beside one that learns nothing. Where the first one was run with several sets
+    of skills, its intervals, and those of the differences, are over these sets: controllers of one set are not
+    independent. With one set they are over its training seeds, and speak of these skills. Differences are in per cent
+    too, of the other's return, where the interval of that is positive.
 
     Raises:
-      ConfigError: an evaluation has several levels, another reward or no `balls_placed`; or two did not run the
-        same episodes in the same way with the same skills.
+      ConfigError: an evaluation has several levels, another reward or no `balls_placed`; two of the first controller
+        are of one training seed and the same skills; or two did not run the same episodes in the same way.
     """
     first, *others = groups
     frames = {label: _earnings(runs) for label, runs in groups.items()}
-    beside = {label: _earnings(_with_same_skills(groups[first], label, groups[label])) for label in others}
+    seeds = _independent(first, groups[first])
+    own = frames[first] = _earnings(groups[first], seeds)
+    beside = {label: _earnings(_with_same_skills(groups, first, label), seeds) for label in others}
     means, differences = _compare(groups, frames, PARTS, beside)
-    own = frames[first]
     for label, frame in beside.items():
-        whole = means[label].get("return")
+        whole = Clusters.of(frame).estimate(column(frame, "return"))
         if whole and (whole["ci95"] or [whole["mean"]])[0] > 0:
             earned = column(own, "return"), column(frame, "return")
             percent = Clusters.of(own).estimate(*earned, statistic=lambda mine, other: 100 * (mine / other - 1))
@@ -75,39 +77,57 @@ def controllers(groups: Groups) -> dict[str, Numbers]:
     return {"controllers": means, "differences": differences}
 
 
-def _with_same_skills(first: Sequence[Run], label: str, runs: Sequence[Run]) -> list[Run]:
-    """Return for each run of `first` that of `label` with the same skills, told as one of the same training seed."""
+def _independent(label: str, runs: Sequence[Run]) -> list[int | None]:
+    """Return for each evaluation the number of its set of skills or, if all have the same, its training seed."""
+    sets: list[dict[str, str]] = []
+    told: dict[tuple[int, int | None], Run] = {}
+    for run in runs:
+        if _skills(run) not in sets:
+            sets.append(_skills(run))
+        key = sets.index(_skills(run)), _seed(run)
+        if key in told:
+            raise ConfigError(
+                f"labels={label}: {told[key].folder} and {run.folder} both have train_seed={key[1]} and the same "
+                "skills; give one of each training seed"
+            )
+        told[key] = run
+    return [which if len(sets) > 1 else seed for which, seed in told]
+
+
+def _with_same_skills(groups: Groups, first: str, label: str) -> list[Run]:
+    """Return for each evaluation of `first` the one of `label` that has the same skills."""
     found = []
-    for mine in first:
-        same = [run for run in runs if _skills(run) == _skills(mine)]
+    for mine in groups[first]:
+        same = [run for run in groups[label] if _skills(run) == _skills(mine)]
         same = [run for run in same if _seed(run) == _seed(mine)] or same
         if len(same) != 1:
-            raise ConfigError(f"{len(same)} of {label} have the policies of {mine.folder}; it is compared with one")
-        (run,) = same
-        whole, own = _episodes(run), _episodes(mine)
-        seed = pd.Series([_seed(mine)] * len(whole), dtype=own["train_seed"].dtype)
-        found.append(replace(run, episodes=whole.assign(train_seed=seed)))
+            raise ConfigError(
+                f"labels=[{first},{label}]: {len(same)} evaluations of {label} have the skills of {mine.folder}; give "
+                "one, and put trained controllers first"
+            )
+        found += same
     return found
-
-
-def _episodes(run: Run) -> DataFrame:
-    if run.episodes is None:
-        raise ConfigError(f"{run.folder} has no episodes")
-    return run.episodes
 
 
 def _seed(run: Run) -> int | None:
     """Return the training seed of an evaluation, None where nothing was trained."""
-    seed = _episodes(run)["train_seed"].iloc[0]
+    assert run.episodes is not None, "_unfit"
+    seed = run.episodes["train_seed"].iloc[0]
     return None if pd.isna(seed) else int(seed)
 
 
-def _earnings(runs: Sequence[Run]) -> DataFrame:
-    """Return the episodes of evaluations and, in the columns PARTS, the parts of their return."""
+def _earnings(runs: Sequence[Run], seeds: Sequence[int | None] | None = None) -> DataFrame:
+    """Return the episodes of evaluations and, in the columns PARTS, the parts of their return.
+
+    `seeds` stand in the place of the evaluations' training seeds, if given.
+    """
     for run in runs:
         if (wrong := _unfit(run)) is not None:
             raise ConfigError(f"{run.folder}: {wrong}; kind=controllers takes one level with reward=sort")
     frame, reward = _pooled(runs), runs[0].config["reward"]
+    if seeds is not None:
+        counts = [0 if run.episodes is None else len(run.episodes) for run in runs]
+        frame["train_seed"] = pd.array(np.repeat(np.array(seeds, dtype=object), counts), dtype="Int64")
     placed, time = reward["place"] * column(frame, "balls_placed"), -reward["step"] * column(frame, "steps")
     return frame.assign(placed=placed, time=time, discomfort=placed - time - column(frame, "return"))
 
@@ -121,6 +141,8 @@ def _unfit(run: Run) -> str | None:
         return "several comfort levels"
     if run.episodes is None or np.isnan(column(run.episodes, "balls_placed")).any():
         return "no balls_placed in its episodes.csv"
+    if "train_seed" not in run.episodes:
+        return "no train_seed in its episodes.csv"
     other = (f"reward.{name}={weight}" for name, weight in reward.items() if weight and name not in REWARDED)
     return next(other, None)
 

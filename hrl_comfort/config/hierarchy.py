@@ -9,6 +9,7 @@ from hrl_comfort.config.checks import Widths, between, choice, unique, within
 from hrl_comfort.config.learning import StageConfig
 
 CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
+META_OBSERVATIONS = ("default", "proximity")
 
 
 @dataclass(frozen=True)
@@ -26,17 +27,17 @@ class MetaControllerConfig:
     """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort`
     without limit."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
-    """`sort`: comfort levels that the controller may tell a skill (the policy of an option) instead of the current
-    level. `scripted` and `cautious` tell every skill the first of them."""
+    """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
+    current level. `scripted` and `cautious` give every skill the first of them."""
 
 
 @dataclass(frozen=True)
 class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
-    observation: Annotated[str, choice("default", "proximity")]
-    """What it sees of the person: where they stand and face, or how near they are to the tool. In both, how far they
-    are from each ball and drop point."""
+    observation: Annotated[str, choice(*META_OBSERVATIONS)]
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). In both,
+    their distance from each ball and drop point."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]

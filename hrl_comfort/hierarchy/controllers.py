@@ -43,7 +43,7 @@ def make_executor(
         )
     if meta_controller.level_override:
         raise ConfigError(
-            f"meta_controller.level_override={list(meta_controller.level_override)} is for task=sort; "
+            f"meta_controller.level_override={list(meta_controller.level_override)} is for task=sort and shift; "
             "choose meta_controller.level_override=[]"
         )
     parts = [subtask(name) for name in meta_controller.options]
@@ -72,7 +72,7 @@ def check_stages(parts: list[Subtask], task: Subtask) -> None:
 def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
     """Return the meta-controller of `sort` that `config` names."""
     if config.meta_controller.name != "learned":
-        return make_choice(config.meta_controller.name, seed, tells=bool(config.meta_controller.level_override))
+        return make_choice(config.meta_controller.name, seed)
     if "meta_controller" not in config.policies:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
     from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl

@@ -69,29 +69,31 @@ def at_random(seed: int) -> Choose:
     return choose
 
 
-def telling(choose: Choose) -> Choose:
-    """Return the meta-controller that chooses alike, and tells every skill the first level it may be told."""
+def with_level_override(choose: Choose) -> Choose:
+    """Return the meta-controller that chooses alike but overrides the level of every skill by the first one it may.
+
+    Without a level that it may give, it is `choose`.
+    """
 
     def chosen(decision: Decision) -> Tensor:
-        option, count = choose(decision), decision.mask.shape[1]
+        option, waits = choose(decision), decision.mask.shape[1] + WAIT
         skills = decision.state.balls.shape[1] + 2
-        return torch.where(option < count + WAIT, option + skills, option)
+        return torch.where(option < waits, option + skills, option) if waits > skills else option
 
     return chosen
 
 
-def make_choice(name: str, seed: int, tells: bool = False) -> Choose:
+def make_choice(name: str, seed: int) -> Choose:
     """Return the meta-controller `name` of `sort`; `learned` is loaded by `q_learning.load_choice`.
-
-    With `tells`, where there are levels that a skill may be told, `scripted` and `cautious` tell every skill the first
-    of them.
 
     Raises:
       ConfigError: there is no such controller.
     """
-    known: dict[str, Choose] = {"scripted": nearest, "cautious": cautious}
-    if name == "random":
-        return at_random(seed)
+    known: dict[str, Choose] = {
+        "scripted": with_level_override(nearest),
+        "cautious": with_level_override(cautious),
+        "random": at_random(seed),
+    }
     if name not in known:
-        raise ConfigError(f"meta_controller={name} does not sort; choose one of {', '.join(known)}, random or learned")
-    return telling(known[name]) if tells else known[name]
+        raise ConfigError(f"meta_controller={name} does not sort; choose one of {', '.join(known)} or learned")
+    return known[name]

@@ -18,13 +18,13 @@ PERSON = {"default": 4, "proximity": 1}
 """Size of the person's part, by `meta_controller_agent.observation`."""
 
 
-def observed(layout: str, balls: int) -> int:
+def observation_dim(layout: str, balls: int) -> int:
     """Return the size of `meta_observation`."""
     return PERSON[layout] + OTHERS + BALL * balls
 
 
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
-    """Return (N, observed(layout, B)).
+    """Return (N, observation_dim(layout, B)).
 
     Person (2) and their facing direction (2, zero where their position is clipped or masked) or, with the layout
     `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of the round (3), level and
@@ -49,11 +49,11 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
     told = torch.stack([ease, leveled.double()], dim=-1)
-    seen = nearness(state) if layout == "proximity" else _place(state)
+    seen = nearness(state) if layout == "proximity" else _position_and_facing(state)
     return torch.cat([seen, tool(state), joint_error(state), stage, told, balls.flatten(1)], dim=-1).float()
 
 
-def _place(state: State) -> Tensor:
+def _position_and_facing(state: State) -> Tensor:
     """Return the person's position and facing direction (N, 4)."""
     facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * state.human_shown[:, None]
     return torch.cat([human(state), facing], dim=-1)

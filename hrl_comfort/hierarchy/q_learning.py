@@ -22,7 +22,7 @@ from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
 from hrl_comfort.hierarchy.executor import Choose, Decision
-from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observed
+from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
 SPEC: dict[str, type] = {
@@ -145,7 +145,8 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
     for name, kind in SPEC.items():
         if type(spec.get(name)) is not kind:
             raise ConfigError(
-                f"policies.meta_controller={source!r} is damaged: its {name} is not of type {kind.__name__}"
+                f"policies.meta_controller={source!r} is damaged, or of an earlier version: its {name} is not of type "
+                f"{kind.__name__}; train it again"
             )
     names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
     if names != options or spec["levels"] != levels:
@@ -158,7 +159,7 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
         raise ConfigError(
             f"policies.meta_controller={source!r} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}"
         )
-    seen = observed(layout, spec["balls"])
+    seen = observation_dim(layout, spec["balls"])
     if spec["observation_dim"] != seen:
         raise ConfigError(
             f"policies.meta_controller={source!r} was trained on {spec['observation_dim']} observations; "

@@ -145,17 +145,16 @@ class Expert:
 
         # Best first: a way counts as if the legs after it were safe, until it is the best and they are weighed.
         targets = np.concatenate([postures, ways])
-        weighed = len(postures)
         queue = [(cost, choice) for choice, cost in enumerate(np.concatenate([direct, least]))]
         heapify(queue)
-        pending = set(range(weighed, len(targets)))
+        unweighed = set(range(len(postures), len(targets)))
         while queue:
             _, choice = heappop(queue)
-            if choice in pending:
-                pending.remove(choice)
-                way = choice - weighed
-                legs = safest[clear[way] & (steps_on[way] < waiting[way])]
-                on, risk_on = self._weigh(ways[way], postures[legs], person, first_steps[way])
+            if choice in unweighed:
+                unweighed.remove(choice)
+                way = choice - len(postures)
+                goals = safest[clear[way] & (steps_on[way] < waiting[way])]
+                on, risk_on = self._weigh(ways[way], postures[goals], person, first_steps[way])
                 heappush(queue, (first[way] + min((on + price * risk_on).min(initial=np.inf), waiting[way]), choice))
             elif self._cell.free(joints, targets[choice]):
                 return targets[choice]

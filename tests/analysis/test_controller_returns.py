@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.stats import sem, t
 
 from hrl_comfort.analysis.comparison import controllers, table
 from hrl_comfort.cli.main import main
@@ -43,19 +46,42 @@ def test_differences_are_of_the_same_episodes() -> None:
     assert found["return"]["ci95"] is None, "all differ by the same, though the episodes differ by far more"
     assert found["return_percent"]["mean"] == pytest.approx(100 * 0.1 / 1.45)
     with pytest.raises(ConfigError, match="must have run the same episodes"):
-        controllers({**groups, "b": [evaluation(worse[:3])]})
+        controllers({**groups, "b": [evaluation(worse[:3]), evaluation(worse[:3], seed="1")]})
 
 
 def test_several_trained_controllers_are_compared_with_one_that_has_the_same_skills() -> None:
-    trained = [evaluation([2.0, 1.0], seed=f"{seed}", skills=skills) for seed, skills in enumerate("ppqq")]
+    returns = {"p": ([2.0, 1.0], [2.2, 1.2]), "q": ([2.0, 1.0], [3.0, 1.0])}
+    trained = [
+        evaluation(own, seed=f"{k}", skills=skills) for skills, each in returns.items() for k, own in enumerate(each)
+    ]
     others = [evaluation([1.0, 0.0], skills="q"), evaluation([0.0, 0.0], skills="p")]
     found = controllers({"trained": trained, "other": others})
-    assert found["differences"]["trained - other"]["return"]["mean"] == pytest.approx((1.5 + 1.5 + 1.0 + 1.0) / 4)
+    difference = found["differences"]["trained - other"]["return"]
+    of_sets = np.array([(1.5 + 1.7) / 2, (1.0 + 1.5) / 2])
+    assert difference["mean"] == pytest.approx(of_sets.mean())
+    assert difference["ci95"] == pytest.approx(of_sets.mean() + np.array([-1, 1]) * t.ppf(0.975, 1) * sem(of_sets)), (
+        "two controllers above the same skills are not independent"
+    )
     assert found["controllers"]["other"]["episodes"] == 4
-    with pytest.raises(ConfigError, match="0 of other have the policies of run; it is compared with one"):
-        controllers({"trained": trained, "other": others[:1]})
-    with pytest.raises(ConfigError, match="2 of other have the policies of run; it is compared with one"):
-        controllers({"trained": trained, "other": [*others, others[0]]})
+    for wrong, count in ((others[:1], 0), ([*others, others[0]], 2)):
+        with pytest.raises(ConfigError, match=f"{count} evaluations of other have the skills of run; give one"):
+            controllers({"trained": trained, "other": wrong})
+
+
+def test_controllers_above_one_set_of_skills_are_told_apart_by_their_training_seed() -> None:
+    trained = [evaluation([2.0 + seed], seed=f"{seed}") for seed in range(3)]
+    found = controllers({"trained": trained, "other": [evaluation([1.0], seed="7")]})["differences"]["trained - other"]
+    assert found["return"]["mean"] == pytest.approx(2.0)
+    assert found["return"]["ci95"] == pytest.approx(2.0 + np.array([-1, 1]) * t.ppf(0.975, 2) / 3**0.5)
+    with pytest.raises(ConfigError, match="run and run both have train_seed=0 and the same skills; give one of each"):
+        controllers({"trained": [trained[0], trained[0]], "other": [evaluation([1.0])]})
+
+
+def test_an_evaluation_without_a_training_seed_is_refused_in_one_line() -> None:
+    run = evaluation([1.0])
+    assert run.episodes is not None
+    with pytest.raises(ConfigError, match="no train_seed in its episodes"):
+        controllers({"one": [replace(run, episodes=run.episodes.drop(columns="train_seed"))]})
 
 
 def test_a_return_of_other_parts_is_refused() -> None:

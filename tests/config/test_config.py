@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from hrl_comfort.cli import main as commands
-from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups, override
 
@@ -93,6 +93,23 @@ def test_the_paper_experiment_is_the_papers():
     assert (config.reward.pick, config.reward.place, config.reward.home) == (50, 100, 150)
     assert config.curriculum.kind == "off"
     assert config.reward.progress == 0
+
+
+@pytest.mark.parametrize("name", ["paper_experiment_1", "paper_experiment_2"])
+def test_the_papers_experiments_have_the_papers_reward(name: str) -> None:
+    reward = trained(f"experiment={name}").reward
+    assert (reward.pick, reward.place, reward.home) == (50, 100, 150)
+    assert reward.progress == reward.home_progress == reward.contact == reward.other_collision == reward.step == 0
+    assert reward.return_shaping == (name == "paper_experiment_1")
+
+
+def test_a_second_of_the_benchmarks_discomfort_costs_a_controller_of_a_shift_a_quarter_of_a_ball() -> None:
+    suite = compose("benchmark").comfort
+    shift = compose("train_meta_controller", ["task=shift", "comfort=shift"]).comfort
+    assert shift.scale / CONTROL_STEP_S == pytest.approx(0.25)
+    assert (shift.alpha, shift.beta, shift.time_penalty) == (1, 1, 0)
+    same = ("form", "distance", "threshold", "min_m", "max_m", "power", "speed_form", "levels")
+    assert [getattr(shift, name) for name in same] == [getattr(suite, name) for name in same]
 
 
 def test_a_sweep_runs_in_subprocesses(tmp_path, capsys):

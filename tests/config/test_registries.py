@@ -8,6 +8,7 @@ from hrl_comfort.comfort import sources, terms
 from hrl_comfort.config import DISTURBANCES, FIGURES, SCRIPTED_POLICIES, ConfigError, comfort, hierarchy, task
 from hrl_comfort.config.overrides import choices
 from hrl_comfort.hierarchy.meta_controllers import make_choice
+from hrl_comfort.hierarchy.observation import PERSON
 from hrl_comfort.humans import MOTIONS
 from hrl_comfort.plots import figure
 from hrl_comfort.policies.load import SCRIPTED
@@ -26,6 +27,7 @@ from hrl_comfort.tasks.observations import LAYOUTS
         (comfort.SPEED_FORMS, terms.SPEED_FORMS),
         (SCRIPTED_POLICIES, SCRIPTED),
         (task.OBSERVATIONS, LAYOUTS),
+        (hierarchy.META_OBSERVATIONS, PERSON),
         (FIGURES, [*figure.KINDS, "handover"]),
     ],
 )

@@ -14,7 +14,7 @@ from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.meta_controllers import nearest
-from hrl_comfort.hierarchy.observation import observed
+from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.sim.balls import go_on, rendered_positions
 from hrl_comfort.sim.engine import Engine
@@ -129,7 +129,7 @@ def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, c
         agent = compose(
             "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
         ).meta_controller_agent
-        learner = QLearner(agent, observed(agent.observation, 4), len(names), 0)
+        learner = QLearner(agent, observation_dim(agent.observation, 4), len(names), 0)
         learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "balls": 4})
         policies = [f"policies.meta_controller='{tmp_path}'", "meta_controller.level_override=[]"]
     elif controller == "none":

@@ -17,9 +17,10 @@ from hrl_comfort.config.compose import compose, environment, save_config
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy import sort as sorting_module
+from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import TERMINATIONS, Decision, OptionExecutor, execute
-from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, make_choice, nearest
-from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observed
+from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, at_random, cautious, nearest
+from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import Termination, act
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
@@ -249,36 +250,45 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(begun) -> None
     assert (cautious(replace(asked, state=here, waits=torch.full((8,), 6))) != wait).all()
 
 
-def test_a_controller_that_learns_nothing_tells_every_skill_the_first_level_it_may() -> None:
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("name", ["scripted", "cautious"])
+def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_may(name: str, near: bool) -> None:
     engine = Engine(config("comfort=sort"), 8, 0)
     engine.reset()
-    options = sorting_options(replace(META, level_override=[6, 2]), STILL, engine.scene, engine.episodes.config, 0)
-    asked, names = decision(engine, OptionExecutor(options, 500, engine.episodes)), [each.name for each in options]
-    for name in ("scripted", "cautious"):
-        plain, told = (make_choice(name, 0, tells)(asked).tolist() for tells in (False, True))
-        assert [names[each] for each in told] == [
-            names[each] if names[each] in ("wait", "retreat") else f"{names[each]}_as_6" for each in plain
-        ]
+    found = []
+    for levels in ([], [6, 2]):
+        words = [
+            "task=sort", "comfort=sort", f"meta_controller={name}", f"meta_controller.level_override={levels}",
+            *(f"policies.{skill}=random" for skill in STILL),
+        ]  # fmt: skip
+        executor, choose = make_executor(compose("evaluate", words), None, engine, 0)
+        asked = decision(engine, executor)
+        if near:
+            asked = replace(asked, state=asked.state.with_(human_pos=asked.state.balls[:, 0, :2]))
+        found.append([executor.options[each].name for each in choose(asked).tolist()])
+    plain, told = found
+    assert told == [each if each in ("wait", "retreat") else f"{each}_as_6" for each in plain]
+    assert ("wait" in plain) == (name == "cautious")
+    assert not near or name == "scripted" or set(plain) == {"wait"}
 
 
 def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(begun) -> None:
     state = begun[0].episodes.state
     for level, layout in product((float("nan"), 3.0), PERSON):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10, layout)
-        assert seen.shape == (8, observed(layout, 4)) and bool(seen.isfinite().all())
-    assert (observed("default", 4), observed("proximity", 4)) == (18 + 9 * 4, 15 + 9 * 4)
+        assert seen.shape == (8, observation_dim(layout, 4)) and bool(seen.isfinite().all())
+    assert (observation_dim("default", 4), observation_dim("proximity", 4)) == (18 + 9 * 4, 15 + 9 * 4)
 
 
-def test_a_controller_that_observes_proximity_does_not_see_from_which_side_a_person_comes() -> None:
+def test_proximity_is_nearness_to_the_tool_in_the_place_of_position_and_facing() -> None:
     engine = Engine(config("human=patrol"), 8, 0)
     state = engine.reset()
-    tool = state.tcp_pos[:, :2]
-    # Mirrored at the tool, and with the balls' distances of before: only the direction differs.
-    there = state.with_(human_seen=2 * tool - state.human_seen, human_yaw=state.human_yaw + 1.0)
-    seen, mirrored = (meta_observation(each, 10, "proximity") for each in (state, there))
-    balls = seen.shape[1] - 9 * 4
-    torch.testing.assert_close(seen[:, :balls], mirrored[:, :balls])
-    assert not torch.allclose(meta_observation(state, 10), meta_observation(there, 10))
+    mirrored = 2 * state.tcp_pos[:, :2] - state.human_seen
+    there = state.with_(human_seen=mirrored, human_yaw=state.human_yaw + 1.0)
+    first_ball = observation_dim("proximity", 0)
+    seen, other = (meta_observation(each, 10, "proximity")[:, :first_ball] for each in (state, there))
+    torch.testing.assert_close(seen, other)
+    assert not torch.allclose(meta_observation(state, 10)[:, :4], meta_observation(there, 10)[:, :4])
 
 
 TRACKER = ("randomise.person_noise_m=[0.02,0.02]", "randomise.person_rate_hz=[10,10]")
@@ -298,12 +308,14 @@ def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped_o
     assert torch.equal(meta_observation(state, 10)[:, 2:4], facing)
 
 
-def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
+@pytest.mark.parametrize("layout", PERSON)
+def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
     folder = tmp_path / "meta_controller"
     overrides = [
         "task.balls=2", "human=none", "engine.num_envs=4",
         "meta_controller_agent.options=24", "meta_controller_agent.warmup_options=8",
         "meta_controller_agent.batch_size=8", "meta_controller_agent.log_every=12", f"output={folder}",
+        f"meta_controller_agent.observation={layout}",
         *(f"policies.{name}=expert" for name in EXPERTS),
     ]  # fmt: skip
     trained = compose("train_meta_controller", overrides)
@@ -319,10 +331,14 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path) -> None:
     old = checkpoint.load(folder / "meta_controller.pt")
     names = old["spec"]["names"]
     checkpoint.save(tmp_path / "old.pt", {**old, "spec": {**old["spec"], "observation_dim": 38}})
+    here = observation_dim(layout, 2)
     with pytest.raises(
-        ConfigError, match=r"^policies.meta_controller=\S+ was trained on 38 observations; here there are 36"
+        ConfigError, match=rf"^policies.meta_controller=\S+ was trained on 38 observations; here there are {here}"
     ):
         load_choice(str(tmp_path / "old.pt"), 10, names)
+    checkpoint.save(tmp_path / "layout.pt", {**old, "spec": {**old["spec"], "observation": "x"}})
+    with pytest.raises(ConfigError, match="is damaged: its observation is 'x', not default or proximity"):
+        load_choice(str(tmp_path / "layout.pt"), 10, names)
     broken = {name: torch.full_like(value, torch.nan) for name, value in old["network"].items()}
     checkpoint.save(tmp_path / "nan.pt", {**old, "network": broken})
     with pytest.raises(ConfigError, match="is damaged: its weights are not all finite numbers"):

@@ -11,7 +11,16 @@ import torch
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.humans import load_evaluation_set
-from hrl_comfort.policies.expert import SLOWEST, Expert
+from hrl_comfort.policies.expert import (
+    CONSIDERED,
+    FORESIGHT_STEPS,
+    PARTS,
+    SLOWEST,
+    WAIT_STEPS,
+    Array,
+    Expert,
+    Goal,
+)
 from hrl_comfort.sim.engine import Engine
 
 TASKS = ("reach", "point_to_point", "pick", "place", "return", "pick_place", "cycle")
@@ -86,3 +95,38 @@ def test_the_expert_is_slower_and_stays_farther_from_a_person_at_level_1_than_at
         distance[level] = np.mean(apart)
     assert (speed[1], speed[10]) == pytest.approx((SLOWEST, 1.0))
     assert distance[1] > distance[10] + 0.02
+
+
+def exhaustive(expert: Expert, joints: Array, person: Array, goal: Goal, price: float) -> tuple[Array, Array]:
+    """Return the legs' ends (M, 6) and their costs (M,), every leg after every way weighed."""
+    postures = expert._postures(goal, more=True)
+    steps, risk = expert._weigh(joints, postures, person)
+    direct = steps + price * risk
+    blocked = not expert._cell.free(joints, postures[direct.argmin()])
+    safest = np.argsort(steps + price * expert._weigh(postures, postures, person)[1])[:CONSIDERED]
+    raised = expert._cell.raised(joints) if blocked else joints[None]
+    ways = np.concatenate([expert._upright, np.where(PARTS, expert._home, joints), raised])
+    first_steps, first_risk = expert._weigh(joints, ways, person)
+    steps_on, risk_on = expert._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
+    clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))
+    clear[: len(expert._upright)] &= expert._clear(goal)[:, safest]
+    onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
+    exposed = expert._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
+    waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
+    cost = np.concatenate([direct, first_steps + price * first_risk + np.minimum(onward, waiting)])
+    return np.concatenate([postures, ways]), cost
+
+
+@pytest.mark.parametrize(("margin", "pace"), [(0.0, 1.0), (0.3, 0.5), (0.5, 0.2)])
+def test_weighing_ways_best_first_finds_a_cheapest_one(margin: float, pace: float) -> None:
+    config = environment(compose("train", ["task=place", "human=patrol"]))
+    engine = Engine(config, 12, 0)
+    state, expert = engine.reset(), Expert(engine.scene, config, engine.episodes.subtask)
+    for row in range(12):
+        joints, goal = state.joint_pos[row].numpy(), tuple(state.drop_pos[row].numpy().round(6))
+        person = np.array([*state.human_pos[row], state.human_yaw[row], margin, pace])
+        chosen = expert._deliberate(joints, person, goal, 1500.0)
+        ends, cost = exhaustive(expert, joints, person, goal, 1500.0)
+        free = np.array([expert._cell.free(joints, end) for end in ends])
+        (same,) = np.nonzero((ends == chosen).all(axis=1))
+        assert cost[same].min() == cost[free].min()

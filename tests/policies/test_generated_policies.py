@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config.compose import compose
 from hrl_comfort.hierarchy.meta_controllers import WAIT, Decision
-from hrl_comfort.hierarchy.observation import observed
+from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
 from hrl_comfort.policies.actor import load_policy
 from tests.agents.test_checkpoint import write_policy
@@ -118,7 +118,7 @@ OPTIONS = ["pick_1", "place", "return", "wait", "retreat"]
 def controller(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     agent = replace(compose("train_meta_controller").meta_controller_agent, hidden=[4], buffer_size=1, batch_size=1)
     file = tmp_path_factory.mktemp("controller") / "meta_controller.pt"
-    learner = QLearner(agent, observed(agent.observation, 1), len(OPTIONS), seed=0)
+    learner = QLearner(agent, observation_dim(agent.observation, 1), len(OPTIONS), seed=0)
     learner.save(file, {"levels": COMFORT.levels, "balls": 1, "names": OPTIONS})
     return checkpoint.load(file)
 
