@@ -205,6 +205,14 @@ def _pooled(runs: Sequence[Run]) -> DataFrame:
     return frame.assign(success=column(frame, "success"))
 
 
+def _world(run: Run, section: str) -> Any:
+    """Return a section of an evaluation's configuration without what its policies observe: those of a chain say so."""
+    found = run.config.get(section)
+    return (
+        {key: value for key, value in found.items() if key != "observation"} if section == "task" and found else found
+    )
+
+
 def _compare(
     groups: Groups, frames: Mapping[str, DataFrame], names: Sequence[str], beside: Mapping[str, DataFrame]
 ) -> tuple[Numbers, Numbers]:
@@ -212,7 +220,7 @@ def _compare(
     one, *others = [run for runs in groups.values() for run in runs]
     for run in others:
         for section in SAME:
-            if one.config.get(section) != run.config.get(section):
+            if _world(one, section) != _world(run, section):
                 raise ConfigError(f"{one.folder} and {run.folder} differ in {section}; compare like with like")
     means: Numbers = {}
     differences: Numbers = {}

@@ -77,6 +77,15 @@ def test_controllers_above_one_set_of_skills_are_told_apart_by_their_training_se
         controllers({"trained": [trained[0], trained[0]], "other": [evaluation([1.0])]})
 
 
+def test_what_a_policy_observes_does_not_keep_evaluations_from_being_compared() -> None:
+    one, other = evaluation([1.5]), evaluation([1.4])
+    one.config["task"], other.config["task"] = ({"balls": 2, "observation": name} for name in ("default", "proximity"))
+    assert "a - b" in controllers({"a": [one], "b": [other]})["differences"]
+    other.config["task"] = {"balls": 3, "observation": "default"}
+    with pytest.raises(ConfigError, match="differ in task; compare like with like"):
+        controllers({"a": [one], "b": [other]})
+
+
 def test_an_evaluation_without_a_training_seed_is_refused_in_one_line() -> None:
     run = evaluation([1.0])
     assert run.episodes is not None
