@@ -155,9 +155,8 @@ class UrArm:
         with _connect(host, SCRIPT_PORT) as sender:
             sender.sendall(script(number, acceleration_rad_s2).encode())
             deadline = time.monotonic() + ANSWER_S
-            while not self._playing:
+            while not self._playing:  # the arm stands until then: its state may be late
                 self.send(reading.angles)
-                self.read()
                 self._playing = self._receiver.getRuntimeState() == PLAYING
                 if time.monotonic() > deadline:
                     raise ConnectionError(f"{host} does not run the script: is it in remote control?")
