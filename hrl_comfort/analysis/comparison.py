@@ -37,7 +37,6 @@ QUANTITIES = {
     "placed": Quantity("balls placed"),
     "time": Quantity("cost of time"),
     "discomfort": Quantity("cost of discomfort"),
-    "return_percent": Quantity("return, %", digits=1),
 }
 SAME = ("robot", "cell", "human", "comfort", "task", "reward", "disturbance")
 """Sections of the configuration in which evaluations must agree to be compared."""
@@ -55,8 +54,8 @@ def controllers(groups: Groups) -> dict[str, Numbers]:
     Each evaluation of the first one is compared with the one of another controller that has the same skills, so that
     several trained controllers may stand beside one that learns nothing. Where the first one was run with several sets
     of skills, its intervals, and those of the differences, are over these sets: controllers of one set are not
-    independent. With one set they are over its training seeds, and speak of these skills. Differences are in per cent
-    too, of the other's return, where the interval of that is positive.
+    independent. With one set they are over its training seeds, and speak of these skills. Those of the others are over
+    the training seeds of their first skill.
 
     Raises:
       ConfigError: an evaluation has several levels, another reward or no `balls_placed`; two of the first controller
@@ -65,15 +64,9 @@ def controllers(groups: Groups) -> dict[str, Numbers]:
     first, *others = groups
     frames = {label: _earnings(runs) for label, runs in groups.items()}
     seeds = _independent(first, groups[first])
-    own = frames[first] = _earnings(groups[first], seeds)
+    frames[first] = _earnings(groups[first], seeds)
     beside = {label: _earnings(_with_same_skills(groups, first, label), seeds) for label in others}
     means, differences = _compare(groups, frames, PARTS, beside)
-    for label, frame in beside.items():
-        whole = Clusters.of(frame).estimate(column(frame, "return"))
-        if whole and (whole["ci95"] or [whole["mean"]])[0] > 0:
-            earned = column(own, "return"), column(frame, "return")
-            percent = Clusters.of(own).estimate(*earned, statistic=lambda mine, other: 100 * (mine / other - 1))
-            differences[f"{first} - {label}"]["return_percent"] = percent
     return {"controllers": means, "differences": differences}
 
 
@@ -139,10 +132,11 @@ def _unfit(run: Run) -> str | None:
         return "no reward in its config.yaml"
     if run.config.get("levels"):
         return "several comfort levels"
-    if run.episodes is None or np.isnan(column(run.episodes, "balls_placed")).any():
+    if run.episodes is None or run.episodes.empty or np.isnan(column(run.episodes, "balls_placed")).any():
         return "no balls_placed in its episodes.csv"
-    if "train_seed" not in run.episodes:
-        return "no train_seed in its episodes.csv"
+    missing = [name for name in EPISODE if name not in run.episodes]
+    if missing:
+        return f"no {missing[0]} in its episodes.csv"
     other = (f"reward.{name}={weight}" for name, weight in reward.items() if weight and name not in REWARDED)
     return next(other, None)
 

@@ -158,7 +158,8 @@ class UrArm:
             while not self._playing:  # the arm stands until then: its state may be late
                 self.send(reading.angles)
                 self._playing = self._receiver.getRuntimeState() == PLAYING
-                if time.monotonic() > deadline:
+                if not self._playing and time.monotonic() > deadline:
+                    self.read()
                     raise ConnectionError(f"{host} does not run the script: is it in remote control?")
                 time.sleep(PERIOD_S)
 
