@@ -61,10 +61,12 @@ def controllers(groups: Groups) -> dict[str, Numbers]:
       ConfigError: an evaluation has several levels, another reward or no `balls_placed`; two of the first controller
         are of one training seed and the same skills; or two did not run the same episodes in the same way.
     """
+    for run in (run for runs in groups.values() for run in runs):
+        if (wrong := _unfit(run)) is not None:
+            raise ConfigError(f"{run.folder}: {wrong}; kind=controllers takes one level with reward=sort")
     first, *others = groups
-    frames = {label: _earnings(runs) for label, runs in groups.items()}
     seeds = _independent(first, groups[first])
-    frames[first] = _earnings(groups[first], seeds)
+    frames = {first: _earnings(groups[first], seeds), **{label: _earnings(groups[label]) for label in others}}
     beside = {label: _earnings(_with_same_skills(groups, first, label), seeds) for label in others}
     means, differences = _compare(groups, frames, PARTS, beside)
     return {"controllers": means, "differences": differences}
@@ -104,9 +106,14 @@ def _with_same_skills(groups: Groups, first: str, label: str) -> list[Run]:
 
 def _seed(run: Run) -> int | None:
     """Return the training seed of an evaluation, None where nothing was trained."""
-    assert run.episodes is not None, "_unfit"
-    seed = run.episodes["train_seed"].iloc[0]
+    seed = _episodes(run)["train_seed"].iloc[0]
     return None if pd.isna(seed) else int(seed)
+
+
+def _episodes(run: Run) -> DataFrame:
+    """Return the episodes of an evaluation that is not `_unfit`."""
+    assert run.episodes is not None, "_unfit"
+    return run.episodes
 
 
 def _earnings(runs: Sequence[Run], seeds: Sequence[int | None] | None = None) -> DataFrame:
@@ -114,12 +121,9 @@ def _earnings(runs: Sequence[Run], seeds: Sequence[int | None] | None = None) ->
 
     `seeds` stand in the place of the evaluations' training seeds, if given.
     """
-    for run in runs:
-        if (wrong := _unfit(run)) is not None:
-            raise ConfigError(f"{run.folder}: {wrong}; kind=controllers takes one level with reward=sort")
     frame, reward = _pooled(runs), runs[0].config["reward"]
     if seeds is not None:
-        counts = [0 if run.episodes is None else len(run.episodes) for run in runs]
+        counts = [len(_episodes(run)) for run in runs]
         frame["train_seed"] = pd.array(np.repeat(np.array(seeds, dtype=object), counts), dtype="Int64")
     placed, time = reward["place"] * column(frame, "balls_placed"), -reward["step"] * column(frame, "steps")
     return frame.assign(placed=placed, time=time, discomfort=placed - time - column(frame, "return"))
@@ -200,11 +204,11 @@ def _pooled(runs: Sequence[Run]) -> DataFrame:
 
 
 def _world(run: Run, section: str) -> Any:
-    """Return a section of an evaluation's configuration without what its policies observe: those of a chain say so."""
+    """Return a section of an evaluation's configuration without `task.observation`, which each policy brings along."""
     found = run.config.get(section)
-    return (
-        {key: value for key, value in found.items() if key != "observation"} if section == "task" and found else found
-    )
+    if section != "task" or found is None:
+        return found
+    return {key: value for key, value in found.items() if key != "observation"}
 
 
 def _compare(

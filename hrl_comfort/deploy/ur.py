@@ -159,7 +159,7 @@ class UrArm:
                 self.send(reading.angles)
                 self._playing = self._receiver.getRuntimeState() == PLAYING
                 if not self._playing and time.monotonic() > deadline:
-                    self.read()
+                    self.read()  # says so if it is the robot's state that is missing
                     raise ConnectionError(f"{host} does not run the script: is it in remote control?")
                 time.sleep(PERIOD_S)
 

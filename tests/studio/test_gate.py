@@ -1,4 +1,4 @@
-"""Who is answered: the page itself on loopback, and with a token elsewhere; nothing is shared."""
+"""Requests that are answered: those of the page itself on loopback, and with a token elsewhere; nothing is shared."""
 
 from __future__ import annotations
 
