@@ -28,8 +28,6 @@ class Decision:
     state: State
     mask: Tensor
     """(N, K) bool, options that can start."""
-    waits: Tensor
-    """(N,) int64, consecutive waits until now."""
 
 
 Choose = Callable[[Decision], Tensor]
@@ -82,7 +80,9 @@ class OptionExecutor:
         """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
         retreats = [(k, o.done) for k, o in enumerate(options) if isinstance(o, IdleOption) and o.done is not None]
         self._retreat = retreats[0] if retreats else None
-        self._idle = torch.tensor([isinstance(o, IdleOption) and o.done is None for o in options])
+        self._limited = [
+            (k, o.max_runs) for k, o in enumerate(options) if isinstance(o, IdleOption) and o.max_runs is not None
+        ]
 
     option: Tensor
     """(N,) int64, option in force."""
@@ -111,6 +111,8 @@ class OptionExecutor:
         of the options goes home, it alone can start until the arm is there.
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
+        for index, most in self._limited:
+            mask[:, index] &= (self.option != index) | (self.attempt < most) | (state.steps == 0)
         if self._retreat is not None:
             index, home = self._retreat
             astray = self._preempted & ~home(state)
@@ -120,7 +122,7 @@ class OptionExecutor:
 
     def decision(self, state: State) -> Decision:
         """Return what a meta-controller decides on."""
-        return Decision(state, self.available(state), torch.where(self._idle[self.option], self.attempt, 0))
+        return Decision(state, self.available(state))
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
         """Start the options `chosen` (N,) in `rows` (N,) bool; return the state, the balls chosen as targets.
@@ -134,7 +136,7 @@ class OptionExecutor:
         if bool((rows & ~allowed).any()):
             row = int(torch.nonzero(rows & ~allowed)[0])
             raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
-        again = torch.where(chosen == self.option, self.attempt + 1, 1)
+        again = torch.where((chosen == self.option) & (state.steps > 0), self.attempt + 1, 1)
         self.attempt = torch.where(rows, again, self.attempt)
         self.option = torch.where(rows, chosen, self.option)
         self.started = torch.where(rows, state.steps, self.started)

@@ -17,8 +17,6 @@ WAIT, RETREAT = -2, -1
 """Positions of these options, from the end of the list."""
 NEAR_M = 0.55
 """`cautious` waits while the person is within this distance of the tool's next goal, m."""
-PATIENCE = 6
-"""Consecutive waits after which `cautious` goes on."""
 
 
 def in_order(decision: Decision) -> Tensor:
@@ -46,7 +44,7 @@ def nearest(decision: Decision) -> Tensor:
 
 
 def cautious(decision: Decision) -> Tensor:
-    """Choose the ball farthest from the person, and wait, a while, for a person near the goal."""
+    """Choose the ball farthest from the person, and wait, where that is allowed, for a person near the goal."""
     state = decision.state
     person = state.human_pos[:, None]
     score = torch.minimum(human_distance(state.balls, person), human_distance(state.drops, person))
@@ -55,7 +53,7 @@ def cautious(decision: Decision) -> Tensor:
     ball = chosen.clamp(max=balls - 1)
     goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
     near = human_distance(goal, state.human_pos) < NEAR_M
-    waits = near & (decision.waits < PATIENCE) & (chosen <= balls)
+    waits = near & decision.mask[:, WAIT] & (chosen <= balls)
     return torch.where(waits, count + WAIT, chosen)
 
 

@@ -79,6 +79,8 @@ class IdleOption:
     fits: StateFunction
     """(N,) bool, where it can be chosen."""
     max_steps: int = NEVER
+    max_runs: int | None = None
+    """Times in a row that it can be chosen; None: any number."""
     done: StateFunction | None = None
     ball: None = None
     level: None = None

@@ -61,7 +61,7 @@ def sorting_options(
         *skills,
         # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
         # does not retreat, for a place is trained to begin where a pick ends.
-        IdleOption("wait", stop(config.task), lambda state: ~has_placed(state), WAIT_STEPS),
+        IdleOption("wait", stop(config.task), lambda state: ~has_placed(state), WAIT_STEPS, meta_controller.max_waits),
         IdleOption("retreat", home.act, has_placed, done=RETURN_STAGE.done),
     ]
 

@@ -137,6 +137,6 @@ def test_no_controllers_file_with_other_things_in_it_crashes_and_what_is_loaded_
     rng = np.random.default_rng(which)
     mask = torch.from_numpy(rng.random((ROWS, len(OPTIONS))) < 0.5)
     mask[:, WAIT] = True
-    decision = Decision(random_state(rng, (-3, 1)), mask, waits=torch.zeros(ROWS, dtype=torch.int64))
+    decision = Decision(random_state(rng, (-3, 1)), mask)
     chosen = tried(lambda: load_choice(str(file), COMFORT.levels, OPTIONS)(decision))
     assert chosen is None or mask[torch.arange(ROWS), chosen].all()

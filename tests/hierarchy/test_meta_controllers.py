@@ -1,0 +1,94 @@
+"""What decides which option comes next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config.compose import compose
+from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.executor import Decision, OptionExecutor
+from hrl_comfort.hierarchy.meta_controllers import WAIT, at_random, cautious, nearest
+from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.sim.engine import Engine
+from tests.hierarchy.test_sort import EXPERTS, META, STILL, config
+
+
+@pytest.fixture(scope="module")
+def asked() -> Decision:
+    engine = Engine(config(), 8, 0)
+    state = engine.reset()
+    options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
+    return OptionExecutor(options, 500, engine.episodes).decision(state)
+
+
+def test_a_random_controller_chooses_what_can_start(asked: Decision) -> None:
+    choose = at_random(3)
+    for _ in range(20):
+        assert asked.mask.gather(1, choose(asked)[:, None]).all()
+
+
+def test_nearest_takes_the_nearest_ball(asked: Decision) -> None:
+    away = (asked.state.balls - asked.state.tcp_pos[:, None]).norm(dim=-1)
+    assert torch.equal(nearest(asked), away.argmin(dim=1))
+
+
+def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decision) -> None:
+    here = asked.state.with_(human_pos=asked.state.balls[:, 0, :2])
+    wait, patient = asked.mask.shape[1] + WAIT, asked.mask.clone()
+    assert (cautious(replace(asked, state=here)) == wait).all()
+    patient[:, WAIT] = False
+    assert (cautious(replace(asked, state=here, mask=patient)) != wait).all()
+
+
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("name", ["scripted", "cautious"])
+def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_may(name: str, near: bool) -> None:
+    engine = Engine(config("comfort=sort"), 8, 0)
+    engine.reset()
+    found = []
+    for levels in ([], [6, 2]):
+        words = [
+            "task=sort", "comfort=sort", f"meta_controller={name}", f"meta_controller.level_override={levels}",
+            *(f"policies.{skill}=random" for skill in STILL),
+        ]  # fmt: skip
+        executor, choose = make_executor(compose("evaluate", words), None, engine, 0)
+        asked = executor.decision(engine.episodes.state)
+        if near:
+            asked = replace(asked, state=asked.state.with_(human_pos=asked.state.balls[:, 0, :2]))
+        found.append([executor.options[each].name for each in choose(asked).tolist()])
+    plain, told = found
+    assert told == [each if each in ("wait", "retreat") else f"{each}_as_6" for each in plain]
+    assert ("wait" in plain) == (name == "cautious")
+    assert not near or name == "scripted" or set(plain) == {"wait"}
+
+
+def test_a_controller_that_does_not_sort_is_refused() -> None:
+    with pytest.raises(ConfigError, match="train meta_controller takes task=sort"):
+        compose("train_meta_controller", ["task=cycle"])
+    with pytest.raises(ConfigError, match="is for task=sort"):
+        rollout(
+            compose(
+                "evaluate",
+                [
+                    "task=cycle",
+                    "meta_controller=cautious",
+                    "episodes=1",
+                    *(f"policies.{n}=expert" for n in EXPERTS),
+                ],
+            )
+        )
+
+
+def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() -> None:
+    def limit(*overrides: str) -> int:
+        config = compose("evaluate", ["meta_controller=scripted", *overrides])
+        assert isinstance(config, EvaluateConfig)
+        return config.meta_controller.time_limit_steps
+
+    assert limit("task=sort") == 100 and limit("task=cycle") == 500
+    assert limit("task=sort", "meta_controller.time_limit_steps=7") == 7

@@ -1,0 +1,49 @@
+"""The observation of the learned meta-controller."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
+from hrl_comfort.sim.engine import Engine
+from tests.hierarchy.test_sort import config
+
+
+def test_the_learned_controllers_observation_is_finite_with_and_without_a_level() -> None:
+    state = Engine(config(), 8, 0).reset()
+    for level, layout in product((float("nan"), 3.0), PERSON):
+        seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10, layout)
+        assert seen.shape == (8, observation_dim(layout, 4)) and bool(seen.isfinite().all())
+    assert (observation_dim("default", 4), observation_dim("proximity", 4)) == (18 + 9 * 4, 15 + 9 * 4)
+
+
+def test_proximity_is_nearness_to_the_tool_in_the_place_of_position_and_facing() -> None:
+    engine = Engine(config("human=patrol"), 8, 0)
+    state = engine.reset()
+    mirrored = 2 * state.tcp_pos[:, :2] - state.human_seen
+    there = state.with_(human_seen=mirrored, human_yaw=state.human_yaw + 1.0)
+    first_ball = observation_dim("proximity", 0)
+    seen, other = (meta_observation(each, 10, "proximity")[:, :first_ball] for each in (state, there))
+    torch.testing.assert_close(seen, other)
+    assert not torch.allclose(meta_observation(state, 10)[:, :4], meta_observation(there, 10)[:, :4])
+
+
+TRACKER = ("randomise.person_noise_m=[0.02,0.02]", "randomise.person_rate_hz=[10,10]")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "shown"),
+    [((), True), (TRACKER, True), (("human.masked=true",), False), (("human.clipping=full", *TRACKER), False)],
+)
+def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped_or_masked(
+    overrides: tuple[str, ...], shown: bool
+) -> None:
+    engine = Engine(config("human=patrol", *overrides), 8, 0)
+    engine.reset()
+    state = engine.step(np.zeros((8, 6))).state
+    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1).float() * shown
+    assert torch.equal(meta_observation(state, 10)[:, 2:4], facing)
