@@ -9,7 +9,9 @@ levels='levels=[1,2,3,4,5,6,7,8,9,10]'
 
 # Pick, place and return at 10 cm, and the cycle; the same by a rated arm behind the shield.
 hrl-comfort train hierarchy experiment=cycle output=$out/cycle
-for s in 0 1 2; do hrl-comfort train hierarchy experiment=shielded train_seed=$s output=$out/shielded/seed$s; done
+for s in 0 1 2; do for d in three two; do
+    hrl-comfort train hierarchy experiment=shielded division=$d train_seed=$s output=$out/shielded/$d$s
+done; done
 # The three subtasks from 30 cm to 2 cm.
 for task in pick place return; do
     hrl-comfort train experiment=fine task=$task output=$out/fine/$task
@@ -19,7 +21,9 @@ done
 # One policy for ten comfort levels at 30 cm, and the skills of a shift for ten levels, with and without comfort.
 for s in 0 1 2 3 4; do
     hrl-comfort train experiment=comfort train_seed=$s episode_seed=$s output=$out/comfort/seed$s
-    hrl-comfort evaluate policy=$out/comfort/seed$s $all $levels output=$out/comfort/seed$s/eval
+    for split in paper validation; do
+        hrl-comfort evaluate policy=$out/comfort/seed$s split=$split episodes=1000 $levels output=$out/comfort/seed$s/$split
+    done
     hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
     hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
     for kind in levels off; do hrl-comfort benchmark split=validation policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done
@@ -44,8 +48,8 @@ hrl-comfort evaluate task=pick_place policy=potential_field comfort=conditioned 
     task.precision.grasp_tolerance_m=0.30 task.precision.place_tolerance_m=0.30 output=$out/comfort/potential_field
 
 # Figures; each writes its numbers beside it as JSON.
-hrl-comfort figure kind=levels "evaluations=['$out/comfort/seed*/eval']" output=$out/comfort/levels.png
-hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/eval','$out/comfort/potential_field']" \
+hrl-comfort figure kind=levels "evaluations=['$out/comfort/seed*/validation']" output=$out/comfort/levels.png
+hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/paper','$out/comfort/potential_field']" \
     'labels=[one policy,potential field]' output=$out/comfort/plane.png
 hrl-comfort figure kind=levels "evaluations=['$out/comfort_cycle/seed*/cycle/eval']" output=$out/comfort_cycle/levels.png
 hrl-comfort figure kind=controllers 'labels=[learned,scripted]' output=$out/sort/controllers.png \

@@ -27,9 +27,10 @@ class RobotConfig:
     home_deg: list[Coordinate] | None
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
-    """Limits of joint speed, joint acceleration and the speed of the arm's fastest point. `full`: the acceleration that
-    the arm has, and 1.5 m/s. `collaborative`: half that acceleration, and 1 m/s; both are for UR arms alone. `paper`:
-    no limit but `task.max_step_deg`."""
+    """Limits of joint speed (the datasheet's in `full` and `collaborative`), of joint acceleration and of the speed of
+    the arm's fastest point. `full`: the acceleration that the arm has, and 1.5 m/s. `collaborative`: half that
+    acceleration, and 1 m/s. `full` and `collaborative` exist for UR arms alone. `paper`: no limit but
+    `task.max_step_deg`."""
     calibration: str | None = None
     """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
     model."""

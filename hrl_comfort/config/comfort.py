@@ -59,8 +59,8 @@ class PersonConfig:
     fast_m_s: Annotated[float, within(0.01, 10.0)]
     """Tool speed above which more speed adds no stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]
-    """`frightened`: time in which full stress alone, recovery ignored, lowers the level from N_c to 1, s. `simulated`:
-    half of that time."""
+    """Time T, s. Recovery ignored, full stress lowers the level from N_c to 1 in T (`frightened`) or in T/2
+    (`simulated`)."""
     recovery_s: Annotated[float, within(0.01, 3600.0)]
     """Time constant with which the level returns to N_c, s."""
 

@@ -139,13 +139,13 @@ class EvaluateConfig(EnvConfig):
     """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
     `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
-    """With a meta-controller: policy of each subtask."""
+    """With a meta-controller: policy of each subtask; for `learned`, `meta_controller` too, a trained controller."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
     `validation` has people and places of its own. `test`: people, places, arm starts that no training with
-    `human.partitioned` sees; its evaluations are listed in docs/tables/test_ledger.csv."""
+    `human.partitioned` sees; every evaluation on it adds a line to docs/tables/test_ledger.csv."""
     episodes: int
     """Number of episodes; with `levels`, at each level."""
     episode_seed: int | None
@@ -323,14 +323,15 @@ class FigureConfig(CommandConfig):
     output: Annotated[str, Field(pattern=r"\.png$")]
     """PNG file; its numbers, if any, go to a JSON file of the same name."""
     labels: list[str]
-    """`plane`, `people`: a name for each of `evaluations`; equal names form one series of `plane`."""
+    """A name for each of `evaluations`, for kinds that compare them. Those of one name are pooled, but in `people`."""
     over: Annotated[str, choice("pairs", "all")]
     """`levels`, `speed`, `plane`: `pairs` averages over episodes that succeed at every level, `all` over all."""
     levels: list[int]
     """`paths`: levels to draw. `people`: the level to draw."""
     episodes: list[int]
-    """`paths`, `people`: one or two episodes; [] is, for each colour of ball, the first episode that succeeds at every
-    drawn level or beside every drawn motion. `timeline`: any number; [] is the first twelve."""
+    """`paths`, `people`: one or two episodes; [] chooses, for each colour of ball, the first episode that succeeds at
+    every drawn level (`paths`) or beside every drawn motion (`people`). `timeline`: any number; [] is the first
+    twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

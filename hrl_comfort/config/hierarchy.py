@@ -21,11 +21,11 @@ class MetaControllerConfig:
     options: list[str]
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted, by default `task.max_option_steps`. The options `wait` and
-    `retreat` of `sort` have no limit."""
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. `wait` (0.5 s) and
+    `retreat` are not bound by it. With a level and `comfort.beta` above 0, multiplied by N_c/level."""
     retries: Annotated[int, within(0, 100)]
-    """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort`
-    without limit."""
+    """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort` and
+    `shift` without limit."""
     max_waits: Annotated[int, within(1, 100_000)] | None
     """`sort`, `shift`: times in a row that `wait` can be chosen; null: any number."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
@@ -38,16 +38,16 @@ class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
-    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). In both,
-    their distance from each ball and drop point."""
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). Both also
+    have the person's distance from each ball and each drop point."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]
     """Random options before the first update."""
     updates_per_option: Annotated[float, within(0.0, 16.0)]
-    """Updates of the network for each run of an option."""
+    """Number of updates of the network for each run of an option."""
     batch_size: Annotated[int, within(1, 65536)]
-    """Options a batch."""
+    """Number of options in a batch."""
     buffer_size: int
     """Capacity of the replay buffer in options, at least `batch_size`."""
     learning_rate: Annotated[float, within(0.0, 1.0)]
@@ -57,7 +57,7 @@ class MetaControllerAgentConfig:
     ema_rate: Annotated[float, within(1e-6, 1.0)]
     """Weight of the latest network in the moving average that is saved; 1 saves the latest."""
     gamma: Annotated[float, within(0.0, 1.0)]
-    """Discount a control step; an option of k steps has gamma**k."""
+    """Discount factor of a control step; an option of k steps has gamma**k."""
     hidden: Widths
     """Widths of the hidden layers."""
     exploration_start: Annotated[float, within(0.0, 1.0)]
@@ -82,9 +82,9 @@ class HierarchyConfig:
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option, from the last option to the first; []: none. There, a
-    success of any option but the last also earns the value of the reached state under the next option
-    (`agent.next_skill`)."""
+    """Curriculum stages of a second training of every option, from the last option to the first; []: none. In this
+    second training, when an option other than the last succeeds, it also earns the value that the next option's critics
+    give to the reached state (`agent.next_skill`)."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

@@ -59,7 +59,8 @@ class HumanConfig:
     """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they yield to it as to a person, at 1 they come
     to look at the tool."""
     mixture: dict[str, dict[str, Any]]
-    """`mixture`: motions, of which each episode draws one, and the values of this section that each of them changes."""
+    """`mixture`: from the name of a motion to the `human` values that it changes, such as `{patrol: {speed_m_s: 1.2}}`;
+    each episode draws one of these motions."""
     partitioned: bool
     """Whether `train`, `validation` and `test` each have sectors around the robot, traits of people, recordings and arm
     starts of their own; training then sees those of `train` alone."""

@@ -62,17 +62,17 @@ class AgentConfig:
     """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
     policy_steps: Annotated[int, within(1, 1e9)]
-    """Policy calls to train for, over all environments. With `curriculum.stages` it is by default the sum of their
-    `policy_steps`; another value scales these to it."""
+    """Policy calls to train for, over all environments. With `curriculum.stages` the default is the sum of the stages'
+    `policy_steps`; another value lengthens or shortens all stages in proportion."""
     learning_starts: Annotated[int, within(0, 1e8)]
     """Policy steps with random actions before the first update."""
     updates_per_policy_step: Annotated[float, within(0.0, 16.0)]
-    """Updates a policy step."""
+    """Number of updates for each policy step."""
     critic_warmup_updates: Annotated[int, within(0, 1e9)]
     """Number of updates, at the beginning of a training or curriculum stage, that change the critics alone, so that
     these know the stage's rewards before the actor changes."""
     batch_size: Annotated[int, within(1, 65536)]
-    """Transitions a batch."""
+    """Number of transitions in a batch."""
     buffer_size: int
     """Capacity of the replay buffer in transitions, at least `batch_size`."""
     learning_rate: Annotated[float, within(0.0, 1.0)]
@@ -86,7 +86,7 @@ class AgentConfig:
     ema_rate: Annotated[float, within(1e-6, 1.0)]
     """Weight of the latest actor in the moving average that is saved (Polyak and Juditsky 1992); 1 saves the latest."""
     gamma: Annotated[float, within(0.0, 1.0)]
-    """Discount a control step; a decision of k steps has gamma**k."""
+    """Discount factor of a control step; a decision of k steps has gamma**k."""
     hidden: Widths
     """Widths of the hidden layers."""
     entropy_coefficient: Annotated[float, within(1e-8, 100.0)]

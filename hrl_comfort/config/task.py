@@ -19,7 +19,7 @@ class PrecisionConfig:
     """Tolerances of the stages."""
 
     grasp_tolerance_m: Annotated[float, within(0.005, 0.5)]
-    """Distance of the tool from the ball, or from the point of `reach`, at which that stage is done, m."""
+    """Distance of the tool from its goal at which a stage of `pick`, `reach` or `point_to_point` is done, m."""
     place_tolerance_m: Annotated[float, within(0.005, 0.5)]
     """Distance of the tool from the drop point at which `place` is done, m."""
     home_tolerance_deg: Annotated[float, within(0.1, 60.0)]
@@ -43,10 +43,11 @@ class TaskConfig:
     """Largest offset of a ball from its slot along x and along y, m."""
     precision: PrecisionConfig
     max_episode_steps: Annotated[int, within(1, 100_000)]
-    """Control steps of 20 ms after which an episode is out of time."""
+    """Control steps of 20 ms after which an episode is out of time. With a level and `comfort.beta` above 0, multiplied
+    by N_c/level, but not in `shift`."""
     max_option_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set;
-    100 in `sort`, 400 in `shift`."""
+    100 in `sort`, 400 in `shift`. With a level and `comfort.beta` above 0, multiplied by N_c/level."""
     action_repeat: Annotated[int, within(1, 100)]
     """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
