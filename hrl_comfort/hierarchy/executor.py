@@ -112,7 +112,7 @@ class OptionExecutor:
         """
         mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
         for index, most in self._limited:
-            mask[:, index] &= (self.option != index) | (self.attempt < most) | (state.steps == 0)
+            mask[:, index] &= torch.where((self.option == index) & (state.steps > 0), self.attempt, 0) < most
         if self._retreat is not None:
             index, home = self._retreat
             astray = self._preempted & ~home(state)

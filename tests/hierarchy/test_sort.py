@@ -153,6 +153,8 @@ def test_a_wait_may_follow_itself_as_often_as_is_allowed_in_every_episode_anew()
         executor.begin(everyone, wait)
     executor.begin(everyone, torch.zeros(2, dtype=torch.int64))
     assert executor.available(state)[:, WAIT].all()
+    never = sorting_options(replace(META, max_waits=0), STILL, engine.scene, engine.episodes.config, 0)
+    assert not OptionExecutor(never, 500, engine.episodes).available(state)[:, WAIT].any()
 
 
 def test_a_pause_lasts_as_long_as_it_says_whatever_the_limit_and_ends_where_its_ball_is_lost() -> None:
