@@ -47,6 +47,15 @@ for t in reach point_to_point pick place return pick_place cycle; do hrl-comfort
 hrl-comfort evaluate task=pick_place policy=potential_field comfort=conditioned $all $levels \
     task.precision.grasp_tolerance_m=0.30 task.precision.place_tolerance_m=0.30 output=$out/comfort/potential_field
 
+# The paper's two experiments, with its reward.
+for s in 0 1 2 3 4; do
+    seeds="train_seed=$s episode_seed=$s"
+    hrl-comfort train experiment=paper_experiment_1 $seeds output=$out/paper/seed$s/pick_place
+    hrl-comfort train experiment=paper_experiment_1 task=return agent.policy_steps=100000 $seeds output=$out/paper/seed$s/return
+    for l in 1 10; do hrl-comfort train experiment=paper_experiment_2 comfort.level=$l $seeds output=$out/paper/seed$s/level_$l; done
+    for each in pick_place return level_1 level_10; do hrl-comfort evaluate policy=$out/paper/seed$s/$each $all; done
+done
+
 # Figures; each writes its numbers beside it as JSON.
 hrl-comfort figure kind=levels "evaluations=['$out/comfort/seed*/validation']" output=$out/comfort/levels.png
 hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/paper','$out/comfort/potential_field']" \
@@ -54,6 +63,7 @@ hrl-comfort figure kind=plane "evaluations=['$out/comfort/seed*/paper','$out/com
 hrl-comfort figure kind=levels "evaluations=['$out/comfort_cycle/seed*/cycle/eval']" output=$out/comfort_cycle/levels.png
 hrl-comfort figure kind=controllers 'labels=[learned,scripted]' output=$out/sort/controllers.png \
     "evaluations=['$out/sort/seed*/sort_learned/eval','$out/sort/seed*/sort_scripted/eval']"
+hrl-comfort figure kind=levels "evaluations=['$out/paper/seed*/level_*/eval']" output=$out/paper/levels.png
 hrl-comfort figure kind=divisions 'labels=[one,two,three]' output=$out/divisions/divisions.png \
     "evaluations=['$out/divisions/one/*/cycle/eval','$out/divisions/two/*/cycle/eval','$out/divisions/three/*/cycle/eval']"
 

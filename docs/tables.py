@@ -30,7 +30,7 @@ from hrl_comfort.plots.style import save_png
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "safety")),
+    *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "replication", "safety")),
     *sorted((ROOT / "docs" / "tables").glob("*.md")),
 )
 REFERENCE = ROOT / "runs" / "reference"

@@ -59,7 +59,7 @@ class PersonConfig:
     fast_m_s: Annotated[float, within(0.01, 10.0)]
     """Tool speed above which more speed adds no stress, m/s."""
     stress_s: Annotated[float, within(0.01, 3600.0)]
-    """Time T, s. Recovery ignored, full stress lowers the level from N_c to 1 in T (`frightened`) or in T/2
+    """Time T, s. Under full stress and without recovery the level falls from N_c to 1 in T (`frightened`) or in T/2
     (`simulated`)."""
     recovery_s: Annotated[float, within(0.01, 3600.0)]
     """Time constant with which the level returns to N_c, s."""
@@ -100,13 +100,13 @@ class ComfortConfig:
     """`target_distance` forms and `minimum_distance`: amount subtracted from F_conf1 in every control step at level
     N_c; the amount decreases linearly with the level, to 0 at level 1."""
     alpha: Annotated[float, within(0.0, 1.0)]
-    """Weight of the distance term, F_conf1 (Eq. 4)."""
+    """Weight of the distance term, F_conf1 (Eq. 4 of the paper)."""
     beta: Annotated[float, within(0.0, 1.0)]
-    """Weight of the speed term, F_conf2 (Eq. 4)."""
+    """Weight of the speed term, F_conf2 (Eq. 4 of the paper)."""
     speed_form: Annotated[str, named("comfort.speed_form", *SPEED_FORMS)]
     """Form of the speed term, F_conf2."""
     scale: Annotated[float, within(-100.0, 100.0)]
-    """Weight of F_comfort in the reward of every control step; a negative one subtracts (Eq. 1)."""
+    """Weight of F_comfort in the reward of every control step; a negative one subtracts (Eq. 1 of the paper)."""
     stream: StreamConfig
     person: PersonConfig
 

@@ -139,7 +139,7 @@ class EvaluateConfig(EnvConfig):
     """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
     `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
-    """With a meta-controller: policy of each subtask; for `learned`, `meta_controller` too, a trained controller."""
+    """With a meta-controller: policy of each subtask (`policies.pick=…`); for `learned`, `meta_controller` too."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
@@ -323,7 +323,7 @@ class FigureConfig(CommandConfig):
     output: Annotated[str, Field(pattern=r"\.png$")]
     """PNG file; its numbers, if any, go to a JSON file of the same name."""
     labels: list[str]
-    """A name for each of `evaluations`, for kinds that compare them. Those of one name are pooled, but in `people`."""
+    """A name for each of `evaluations`, for kinds that compare them. Equal names are pooled, except in `people`."""
     over: Annotated[str, choice("pairs", "all")]
     """`levels`, `speed`, `plane`: `pairs` averages over episodes that succeed at every level, `all` over all."""
     levels: list[int]

@@ -22,7 +22,8 @@ class MetaControllerConfig:
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option is preempted, by default `task.max_option_steps`. `wait` (0.5 s) and
-    `retreat` are not bound by it. With a level and `comfort.beta` above 0, multiplied by N_c/level."""
+    `retreat` are not bound by it. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
+    multiplied by `comfort.levels` / level."""
     retries: Annotated[int, within(0, 100)]
     """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort` and
     `shift` without limit."""
@@ -76,8 +77,8 @@ class HierarchyConfig:
     """Budgets and steps of a hierarchy's trainings."""
 
     shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
-    """Budget of each option's training, as a multiple of `agent.policy_steps`; its curriculum stages are scaled to
-    it."""
+    """Budget of each option's training, as a multiple of `agent.policy_steps`. The curriculum stages of that training
+    are lengthened or shortened in proportion."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
@@ -90,5 +91,5 @@ class HierarchyConfig:
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: list[str]
-    """If not empty, a `train meta_controller` with these overrides follows, for example `['human=patrol']`; it trains a
-    controller of `task=sort` above the options. []: none; the chain then has the scripted controller alone."""
+    """Overrides for a `train meta_controller` that runs after the options are trained, for example `['human=patrol']`;
+    it trains a controller for `task=sort`. []: no such training."""

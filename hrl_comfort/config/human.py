@@ -59,8 +59,8 @@ class HumanConfig:
     """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they yield to it as to a person, at 1 they come
     to look at the tool."""
     mixture: dict[str, dict[str, Any]]
-    """`mixture`: from the name of a motion to the `human` values that it changes, such as `{patrol: {speed_m_s: 1.2}}`;
-    each episode draws one of these motions."""
+    """`mixture`: a mapping from the name of each motion to the `human` values that it changes, such as `{patrol:
+    {speed_m_s: 1.2}}`; each episode draws one of these motions."""
     partitioned: bool
     """Whether `train`, `validation` and `test` each have sectors around the robot, traits of people, recordings and arm
     starts of their own; training then sees those of `train` alone."""
@@ -69,8 +69,8 @@ class HumanConfig:
     udp://HOST:PORT, lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio`
     move."""
     clipping: Annotated[str, choice("off", "full", "partial")]
-    """Position of the person that policies observe: `off` is the true one, `full` the spawn point nearest to the
-    person, `partial` that point if it is nearer to the robot than the person is, and the true one if not."""
+    """Position of the person that policies observe: `off`: the true one. `full`: the spawn point nearest to the person.
+    `partial`: whichever of these two is nearer to the robot."""
     masked: bool
     """Hide the person from the policy, which then observes one far away."""
     stations_m: list[XY]

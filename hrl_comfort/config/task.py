@@ -43,11 +43,12 @@ class TaskConfig:
     """Largest offset of a ball from its slot along x and along y, m."""
     precision: PrecisionConfig
     max_episode_steps: Annotated[int, within(1, 100_000)]
-    """Control steps of 20 ms after which an episode is out of time. With a level and `comfort.beta` above 0, multiplied
-    by N_c/level, but not in `shift`."""
+    """Control steps of 20 ms after which an episode is out of time. If `comfort.source` is not `none` and
+    `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` / level (not in `shift`)."""
     max_option_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set;
-    100 in `sort`, 400 in `shift`. With a level and `comfort.beta` above 0, multiplied by N_c/level."""
+    100 in `sort`, 400 in `shift`. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
+    multiplied by `comfort.levels` / level."""
     action_repeat: Annotated[int, within(1, 100)]
     """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
@@ -67,8 +68,9 @@ class TaskConfig:
     second_point_m: XYZ
     """`point_to_point`: the fixed second point, m."""
     start: str
-    """Starts of `place` and `return`. `ik`: at rest, in postures by inverse kinematics. A file (.npz) that `evaluate
-    terminal_states=` wrote: at its joint angles and velocities and, in training, with its person and level."""
+    """Starts of `place` and `return`. `ik`: at rest, in postures by inverse kinematics. A file (.npz) written by
+    `evaluate terminal_states=`: each episode starts at the joint angles and velocities of one of its states; in
+    training also with the person and level of that state."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """Speed of all joints together (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
