@@ -28,7 +28,8 @@ class MetaControllerConfig:
     """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort` and
     `shift` without limit."""
     max_waits: Annotated[int, within(0, 100_000)] | None
-    """`sort`, `shift`: times in a row that `wait` can be chosen; null: any number."""
+    """`sort`, `shift`: times in a row that `wait` can be chosen; null: any number. 6 for `cautious`. An evaluation
+    needs the value with which a `learned` controller was trained."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
     current level. `scripted` and `cautious` give every skill the first of them."""

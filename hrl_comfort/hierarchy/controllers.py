@@ -46,6 +46,11 @@ def make_executor(
             f"meta_controller.level_override={list(meta_controller.level_override)} is for task=sort and shift; "
             "choose meta_controller.level_override=[]"
         )
+    if meta_controller.max_waits is not None:
+        raise ConfigError(
+            f"meta_controller.max_waits={meta_controller.max_waits} is for task=sort and shift; "
+            "choose meta_controller.max_waits=null"
+        )
     parts = [subtask(name) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
@@ -77,4 +82,5 @@ def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
     from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl
 
-    return load_choice(config.policies["meta_controller"], config.comfort.levels, options)
+    found, limit = config.policies["meta_controller"], config.meta_controller.max_waits
+    return load_choice(found, config.comfort.levels, options, limit)

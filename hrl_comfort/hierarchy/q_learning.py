@@ -130,11 +130,11 @@ def choice_file(source: Path) -> Path:
     return source / "meta_controller.pt" if source.is_dir() else source
 
 
-def load_choice(source: str, levels: int, options: list[str]) -> Choose:
+def load_choice(source: str, levels: int, options: list[str], max_waits: int | None = None) -> Choose:
     """Return the trained meta-controller in `source`, a run folder or a meta_controller.pt.
 
     Raises:
-      ConfigError: the file is missing or damaged, or it was trained for other options.
+      ConfigError: the file is missing or damaged, or it was trained for other options or another limit of waits.
     """
     state = checkpoint.load(choice_file(Path(source)))
     spec, weights = state.get("spec"), state.get("network")
@@ -153,6 +153,12 @@ def load_choice(source: str, levels: int, options: list[str]) -> Choose:
         raise ConfigError(
             f"policies.meta_controller={source!r} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
+        )
+    if spec.get("max_waits") != max_waits:
+        trained, here = ("null" if each is None else each for each in (spec.get("max_waits"), max_waits))
+        raise ConfigError(
+            f"policies.meta_controller={source!r} was trained with meta_controller.max_waits={trained}; "
+            f"here it is {here}"
         )
     layout = spec["observation"]
     if layout not in PERSON:

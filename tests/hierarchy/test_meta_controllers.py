@@ -1,4 +1,4 @@
-"""What decides which option comes next."""
+"""Controllers that choose the next option without learning, and what they are refused."""
 
 from __future__ import annotations
 
@@ -45,6 +45,22 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decisio
     assert (cautious(replace(asked, state=here, mask=patient)) != wait).all()
 
 
+def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
+    engine = Engine(config(), 2, 0)
+    state, everyone = engine.reset(), torch.ones(2, dtype=torch.bool)
+    chosen = compose("evaluate", ["task=sort", "meta_controller=cautious"])
+    assert isinstance(chosen, EvaluateConfig)
+    options = sorting_options(chosen.meta_controller, STILL, engine.scene, engine.episodes.config, 0)
+    executor, waits = OptionExecutor(options, 500, engine.episodes), []
+    for count in range(8):
+        beside = state.with_(human_pos=state.balls[:, 0, :2], steps=torch.full((2,), 25 * count))
+        engine.episodes.state = beside
+        option = cautious(executor.decision(beside))
+        executor.begin(everyone, option)
+        waits.append((option == len(options) + WAIT).tolist())
+    assert waits == [[True, True]] * 6 + [[False, False], [True, True]]
+
+
 @pytest.mark.parametrize("near", [False, True])
 @pytest.mark.parametrize("name", ["scripted", "cautious"])
 def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_may(name: str, near: bool) -> None:
@@ -82,6 +98,13 @@ def test_a_controller_that_does_not_sort_is_refused() -> None:
                 ],
             )
         )
+
+
+@pytest.mark.parametrize("word", ["meta_controller.max_waits=3", "meta_controller.level_override=[1]"])
+def test_a_chain_refuses_what_is_for_sorting(word: str) -> None:
+    skills = [f"policies.{name}=random" for name in STILL]
+    with pytest.raises(ConfigError, match=r"^meta_controller\.\w+=\[?\d\]? is for task=sort and shift; choose "):
+        rollout(compose("evaluate", ["task=cycle", "meta_controller=scripted", "episodes=1", word, *skills]))
 
 
 def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() -> None:

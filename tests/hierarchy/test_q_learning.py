@@ -39,6 +39,8 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
     with pytest.raises(ConfigError, match=r"among \['pick_1'.*here there are \['wait'\] at 10"):
         load_choice(str(folder), 10, ["wait"])
     old = checkpoint.load(folder / "meta_controller.pt")
+    with pytest.raises(ConfigError, match=r"was trained with meta_controller\.max_waits=null; here it is 0$"):
+        load_choice(str(folder), 10, old["spec"]["names"], 0)
     names = old["spec"]["names"]
     checkpoint.save(tmp_path / "old.pt", {**old, "spec": {**old["spec"], "observation_dim": 38}})
     here = observation_dim(layout, 2)
