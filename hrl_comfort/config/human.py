@@ -69,7 +69,7 @@ class HumanConfig:
     udp://HOST:PORT, lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio`
     move."""
     clipping: Annotated[str, choice("off", "full", "partial")]
-    """Position of the person that policies observe: `off`: the true one. `full`: the spawn point nearest to the person.
+    """Position of the person that policies observe. `off`: the true one. `full`: the spawn point nearest to the person.
     `partial`: whichever of these two is nearer to the robot."""
     masked: bool
     """Hide the person from the policy, which then observes one far away."""

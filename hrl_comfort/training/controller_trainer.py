@@ -174,6 +174,10 @@ class ControllerTraining:
 
     def _save(self) -> None:
         names = [option.name for option in self.env.executor.options]
-        spec = {"levels": self.config.comfort.levels, "balls": self.config.task.balls, "names": names}
-        limit = {"max_waits": self.config.meta_controller.max_waits}
-        self.learner.save(self.folder / "meta_controller.pt", {**spec, **limit})
+        spec = {
+            "levels": self.config.comfort.levels,
+            "balls": self.config.task.balls,
+            "names": names,
+            "max_waits": self.config.meta_controller.max_waits,
+        }
+        self.learner.save(self.folder / "meta_controller.pt", spec)

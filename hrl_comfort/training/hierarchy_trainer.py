@@ -168,7 +168,7 @@ def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str,
     if "meta_controller" in policies:
         own = {line: line.split("=")[0] for line in config.hierarchy.controller}
         world = [line for line, key in own.items() if key.split(".")[0] in ("human", "task", "comfort")]
-        told = [line for line, key in own.items() if key.split(".")[0] == "meta_controller"]
+        told = [line for line, key in own.items() if key.startswith("meta_controller.")]
         sort = ["task=sort", "comfort=sort", "reward=sort", *world, *_policies(options), *common]
         _evaluate([*sort, "meta_controller=scripted"], folder / "sort_scripted" / "eval")
         learned = override("policies.meta_controller", policies["meta_controller"])
