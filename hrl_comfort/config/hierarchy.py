@@ -84,9 +84,9 @@ class HierarchyConfig:
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option, from the last option to the first; []: none. In this
-    second training, when an option other than the last succeeds, it also earns the value that the next option's critics
-    give to the reached state (`agent.next_skill`)."""
+    """Curriculum stages of a second training, which every option gets, the last option first; []: no second training.
+    In this second training, when an option other than the last succeeds, it also earns the value that the next option's
+    critics give to the reached state (`agent.next_skill`)."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

@@ -41,7 +41,7 @@ class HumanConfig:
     """`random_walk`, `arc`, `approach`, and `patrol` with `acceleration_m_s2=null`: largest distance from the spawn
     point, m."""
     jitter_m: Annotated[float, within(0.0, 0.1)]
-    """`random_walk`, `arc`: largest random displacement a control step along x and along y, m."""
+    """`random_walk`, `arc`: largest random displacement in one control step, along x and along y, m."""
     forward_m: Annotated[float, within(0.0, 0.1)]
     """`random_walk`, `arc`: length of a step towards the robot, m."""
     forward_probability: Annotated[float, within(0.0, 1.0)]

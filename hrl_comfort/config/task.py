@@ -52,11 +52,11 @@ class TaskConfig:
     action_repeat: Annotated[int, within(1, 100)]
     """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
-    """Largest joint increment a control step, degrees."""
+    """Largest joint increment in one control step, degrees."""
     max_step_m: Annotated[float, within(0.001, 0.05)]
-    """`action=cartesian`: largest tool displacement a control step, each axis, m."""
+    """`action=cartesian`: largest tool displacement in one control step, on each axis, m."""
     max_step_rot_deg: Annotated[float, within(0.01, 10.0)]
-    """`action=cartesian`: largest tool rotation a control step, each axis, degrees."""
+    """`action=cartesian`: largest tool rotation in one control step, on each axis, degrees."""
     action: Annotated[str, choice("joint", "cartesian")]
     """Command of a policy: joint increments, or displacements and rotations of the tool."""
     observation: Annotated[str, choice(*OBSERVATIONS)]

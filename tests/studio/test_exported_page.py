@@ -33,6 +33,8 @@ WORDS = [*(f"policies.{name}={REFERENCE / name}" for name in CHAIN), "task=cycle
 WEB = Path("hrl_comfort/studio/web")
 EPISODES = 2
 SIZE = {"width": 700, "height": 560}
+SMALL = {"width": 80, "height": 60}
+"""Of a page whose picture is not looked at: software draws it, for as long as the page is open."""
 
 
 def configured(*words: str) -> StudioConfig:
@@ -65,11 +67,13 @@ def shown(browser: Any, file: Path) -> Iterator[tuple[Any, list[str]]]:
 def tab(shown: tuple[Any, list[str]]) -> Iterator[Any]:
     """The page at the beginning of its first episode, paused, at level 5, nobody held."""
     tab, wrong = shown
+    tab.set_viewport_size(SIZE)
     tab.evaluate(
         """() => { player.running = false; player.speed = 1; player.cell.person.letGo(); player.cell.level = 5;
                    player.cell.episode = -1; player.reset(); }"""
     )
     yield tab
+    tab.set_viewport_size(SMALL)
     assert wrong == []
 
 
@@ -258,7 +262,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
         ";window.device = new IWER.XRDevice(IWER.metaQuest3); device.installRuntime({ forceInstall: true });"
         "console.warn = () => {};"
     )
-    with opened(browser, file.resolve().as_uri(), script) as (tab, wrong):
+    with opened(browser, file.resolve().as_uri(), script, viewport=SMALL) as (tab, wrong):
         tab.wait_for_function("window.player")
         tab.evaluate("() => { player.running = true; player.view.renderer.shadowMap.autoUpdate = false; }")
         tab.locator("#vr").click()

@@ -22,8 +22,9 @@ from hrl_comfort.training.controller_trainer import ControllerTraining, train_me
 from hrl_comfort.training.preemption import Preempted
 from tests.stopping import stopping
 
-CHOICES = (
-    "task.balls=2", "engine.num_envs=4", "meta_controller_agent.options=48", "meta_controller_agent.warmup_options=8",
+CHOICES = (  # nobody: beside people, as in test_hierarchy, the experts deliberate for most of the time
+    "task.balls=2", "human=none", "engine.num_envs=4",
+    "meta_controller_agent.options=48", "meta_controller_agent.warmup_options=8",
     "meta_controller_agent.batch_size=8", "meta_controller_agent.log_every=12", "meta_controller_agent.buffer_size=40",
     *(f"policies.{name}=expert" for name in ("pick", "place", "return")),
 )  # fmt: skip
