@@ -25,10 +25,11 @@ from hrl_comfort.hierarchy.executor import Choose, Decision
 from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
-SPEC: dict[str, type] = {
-    "names": list, "levels": int, "balls": int, "observation": str, "observation_dim": int, "hidden": list,
+SPEC: dict[str, tuple[type, ...]] = {
+    "names": (list,), "levels": (int,), "balls": (int,), "max_waits": (int, type(None)),
+    "observation": (str,), "observation_dim": (int,), "hidden": (list,),
 }  # fmt: skip
-"""Fields of the `spec` in a meta-controller's file, and their types."""
+"""Fields of the `spec` in a meta-controller's file, and the types of each."""
 
 
 def make_network(observation_dim: int, options: int, hidden: list[int]) -> QValueActor:
@@ -142,11 +143,11 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
         raise ConfigError(
             f"policies.meta_controller={source!r} is not a trained controller; its folder holds meta_controller.pt"
         )
-    for name, kind in SPEC.items():
-        if type(spec.get(name)) is not kind:
+    for name, kinds in SPEC.items():
+        if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
                 f"policies.meta_controller={source!r} is damaged, or of an earlier version: its {name} is not of type "
-                f"{kind.__name__}; train it again"
+                f"{' or '.join(kind.__name__ for kind in kinds)}; train it again"
             )
     names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
     if names != options or spec["levels"] != levels:
@@ -154,8 +155,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
             f"policies.meta_controller={source!r} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
         )
-    if spec.get("max_waits") != max_waits:
-        trained, here = ("null" if each is None else each for each in (spec.get("max_waits"), max_waits))
+    if spec["max_waits"] != max_waits:
+        trained, here = ("null" if each is None else each for each in (spec["max_waits"], max_waits))
         raise ConfigError(
             f"policies.meta_controller={source!r} was trained with meta_controller.max_waits={trained}; "
             f"here it is {here}"

@@ -130,7 +130,7 @@ def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, c
             "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
         ).meta_controller_agent
         learner = QLearner(agent, observation_dim(agent.observation, 4), len(names), 0)
-        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "balls": 4})
+        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "balls": 4, "max_waits": None})
         policies = [f"policies.meta_controller='{tmp_path}'", "meta_controller.level_override=[]"]
     elif controller == "none":
         policies = ["policy=expert"]
