@@ -38,7 +38,7 @@ QUANTITIES = {
     "time": Quantity("cost of time"),
     "discomfort": Quantity("cost of discomfort"),
 }
-SAME = ("robot", "cell", "human", "comfort", "task", "reward", "disturbance")
+SAME = ("robot", "cell", "human", "safety", "randomise", "comfort", "task", "reward", "disturbance")
 """Sections of the configuration in which evaluations must agree to be compared."""
 EPISODE = ["train_seed", "episode", "spawn_id"]
 """Columns that tell which episode of which training seed a row is of."""

@@ -95,6 +95,14 @@ def test_an_evaluation_that_lacks_a_column_is_refused_in_one_line(name: str) -> 
         controllers({"one": [replace(run, episodes=run.episodes[:0])]})
 
 
+@pytest.mark.parametrize("section", ["safety", "randomise"])
+def test_evaluations_behind_other_shields_or_on_other_arms_are_not_compared(section: str) -> None:
+    one, other = evaluation([1.5]), evaluation([1.4])
+    one.config[section], other.config[section] = {"name": "none"}, {"name": "other"}
+    with pytest.raises(ConfigError, match=f"differ in {section}; compare like with like"):
+        controllers({"a": [one], "b": [other]})
+
+
 def test_a_return_of_other_parts_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"reward\.progress=3\.0; kind=controllers takes one level with reward=sort"):
         controllers({"one": [evaluation([1.0], progress=3.0)]})
