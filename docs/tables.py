@@ -3,8 +3,8 @@
 A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the kind
 `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of all folders that
 match. For `ledger` it is the start of a policy's name. For `entries` and `entries in brief` (or `all`), `responses` and
-`closed loop` they are in docs/tables/benchmark. For the other kinds it is the file that `hrl-comfort figure` or
-`hrl-comfort bench` wrote.
+`closed loop` they are in docs/tables/benchmark, for `without shield` in docs/tables/unshielded. For the other
+kinds it is the file that `hrl-comfort figure` or `hrl-comfort bench` wrote.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ PAGES = (
     *sorted((ROOT / "docs" / "tables").glob("*.md")),
 )
 REFERENCE = ROOT / "runs" / "reference"
+UNSHIELDED = ROOT / "docs" / "tables" / "unshielded"
+BESIDE_PEOPLE = (*entries.HEADLINE, "contacts_per_h", "other_collisions_per_h")
+"""Quantities of the table without the shield."""
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
     "human distance, m", "human hit, %", "cell or self hit, %",
@@ -118,9 +121,14 @@ def in_brief(names: str) -> str:
     return entries.table(of_names(names), entries.HEADLINE)
 
 
-def of_names(names: str) -> list[entries.Entry]:
-    """Return the benchmark's entries, `all` or those named, in the order of the names."""
-    found = entries.committed(entries.ENTRIES)
+def without_shield(names: str) -> str:
+    """Return the table of policies in the benchmark without the shield, `all` or those named."""
+    return entries.table(of_names(names, UNSHIELDED), BESIDE_PEOPLE)
+
+
+def of_names(names: str, folder: Path = entries.ENTRIES) -> list[entries.Entry]:
+    """Return the entries of a folder, `all` or those named, in the order of the names."""
+    found = entries.committed(folder)
     return [found[name] for name in (found if names == "all" else names.split())]
 
 
@@ -139,6 +147,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "ledger": on_test,
     "entries": entered,
     "entries in brief": in_brief,
+    "without shield": without_shield,
     "responses": of_entries(entries.responses),
     "closed loop": of_entries(entries.at_same_throughput),
     "curricula": of_rows(curricula),

@@ -28,9 +28,9 @@ class RobotConfig:
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of joint speed, of joint acceleration and of the speed of the arm's fastest point. The limits of joint
-    speed in `full` and `collaborative` are the datasheet's. `full`: the acceleration that the arm has, and 1.5 m/s.
-    `collaborative`: half that acceleration, and 1 m/s. `full` and `collaborative` exist for UR arms alone. `paper`: no
-    limit but `task.max_step_deg`."""
+    speed in `full` and `collaborative` are the datasheet's. `full`: joint acceleration up to what the arm has, the
+    fastest point up to 1.5 m/s. `collaborative`: half that acceleration, the fastest point up to 1 m/s. `full` and
+    `collaborative` exist for UR arms alone. `paper`: no limit but `task.max_step_deg`."""
     calibration: str | None = None
     """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
     model."""
@@ -76,8 +76,8 @@ class ConnectionConfig:
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
     """Frame in which `cell.*_m`, `task.*point_m` and live positions of people are given; null: that of the robot's
-    base. Three tool positions define another frame, measured in that of the base, m: the new frame's origin, a point on
-    its x axis, and a point of its x-y plane with y > 0. """
+    base. For another frame, three tool positions, measured in the frame of the base, m: the new frame's origin, a point
+    on its x axis, and a point in its x-y plane with y > 0."""
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ class StudioConfig(EvaluateConfig):
     beside: str | None
     """Second policy, or folder of policies, that acts in a second cell beside the same person."""
     replay: str | None
-    """Folder of an evaluation with paths.csv, or run folder with one in eval/, to play back instead of a simulation."""
+    """Recorded evaluation to play back: its folder, which holds paths.csv, or a run folder with paths.csv in eval/."""
     export: str | None
     """HTML file that plays the policies without a server, instead of the live view."""
     host: str

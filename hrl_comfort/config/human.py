@@ -29,7 +29,8 @@ class HumanConfig:
     """Start of the person in training. `points`: at a point that is not held out. `anywhere`: around the robot.
     `mixed`: half of the episodes each."""
     spawn_jitter_m: Annotated[float, within(0.0, 0.5)]
-    """`spawn=points`, `mixed`: radius of the disc around a point in which the start is uniform, m."""
+    """`spawn=points`, `mixed`: the start is drawn uniformly from a disc around a spawn point; this is the disc's
+    radius, m."""
     spawn_radius_m: XY
     """`spawn=anywhere`, `mixed`: smallest and largest distance of a start from the robot's base, m."""
     spawn_margin_m: Annotated[float, within(0.0, 0.5)]
