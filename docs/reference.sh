@@ -30,6 +30,9 @@ for s in 0 1 2 3 4; do
     hrl-comfort benchmark split=validation policy=$out/comfort_shift/levels$s comfort.source=frightened 'levels=[]' output=$out/benchmark/told-$s
 done
 for p in expert potential_field predictive_sampling; do hrl-comfort benchmark split=validation policy=$p output=$out/benchmark/$p; done
+for p in expert potential_field predictive_sampling $out/comfort_shift/levels{0,1,2,3,4}; do
+    hrl-comfort benchmark split=validation safety=none 'levels=[1,10]' policy=$p output=$out/unshielded/$(basename $p)
+done
 
 # The cycle with levels; the same with a learned controller that sorts balls; the cycle with one to three networks.
 for s in 0 1 2; do

@@ -2,9 +2,9 @@
 
 A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are in runs/reference. For the kind
 `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of all folders that
-match. For `ledger` it is the start of a policy's name. For `entries` and `entries in brief` (or `all`), `responses` and
-`closed loop` they are in docs/tables/benchmark, for `without shield` in docs/tables/unshielded. For the other
-kinds it is the file that `hrl-comfort figure` or `hrl-comfort bench` wrote.
+match. For `ledger` it is the start of a policy's name. For `entries`, `entries in brief`, `responses` and `closed loop`
+they are in docs/tables/benchmark, for `without shield` in docs/tables/unshielded; the first two and the last take `all`
+too. For the other kinds it is the file that `hrl-comfort figure` or `hrl-comfort bench` wrote.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ PAGES = (
 )
 REFERENCE = ROOT / "runs" / "reference"
 UNSHIELDED = ROOT / "docs" / "tables" / "unshielded"
-BESIDE_PEOPLE = (*entries.HEADLINE, "contacts_per_h", "other_collisions_per_h")
-"""Quantities of the table without the shield."""
+CONTACTS = (*entries.HEADLINE, "contacts_per_h", "other_collisions_per_h")
+"""Quantities of the table of policies without the shield."""
 COLUMNS = (
     "evaluation", "episodes", "success, % [95 %]", "on seen spawns", "on unseen spawns", "steps",
     "human distance, m", "human hit, %", "cell or self hit, %",
@@ -123,7 +123,7 @@ def in_brief(names: str) -> str:
 
 def without_shield(names: str) -> str:
     """Return the table of policies in the benchmark without the shield, `all` or those named."""
-    return entries.table(of_names(names, UNSHIELDED), BESIDE_PEOPLE)
+    return entries.table(of_names(names, UNSHIELDED), CONTACTS)
 
 
 def of_names(names: str, folder: Path = entries.ENTRIES) -> list[entries.Entry]:

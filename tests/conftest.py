@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is imported out of all garbage collections, a twentieth of the time of the tests."""
+    """Leave what is imported out of all garbage collections, which would take a twentieth of the tests' time."""
     gc.collect()
     gc.freeze()
 

@@ -84,9 +84,9 @@ class HierarchyConfig:
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training. Every option is trained a second time, in reverse order, from the last
-    option to the first. []: no second training. In this second training the success of an option also earns the value
-    that the next option's critics give to the state reached (`agent.next_skill`); the last option has no next one."""
+    """Curriculum stages of a second training, in which every option is trained again, from the last to the first; []:
+    none. There the success of an option also earns the value that the next option's critics give to the state reached
+    (`agent.next_skill`); the last option, which has no next one, earns nothing extra."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

@@ -135,7 +135,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     """Return the trained meta-controller in `source`, a run folder or a meta_controller.pt.
 
     Raises:
-      ConfigError: the file is missing or damaged, or it was trained for other options or another limit of waits.
+      ConfigError: the file is missing, damaged or of an earlier version, or the controller was trained for other
+        options or another limit of waits.
     """
     state = checkpoint.load(choice_file(Path(source)))
     spec, weights = state.get("spec"), state.get("network")
@@ -146,8 +147,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     for name, kinds in SPEC.items():
         if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
-                f"policies.meta_controller={source!r} is damaged, or of an earlier version: its {name} is not of type "
-                f"{' or '.join(kind.__name__ for kind in kinds)}; train it again"
+                f"policies.meta_controller={source!r} is damaged, or of an earlier version: it has no {name} of type "
+                f"{' or '.join('null' if kind is type(None) else kind.__name__ for kind in kinds)}; train it again"
             )
     names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
     if names != options or spec["levels"] != levels:

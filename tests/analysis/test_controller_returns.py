@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,10 +96,16 @@ def test_an_evaluation_that_lacks_a_column_is_refused_in_one_line(name: str) -> 
         controllers({"one": [replace(run, episodes=run.episodes[:0])]})
 
 
-@pytest.mark.parametrize("section", ["safety", "randomise"])
-def test_evaluations_behind_other_shields_or_on_other_arms_are_not_compared(section: str) -> None:
+@pytest.mark.parametrize(
+    ("section", "values"),
+    [
+        ("safety", ({"kind": "none"}, {"kind": "ssm"})),
+        ("randomise", ({"servo_lag_s": [0, 0]}, {"servo_lag_s": [0, 0.2]})),
+    ],
+)
+def test_evaluations_with_other_shields_or_other_randomisation_are_not_compared(section: str, values: Any) -> None:
     one, other = evaluation([1.5]), evaluation([1.4])
-    one.config[section], other.config[section] = {"name": "none"}, {"name": "other"}
+    one.config[section], other.config[section] = values
     with pytest.raises(ConfigError, match=f"differ in {section}; compare like with like"):
         controllers({"a": [one], "b": [other]})
 

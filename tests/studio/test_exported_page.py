@@ -34,7 +34,8 @@ WEB = Path("hrl_comfort/studio/web")
 EPISODES = 2
 SIZE = {"width": 700, "height": 560}
 SMALL = {"width": 80, "height": 60}
-"""Of a page whose picture is not looked at: software draws it, for as long as the page is open."""
+"""Of a page whose picture is not looked at: while a page is open, software draws it, and a small one costs less
+time."""
 
 
 def configured(*words: str) -> StudioConfig:

@@ -22,7 +22,7 @@ from hrl_comfort.training.controller_trainer import ControllerTraining, train_me
 from hrl_comfort.training.preemption import Preempted
 from tests.stopping import stopping
 
-CHOICES = (  # nobody: beside people, as in test_hierarchy, the experts deliberate for most of the time
+CHOICES = (  # beside people the experts would deliberate for most of the time
     "task.balls=2", "human=none", "engine.num_envs=4",
     "meta_controller_agent.options=48", "meta_controller_agent.warmup_options=8",
     "meta_controller_agent.batch_size=8", "meta_controller_agent.log_every=12", "meta_controller_agent.buffer_size=40",
@@ -30,8 +30,8 @@ CHOICES = (  # nobody: beside people, as in test_hierarchy, the experts delibera
 )  # fmt: skip
 
 
-def config_of(folder: Path) -> MetaControllerTrainConfig:
-    config = compose("train_meta_controller", [*CHOICES, f"output='{folder}'"])
+def config_of(folder: Path, *more: str) -> MetaControllerTrainConfig:
+    config = compose("train_meta_controller", [*CHOICES, *more, f"output='{folder}'"])
     assert isinstance(config, MetaControllerTrainConfig)
     return config
 
@@ -62,6 +62,15 @@ def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, 
     train_meta_controller(resumed(folder))
     assert same(folder, whole)
     assert read_provenance(folder).finished and not checkpoint.resumable(folder / "checkpoints")
+
+
+def test_a_controllers_training_beside_people_that_was_killed_goes_on_to_the_same_bits(tmp_path):
+    beside = ("human=patrol", *(f"policies.{name}=potential_field" for name in ("pick", "place", "return")))
+    undisturbed = train_meta_controller(config_of(tmp_path / "undisturbed", *beside))
+    with stopping(ControllerTraining, "step", lambda training: training.options >= 25):
+        train_meta_controller(config_of(tmp_path / "run", *beside))
+    train_meta_controller(replace(config_of(tmp_path / "run", *beside), resume=str(tmp_path / "run")))
+    assert same(tmp_path / "run", undisturbed)
 
 
 def test_a_controllers_training_told_to_stop_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch):
