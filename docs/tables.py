@@ -4,7 +4,8 @@ A table stands between `<!-- KIND: NAME ... -->` and `<!-- end -->`. Names are i
 `evaluations` they are folders of evaluations, one line each; a name with a `*` pools the episodes of all folders that
 match. For `ledger` it is the start of a policy's name. For `entries`, `entries in brief`, `responses` and `closed loop`
 they are in docs/tables/benchmark, for `without shield` in docs/tables/unshielded; the first two and the last take `all`
-too. For the other kinds it is the file that `hrl-comfort figure` or `hrl-comfort bench` wrote.
+too. For `with less without shield` they are in both. For the other kinds it is the file that `hrl-comfort figure` or
+`hrl-comfort bench` wrote.
 """
 
 from __future__ import annotations
@@ -126,6 +127,11 @@ def without_shield(names: str) -> str:
     return entries.table(of_names(names, UNSHIELDED), CONTACTS)
 
 
+def by_shield(name: str) -> str:
+    """Return what the shield changes of an entry with several training seeds: with it less without it."""
+    return entries.differences(entries.ENTRIES / name, UNSHIELDED / name, CONTACTS)
+
+
 def of_names(names: str, folder: Path = entries.ENTRIES) -> list[entries.Entry]:
     """Return the entries of a folder, `all` or those named, in the order of the names."""
     found = entries.committed(folder)
@@ -148,6 +154,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "entries": entered,
     "entries in brief": in_brief,
     "without shield": without_shield,
+    "with less without shield": by_shield,
     "responses": of_entries(entries.responses),
     "closed loop": of_entries(entries.at_same_throughput),
     "curricula": of_rows(curricula),

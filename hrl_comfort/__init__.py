@@ -37,7 +37,7 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
         raise TypeError(f"{task} got an unexpected keyword argument {error.key!r}: {error}") from None
 
 
-@lru_cache(maxsize=512)  # a client makes many equal environments, and composing one takes longer than building it
+@lru_cache(maxsize=64)  # a client makes many equal environments, and composing one takes longer than building it
 def _composed(overrides: tuple[str, ...]) -> EnvConfig:
     from hrl_comfort.config import TrainConfig
     from hrl_comfort.config.compose import compose, environment

@@ -179,6 +179,25 @@ def responses(folder: Path, off: Path) -> str:
     return markdown(["", *heads, f"level {ends[0]} to {ends[1]}, %"], lines)
 
 
+def differences(folder: Path, other: Path, names: Sequence[str] = tuple(QUANTITIES)) -> str:
+    """Return quantities of `folder` less those of `other`, over training seeds, a line for each level of both.
+
+    Raises:
+      ConfigError: an entry is damaged, or the folders have no seed in common.
+    """
+    mine, others = pairs(folder, other)
+    runs = Clusters.of_runs(len(mine))
+    here, there = ({row["level"]: at for at, row in enumerate(found[0]["levels"])} for found in (mine, others))
+    lines = []
+    for level in [level for level in here if level in there]:
+        gaps = {name: means(mine, name, here[level]) - means(others, name, there[level]) for name in names}
+        numbers = [
+            cell(runs.estimate(gap), QUANTITIES[name].scale, QUANTITIES[name].digits) for name, gap in gaps.items()
+        ]
+        lines.append([str(level), *numbers])
+    return markdown(["level", *(QUANTITIES[name].label for name in names)], lines)
+
+
 def means(entries: Sequence[Entry], quantity: str, at: int) -> NDArray[np.float64]:
     """Return the mean (n,) of a quantity in n entries, at their level number `at`."""
     rows: list[Any] = [entry["levels"][at] for entry in entries]

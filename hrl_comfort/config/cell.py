@@ -76,8 +76,8 @@ class ConnectionConfig:
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
     """Frame in which `cell.*_m`, `task.*point_m` and live positions of people are given; null: that of the robot's
-    base. For another frame, three tool positions, measured in the frame of the base, m: the new frame's origin, a point
-    on its x axis, and a point in its x-y plane with y > 0."""
+    base. For another frame give three tool positions, measured in the frame of the base, m: the new frame's origin, a
+    point on its x axis, and a point in its x-y plane with y > 0."""
 
 
 @dataclass(frozen=True)

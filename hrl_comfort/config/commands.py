@@ -139,7 +139,7 @@ class EvaluateConfig(EnvConfig):
     """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
     `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
-    """With a meta-controller: policy of each subtask, `policies.pick=…`, and of a learned controller."""
+    """With a meta-controller: `policies.pick=…` of each subtask, `policies.meta_controller=…` of a learned one."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]

@@ -147,8 +147,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     for name, kinds in SPEC.items():
         if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
-                f"policies.meta_controller={source!r} is damaged, or of an earlier version: it has no {name} of type "
-                f"{' or '.join('null' if kind is type(None) else kind.__name__ for kind in kinds)}; train it again"
+                f"policies.meta_controller={source!r} is damaged, or of an earlier version: its {name} is missing "
+                "or of a wrong type; train it again"
             )
     names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
     if names != options or spec["levels"] != levels:

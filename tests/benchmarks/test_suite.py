@@ -131,6 +131,13 @@ def test_an_interval_of_a_rate_is_not_below_zero(tmp_path: Path) -> None:
     assert entries.pooled(tmp_path / "ours")["levels"][0]["balls_per_min"]["ci95"][0] == 0.0
 
 
+def test_entries_are_compared_level_by_level_and_seed_by_seed(tmp_path: Path) -> None:
+    ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
+    other = write_seeds(tmp_path / "other", [[3.0, 12.0], [4.0, 14.5], [99.0, 99.0]])
+    first, last = cells_of(entries.differences(ours, other, ["balls_per_min"]))
+    assert first[-1] == "1.00" and last[-1] == "-2.00"
+
+
 def test_levels_are_compared_with_each_other_and_with_comfort_off_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
     off = write_seeds(tmp_path / "off", [[8.0, 4.0], [10.0, 5.0], [99.0, 99.0]])
