@@ -23,14 +23,16 @@ class RobotConfig:
     """The arm; its kinematics and masses are those of `scene.robots`."""
 
     name: str
-    """Name of a built-in robot, of one that an installed package offers as an entry point, or `package.module:name`."""
+    """A built-in robot, a robot that an installed package offers as an entry point (both by name), or
+    `package.module:name`."""
     home_deg: list[Coordinate] | None
     """Joint angles of the home pose, degrees; null is the arm's own."""
     rating: Annotated[str, choice("collaborative", "full", "paper")]
     """Limits of joint speed, of joint acceleration and of the speed of the arm's fastest point. The limits of joint
-    speed in `full` and `collaborative` are the datasheet's. `full`: joint acceleration up to what the arm has, the
-    fastest point up to 1.5 m/s. `collaborative`: half that acceleration, the fastest point up to 1 m/s. `full` and
-    `collaborative` exist for UR arms alone. `paper`: no limit but `task.max_step_deg`."""
+    speed in `full` and `collaborative` are the datasheet's. `full`: the joint acceleration that the arm can reach
+    (estimated from the stopping times in UR's manuals), the fastest point up to 1.5 m/s. `collaborative`: half that
+    acceleration, the fastest point up to 1 m/s. `full` and `collaborative` exist for UR arms alone. `paper`: no limit
+    but `task.max_step_deg`."""
     calibration: str | None = None
     """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
     model."""
@@ -71,7 +73,7 @@ class ConnectionConfig:
     """The arm that a deployment moves."""
 
     name: Annotated[str, choice("simulated", "ur")]
-    """`simulated`: an arm in MuJoCo that keeps the wall clock. `ur`: a robot of Universal Robots, by RTDE."""
+    """`simulated`: an arm in MuJoCo that runs in real time. `ur`: a robot of Universal Robots, by RTDE."""
     host: str
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
@@ -96,8 +98,8 @@ class RandomiseConfig:
     joint_friction: Share
     """Coulomb friction as a share of the largest torque, drawn for each joint."""
     joint_noise_deg: Noise
-    """Standard deviation of the observed joint angles, degrees. The observed place of the tool is that which these
-    angles give."""
+    """Standard deviation of the observed joint angles, degrees. The observed position of the tool is computed from the
+    noisy angles."""
     joint_velocity_noise_deg_s: Noise
     """Standard deviation of observed joint velocities, degrees/s."""
     person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]

@@ -106,7 +106,8 @@ class ComfortConfig:
     speed_form: Annotated[str, named("comfort.speed_form", *SPEED_FORMS)]
     """Form of the speed term, F_conf2."""
     scale: Annotated[float, within(-100.0, 100.0)]
-    """Weight of F_comfort in the reward of every control step; a negative one subtracts (Eq. 1 of the paper)."""
+    """Weight of F_comfort (alpha F_conf1 + beta F_conf2) in the reward of every control step. If it is negative,
+    F_comfort is subtracted, as in Eq. 1 of the paper."""
     stream: StreamConfig
     person: PersonConfig
 

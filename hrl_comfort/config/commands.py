@@ -139,7 +139,8 @@ class EvaluateConfig(EnvConfig):
     """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
     `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
-    """With a meta-controller: `policies.pick=…` of each subtask, `policies.meta_controller=…` of a learned one."""
+    """With a meta-controller: the policy of each subtask (`policies.pick=…` and so on); for a learned controller, also
+    its file (`policies.meta_controller=…`)."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
@@ -327,11 +328,10 @@ class FigureConfig(CommandConfig):
     over: Annotated[str, choice("pairs", "all")]
     """`levels`, `speed`, `plane`: `pairs` averages over episodes that succeed at every level, `all` over all."""
     levels: list[int]
-    """`paths`: levels to draw. `people`: the level to draw."""
+    """`paths`: levels to show. `people`: the level to show."""
     episodes: list[int]
     """`paths`, `people`: one or two episodes; [] chooses, for each colour of ball, the first episode that succeeds at
-    every drawn level (`paths`) or beside every drawn motion (`people`). `timeline`: any number; [] is the first
-    twelve."""
+    every level shown (`paths`) or motion shown (`people`). `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

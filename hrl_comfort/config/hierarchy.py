@@ -25,11 +25,11 @@ class MetaControllerConfig:
     `retreat` are not bound by it. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
     multiplied by `comfort.levels` / level."""
     retries: Annotated[int, within(0, 100)]
-    """Times in a row that an option which ran out of time may start again before the episode is given up; in `sort` and
-    `shift` without limit."""
+    """How many times in a row an option that ran out of time may be started again before the episode is given up. In
+    `sort` and `shift` there is no limit."""
     max_waits: Annotated[int, within(0, 100_000)] | None
-    """`sort`, `shift`: times in a row that `wait` can be chosen; null: any number. 6 for `cautious`. An evaluation
-    needs the value with which a `learned` controller was trained."""
+    """`sort`, `shift`: how many times in a row `wait` can be chosen; null: any number. The default of `cautious` is 6.
+    A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
     current level. `scripted` and `cautious` give every skill the first of them."""
@@ -84,9 +84,10 @@ class HierarchyConfig:
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training, in which every option is trained again, from the last to the first; []:
-    none. There the success of an option also earns the value that the next option's critics give to the state reached
-    (`agent.next_skill`); the last option, which has no next one, earns nothing extra."""
+    """Curriculum stages of a second training; []: no second training. It trains every option again, beginning with the
+    last of the cycle and ending with the first. In it, an option that succeeds also earns the value that the critics of
+    the option after it in the cycle give to the state reached (`agent.next_skill`). The last option of the cycle earns
+    nothing extra."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

@@ -17,7 +17,7 @@ class HumanConfig:
     """The human beside the robot; metres, cell frame."""
 
     motion: str
-    """Name of a built-in motion, of one that an installed package offers as an entry point, or
+    """A built-in motion, a motion that an installed package offers as an entry point (both by name), or
     `package.module:name`."""
     spawns_m: Annotated[list[XY], Field(min_length=1)]
     """Spawn points (x, y), m: where people start. Those within `keep_out_m` of a goal or the base are moved out. The

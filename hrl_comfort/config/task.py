@@ -31,7 +31,7 @@ class TaskConfig:
     """A subtask, or a chain of subtasks for one policy."""
 
     name: str
-    """Name of a built-in subtask, of one that an installed package offers as an entry point, or
+    """A built-in subtask, a subtask that an installed package offers as an entry point (both by name), or
     `package.module:name`."""
     colour: Annotated[str, choice("random", *COLOURS)]
     """Colour of the balls."""

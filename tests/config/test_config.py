@@ -25,8 +25,10 @@ CHOICES = [
     for root in ("train", "train_hierarchy", "evaluate")
     for group, names in groups(root).items()
     for name in names
+    if root == "train" or name == names[0] or name not in groups("train").get(group, ())
     if (root, group) != ("train_hierarchy", "task")  # it sets the task of each option itself
 ]
+"""Every choice once, and every group of every command."""
 
 
 def trained(*overrides: str) -> TrainConfig:
