@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from collections import Counter
 from pathlib import Path
@@ -18,6 +19,8 @@ REFERENCE = ROOT / "runs" / "reference"
 MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.35
 CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
 POLICIES = sorted(REFERENCE.rglob("policy.pt"))
+TABLES = ROOT / "docs" / "tables"
+ENTRIES = sorted(path for folder in ("benchmark", "unshielded") for path in (TABLES / folder).rglob("*.json"))
 
 
 def named(path: Path) -> str:
@@ -54,6 +57,18 @@ def test_committed_episodes_can_be_read(path: Path) -> None:
     episodes = pd.read_parquet(path)
     assert len(episodes) % 1000 == 0 and episodes["success"].dtype == bool
     assert {"policy_steps", "spawn_id", "train_seed"} <= set(episodes.columns)
+
+
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: str(path.relative_to(TABLES)))
+def test_an_entry_of_the_benchmark_has_its_line_in_the_ledger(path: Path) -> None:
+    entry = json.loads(path.read_text(encoding="utf-8"))
+    ledger = pd.read_csv(TABLES / "test_ledger.csv")
+    its = ledger[
+        (ledger["commit"].str.rstrip("+") == entry["commit"].rstrip("+"))
+        & (ledger["policy"] == " ".join(entry["policies"].values()))
+        & (ledger["episodes"] == sum(level["shifts"] for level in entry["levels"]))
+    ]
+    assert len(its) == 1 and its["command"].str.startswith("hrl-comfort benchmark ").all()
 
 
 def test_no_folder_of_the_package_is_crowded_and_no_module_long() -> None:
