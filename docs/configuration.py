@@ -19,9 +19,11 @@ MARKED = re.compile(r"(<!-- keys: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def table(name: str) -> str:
-    """Return the Markdown table of a section or of a command's own keys."""
+    """Return the Markdown table of a section, or of a command's own keys without what `evaluate` has alike."""
     if (root := root_of(name)) in ROOTS:
-        return HEAD + "".join(_line(key, key.name, root) for key in keys_of(root) if not key.section)
+        lines = [_line(key, key.name, root) for key in keys_of(root) if not key.section]
+        alike = set() if root == "evaluate" else {_line(key, key.name, "evaluate") for key in keys_of("evaluate")}
+        return HEAD + "".join(line for line in lines if line not in alike)
     root = next(root for root in ROOTS if any(key.section == name for key in keys_of(root)))
     keys = [key for key in keys_of(root) if key.section == name]
     return HEAD + "".join(_line(key, key.name.removeprefix(f"{name}."), root) for key in keys)
