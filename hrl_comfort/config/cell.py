@@ -107,7 +107,7 @@ class RandomiseConfig:
     person_rate_hz: Rate
     """Frames of the person's tracker per second; the last frame holds until the next. 50 is one per control step."""
     person_dropout: Share
-    """Probability that a frame is lost; at most two in a row are."""
+    """Probability that a frame is lost; at most two in a row are lost."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -36,13 +36,13 @@ class StreamConfig:
     smoothing_s: Annotated[float, within(0.0, 3600.0)]
     """Time constant of the exponential smoothing, s; 0 is none."""
     stall_s: Annotated[float, within(0.0, 3600.0)]
-    """Time without a good value after which the level is 1, s; until then the last good value holds."""
+    """Time without a good value, s, after which the level is 1; until then the last good value holds."""
     host: str
     """`udp`: host to listen on."""
     port: Annotated[int, within(0, 65535)]
     """`udp`: port to listen on, for datagrams of one ASCII number each; 0 is a free port."""
     name: str
-    """`lsl`: name of the stream, of one channel of numbers."""
+    """`lsl`: name of the stream, which must have one channel, of numbers."""
 
     def __post_init__(self) -> None:
         if self.low == self.high:

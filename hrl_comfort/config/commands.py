@@ -331,7 +331,7 @@ class FigureConfig(CommandConfig):
     """`paths`: levels to show. `people`: the level to show."""
     episodes: list[int]
     """`paths`, `people`: one or two episodes; [] chooses, for each colour of ball, the first episode that succeeds at
-    every level shown (`paths`) or motion shown (`people`). `timeline`: any number; [] is the first twelve."""
+    every level (`paths`) or with every motion (`people`). `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

@@ -65,7 +65,8 @@ class MetaControllerAgentConfig:
     exploration_start: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option at the start."""
     exploration_end: Annotated[float, within(0.0, 1.0)]
-    """The same from half of the training on; linear in between."""
+    """Probability of a random option in the second half of the training; in the first half it goes linearly from
+    `exploration_start` to this."""
     log_every: Annotated[int, within(1, 1e9)]
     """Options between two rows of meta_controller_metrics.csv, and between two checkpoints."""
 
@@ -84,10 +85,9 @@ class HierarchyConfig:
     """Number of episodes run to record terminal states; the next option is trained from the ends of those that
     succeed."""
     refinement: list[StageConfig]
-    """Curriculum stages of a second training; []: no second training. It trains every option again, beginning with the
-    last of the cycle and ending with the first. In it, an option that succeeds also earns the value that the critics of
-    the option after it in the cycle give to the state reached (`agent.next_skill`). The last option of the cycle earns
-    nothing extra."""
+    """Curriculum stages of a second training of every option, from the last of the cycle to the first; []: no second
+    training. When an option succeeds in this training, it also earns a value for the state it reached, from the critics
+    of the next option in the cycle (`agent.next_skill`). The last option of the cycle earns nothing extra."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
     levels: list[int]

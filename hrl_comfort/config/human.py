@@ -36,8 +36,8 @@ class HumanConfig:
     spawn_margin_m: Annotated[float, within(0.0, 0.5)]
     """Smallest distance of training starts from held-out points, m."""
     keep_out_m: Annotated[float, within(0.0, 1.0)]
-    """Radius of the discs around all goals and the robot's base that the person's axis stays out of, m; `adversary`,
-    `recorded` and `live` do not keep to them."""
+    """The person's axis stays out of discs around all goals and the robot's base; this is their radius, m. `adversary`,
+    `recorded` and `live` ignore the discs."""
     bound_m: Annotated[float, within(0.0, 10.0)]
     """`random_walk`, `arc`, `approach`, and `patrol` with `acceleration_m_s2=null`: largest distance from the spawn
     point, m."""
@@ -60,11 +60,11 @@ class HumanConfig:
     """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they yield to it as to a person, at 1 they come
     to look at the tool."""
     mixture: dict[str, dict[str, Any]]
-    """`mixture`: a mapping from the name of each motion to the `human` values that it changes, such as `{patrol:
-    {speed_m_s: 1.2}}`; each episode draws one of these motions."""
+    """`mixture`: the motions, each with the `human` values to change for it, such as `{patrol: {speed_m_s: 1.2}}`; each
+    episode draws one of these motions."""
     partitioned: bool
-    """Whether `train`, `validation` and `test` each have sectors around the robot, traits of people, recordings and arm
-    starts of their own; training then sees those of `train` alone."""
+    """Whether `train`, `validation` and `test` each have their own sectors around the robot, traits of people,
+    recordings and arm starts. If so, training sees those of `train` alone."""
     file: str | None
     """`recorded`: a CSV of t (s), x (m), y (m) and yaw (rad), a BVH file, or a folder of such files. `live`:
     udp://HOST:PORT, lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio`

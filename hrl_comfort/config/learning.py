@@ -78,7 +78,7 @@ class AgentConfig:
     learning_rate: Annotated[float, within(0.0, 1.0)]
     """Learning rate of Adam."""
     learning_rate_end: Annotated[float, within(0.0, 1.0)] | None
-    """Learning rate at the end of the curriculum stage, reached linearly; null keeps it."""
+    """Learning rate at the end of the curriculum stage, reached linearly; null keeps `learning_rate`."""
     critic_layer_norm: bool
     """Layer normalisation in the critics (Ba et al. 2016, arXiv:1607.06450)."""
     tau: Annotated[float, within(0.0, 1.0)]
@@ -90,7 +90,7 @@ class AgentConfig:
     hidden: Widths
     """Widths of the hidden layers."""
     entropy_coefficient: Annotated[float, within(1e-8, 100.0)]
-    """Initial entropy coefficient, which is learned."""
+    """Initial value of the entropy coefficient, which is learned."""
     target_entropy: Annotated[float, within(-1000.0, 1000.0)]
     """Target entropy, nats."""
     normalise: bool

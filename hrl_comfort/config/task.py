@@ -46,9 +46,9 @@ class TaskConfig:
     """Control steps of 20 ms after which an episode is out of time. If `comfort.source` is not `none` and
     `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` / level (not in `shift`)."""
     max_option_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set;
-    100 in `sort`, 400 in `shift`. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
-    multiplied by `comfort.levels` / level."""
+    """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set.
+    The default is 100 for `sort` and 400 for `shift`. If `comfort.source` is not `none` and `comfort.beta` is above 0,
+    the limit is multiplied by `comfort.levels` / level."""
     action_repeat: Annotated[int, within(1, 100)]
     """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]
@@ -72,7 +72,8 @@ class TaskConfig:
     `evaluate terminal_states=`: each episode starts at the joint angles and velocities of one of its states; in
     training also with the person and level of that state."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
-    """Speed of all joints together (Euclidean norm) below which a stage can be done, rad/s; null: at any speed."""
+    """A stage counts as done only while the speed of all joints together (Euclidean norm) is below this, rad/s; null:
+    at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
     """Contact with the person that ends an episode: any, or an unsafe one, in which the arm moves towards the person
     faster than 0.25 m/s."""
