@@ -15,14 +15,16 @@ from hrl_comfort.studio.tune.keys import Key, keys_of
 PAGE = Path(__file__).resolve().parent / "configuration.md"
 CONF = PAGE.parent.parent / "conf"
 HEAD = "| key | meaning | allowed | default |\n|---|---|---|---|\n"
+SHORT = ("deploy", "studio")
+"""Commands whose tables leave out the keys that they share with `evaluate`."""
 MARKED = re.compile(r"(<!-- keys: ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def table(name: str) -> str:
-    """Return the Markdown table of a section, or of a command's own keys without what `evaluate` has alike."""
+    """Return the table of a section, or of a command's own keys; in SHORT without those that `evaluate` has alike."""
     if (root := root_of(name)) in ROOTS:
         lines = [_line(key, key.name, root) for key in keys_of(root) if not key.section]
-        alike = set() if root == "evaluate" else {_line(key, key.name, "evaluate") for key in keys_of("evaluate")}
+        alike = {_line(key, key.name, "evaluate") for key in keys_of("evaluate")} if root in SHORT else set()
         return HEAD + "".join(line for line in lines if line not in alike)
     root = next(root for root in ROOTS if any(key.section == name for key in keys_of(root)))
     keys = [key for key in keys_of(root) if key.section == name]

@@ -140,7 +140,7 @@ class EvaluateConfig(EnvConfig):
     `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
     policies: dict[str, str]
     """With a meta-controller: the policy of each subtask (`policies.pick=…` and so on); for a learned controller, also
-    its file (`policies.meta_controller=…`)."""
+    its run folder or file (`policies.meta_controller=…`)."""
     checkpoints: Annotated[str, choice("none", "all")]
     """`all` evaluates every checkpoint of the run in `policy`."""
     split: Annotated[str, choice(*SPLITS)]
@@ -331,7 +331,7 @@ class FigureConfig(CommandConfig):
     """`paths`: levels to show. `people`: the level to show."""
     episodes: list[int]
     """`paths`, `people`: one or two episodes; [] chooses, for each colour of ball, the first episode that succeeds at
-    every level (`paths`) or with every motion (`people`). `timeline`: any number; [] is the first twelve."""
+    every level (`paths`) or motion (`people`) shown. `timeline`: any number; [] is the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

@@ -65,8 +65,8 @@ class MetaControllerAgentConfig:
     exploration_start: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option at the start."""
     exploration_end: Annotated[float, within(0.0, 1.0)]
-    """Probability of a random option in the second half of the training; in the first half it goes linearly from
-    `exploration_start` to this."""
+    """Probability of a random option in the second half of the training; in the first half, after `warmup_options`, it
+    goes linearly from `exploration_start` to this."""
     log_every: Annotated[int, within(1, 1e9)]
     """Options between two rows of meta_controller_metrics.csv, and between two checkpoints."""
 

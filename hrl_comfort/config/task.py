@@ -72,7 +72,7 @@ class TaskConfig:
     `evaluate terminal_states=`: each episode starts at the joint angles and velocities of one of its states; in
     training also with the person and level of that state."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
-    """A stage counts as done only while the speed of all joints together (Euclidean norm) is below this, rad/s; null:
+    """A stage can become done only while the speed of all joints together (Euclidean norm) is below this, rad/s; null:
     at any speed."""
     terminate_on: Annotated[str, choice("contact", "unsafe_contact")]
     """Contact with the person that ends an episode: any, or an unsafe one, in which the arm moves towards the person

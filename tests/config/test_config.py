@@ -1,4 +1,4 @@
-"""Composition of every choice of every command."""
+"""Composition of every choice, and of every command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHOICES = [
     if root == "train" or name == names[0] or name not in groups("train").get(group, ())
     if (root, group) != ("train_hierarchy", "task")  # it sets the task of each option itself
 ]
-"""Every choice once, and every group of every command."""
+"""Every choice at least once, and every group of these commands but the task of `train_hierarchy`."""
 
 
 def trained(*overrides: str) -> TrainConfig:
