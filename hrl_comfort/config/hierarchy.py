@@ -25,11 +25,11 @@ class MetaControllerConfig:
     `retreat` are not bound by it. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
     multiplied by `comfort.levels` / level."""
     retries: Annotated[int, within(0, 100)]
-    """How many times in a row an option that ran out of time may be started again before the episode is given up. In
-    `sort` and `shift` there is no limit."""
+    """Number of times in a row that an option which ran out of time may be started again before the episode is given
+    up. In `sort` and `shift` there is no limit."""
     max_waits: Annotated[int, within(0, 100_000)] | None
-    """`sort`, `shift`: how many times in a row `wait` can be chosen; null: any number. The default of `cautious` is 6.
-    A `learned` controller is evaluated with the value of its training; any other is refused."""
+    """`sort`, `shift`: number of times in a row that `wait` can be chosen; null: any number. The default of `cautious`
+    is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
     current level. `scripted` and `cautious` give every skill the first of them."""
