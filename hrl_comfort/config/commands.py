@@ -330,8 +330,8 @@ class FigureConfig(CommandConfig):
     levels: list[int]
     """`paths`: levels to show. `people`: the level to show."""
     episodes: list[int]
-    """`paths`, `people`: one or two episodes; [] chooses, for each colour of ball, the first episode that succeeds at
-    every level (`paths`) or motion (`people`) shown. `timeline`: any number; [] is the first twelve."""
+    """`paths`, `people`: one or two episodes; []: for each colour of ball, the first that succeeds at all levels shown
+    (`paths`) or beside all motions shown (`people`). `timeline`: any number; []: the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""
 

@@ -21,9 +21,10 @@ class MetaControllerConfig:
     options: list[str]
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted, by default `task.max_option_steps`. `wait` (0.5 s) and
-    `retreat` are not bound by it. If `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is
-    multiplied by `comfort.levels` / level."""
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort` and `shift`,
+    the options `wait` (stand still for 0.5 s) and `retreat` (move away from the person) are not bound by it. If
+    `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
+    level."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
     up. In `sort` and `shift` there is no limit."""

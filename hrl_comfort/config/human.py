@@ -57,8 +57,8 @@ class HumanConfig:
     """`patrol`, `worker`, `reactive`, `adversary`: largest acceleration, m/s². null, for `patrol` only, lets it change
     its speed at once."""
     curiosity: Annotated[float, within(0.0, 1.0)]
-    """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they yield to it as to a person, at 1 they come
-    to look at the tool."""
+    """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they make way for it as for another person, at 1
+    they come to look at the tool."""
     mixture: dict[str, dict[str, Any]]
     """`mixture`: the motions, each with the `human` values to change for it, such as `{patrol: {speed_m_s: 1.2}}`; each
     episode draws one of these motions."""

@@ -29,6 +29,6 @@ class SafetyConfig:
     """Lag of the servos behind a ramp of set-points, s."""
     latency_s: Annotated[float, within(0.0, 2.0)]
     """Time from a set-point until the servos have it, s. In `deploy` it is the time from sending a set-point until the
-    resulting angles are measured, without `lag_s`."""
+    resulting angles are measured, minus `lag_s`."""
     margin_m: Annotated[float, within(0.0, 0.5)]
     """Largest error of the measured positions of person and arm, m."""
