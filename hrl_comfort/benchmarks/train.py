@@ -114,17 +114,22 @@ def _races(config: TrainConfig, env: EnvConfig, path: Path) -> list[list[object]
 def table(frame: DataFrame) -> str:
     """Return the rows of train.csv as a Markdown table: medians, ranges, times ours with its 95 % interval.
 
-    Learners of which some did not arrive get lower bounds, marked by ≥: their time to the limit.
+    There is a column of times for each of our settings. Learners of which some did not arrive get lower bounds,
+    marked by ≥: their time to the limit.
     """
     lines = []
+    settings = [name for name in frame["learner"].unique() if name.startswith(OURS)]
     for (task, name), races in frame.groupby(["task", "learner"], sort=False):
-        ours = frame[(frame["task"] == task) & (frame["learner"] == OURS)]
-        bound = "" if races["reached"].all() else "≥ "
-        times = bound + times_ours(races["seconds"], ours["seconds"]) if ours["reached"].all() else "-"
+        bound, times = "" if races["reached"].all() else "≥ ", []
+        for setting in settings:
+            ours = frame[(frame["task"] == task) & (frame["learner"] == setting)]
+            ratio = bound + times_ours(races["seconds"], ours["seconds"]) if ours["reached"].all() else "-"
+            times.append("" if name in settings else ratio)
         arrived = f"{races['reached'].sum()} of {len(races)}"
         spreads = bound + spread(races["policy_steps"]), bound + spread(races["seconds"], 1)
-        lines.append([str(task), str(name), arrived, *spreads, "" if name == OURS else times])
-    return markdown(["task", "learner", "arrived", "policy_steps", "seconds", "times ours [95 %]"], lines)
+        lines.append([str(task), str(name), arrived, *spreads, *times])
+    heads = [f"times ours{name.removeprefix(OURS)} [95 %]" for name in settings]
+    return markdown(["task", "learner", "arrived", "policy_steps", "seconds", *heads], lines)
 
 
 def times_ours(theirs: Series, ours: Series) -> str:
@@ -155,8 +160,10 @@ def success(env: EnvConfig, act: Act) -> float:
     return float(won.mean())
 
 
-def ours(config: TrainConfig, clock: Clock) -> int:
+def ours(config: TrainConfig, clock: Clock, num_envs: int, updates: int) -> int:
     """Train by this project until `clock` says so; return the policy steps made."""
+    agent = replace(config.agent, updates_per_policy_step=updates / num_envs)
+    config = replace(config, agent=agent, engine=replace(config.engine, num_envs=num_envs))
     with tempfile.TemporaryDirectory() as folder:
         training = Training(config, make_collector, Path(folder))
         learner = training.learner
@@ -245,9 +252,12 @@ def stable_baselines3(config: TrainConfig, clock: Clock, num_envs: int, updates:
 
 
 OURS = "hrl-comfort"
+"""Beginning of the names of this project's learners."""
 RACES: dict[str, Callable[[TrainConfig, Clock], int]] = {
-    OURS: ours,
+    f"{OURS}, 16 cells, 4 updates in 16 steps": partial(ours, num_envs=16, updates=4),
+    f"{OURS}, 16 cells, 1 update in 16 steps": partial(ours, num_envs=16, updates=1),
     "TorchRL, 16 cells, 4 updates in 16 steps": partial(torchrl, num_envs=16, updates=4),
+    "TorchRL, 16 cells, 1 update in 16 steps": partial(torchrl, num_envs=16, updates=1),
     "Stable-Baselines3, 1 cell, an update a step": partial(stable_baselines3, num_envs=1, updates=1),
     "Stable-Baselines3, 1 cell, an update in 4 steps": partial(stable_baselines3, num_envs=1, updates=1, every=4),
     "Stable-Baselines3, 16 cells, 4 updates in 16 steps": partial(stable_baselines3, num_envs=16, updates=4),
@@ -255,5 +265,5 @@ RACES: dict[str, Callable[[TrainConfig, Clock], int]] = {
 }
 """Learner -> function that trains it until the clock says so and returns the policy steps made.
 
-A peer has `num_envs` environments, and `updates` gradient steps after `every` policy steps of each.
+A learner has `num_envs` environments, and `updates` gradient steps after `every` policy steps of each.
 """

@@ -213,6 +213,14 @@ def test_the_race_is_told_in_times_ours_with_an_interval_and_lower_bounds() -> N
     assert bench_train.table(frame).splitlines()[3].endswith("| 6.0 (4.0 to 8.0) | - |"), "nor a ratio"
 
 
+def test_peers_are_compared_with_each_setting_of_ours() -> None:
+    seconds = {"hrl-comfort, few": 1.0, "hrl-comfort, many": 2.0, "other": 6.0}
+    rows = [("pick", name, 0, True, 100, value) for name, value in seconds.items()]
+    head, _, few, _, other = bench_train.table(DataFrame(rows, columns=list(bench_train.COLUMNS))).splitlines()
+    assert head.endswith("| times ours, few [95 %] | times ours, many [95 %] |")
+    assert few.endswith("|  |  |") and other.endswith("| 6.00 | 3.00 |")
+
+
 def test_rating_and_shield_are_measured_beside_the_papers_arm(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(bench_safety, "NUM_ENVS", (1, 2))
     monkeypatch.setattr(measure, "SECONDS", 0.0)
