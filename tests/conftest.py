@@ -1,4 +1,4 @@
-"""Common settings: one thread, and the same generated examples in every run."""
+"""Common settings: one thread, and the same generated examples and global draws in every run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ settings.load_profile("repeatable")
 
 @pytest.fixture(autouse=True)
 def same_draws() -> None:
-    """Begin each test with the same state of the global generators of torch and numpy."""
+    """Begin each test with the same state of the global generators of torch and numpy.
+
+    Fixtures of a module or of the session are made before that.
+    """
     torch.manual_seed(0)
     np.random.seed(0)  # noqa: NPY002
 

@@ -75,11 +75,12 @@ def bench_train(config: TrainConfig) -> Path:
     """Race to GOAL success in the task of `config`; print the table of train.csv and return its path.
 
     All learners have the same task, without curriculum or demonstrator, and the same network widths, batch
-    size, learning rate, target rate, discount and matmul precision; each normalises its observations. Races
-    that are in train.csv already are not run again.
+    size, learning rate, target rate, discount and matmul precision; each normalises its observations. RACES sets
+    the numbers of environments and of updates; `engine.num_envs` and `agent.updates_per_policy_step` have no effect.
+    Races that are in train.csv already are not run again.
 
     Raises:
-      ConfigError: Stable-Baselines3 is not installed.
+      ConfigError: Stable-Baselines3 is not installed, or train.csv is not of this command.
     """
     need_peers()
     torch.set_num_threads(1)
@@ -123,11 +124,12 @@ def table(frame: DataFrame) -> str:
         bound, times = "" if races["reached"].all() else "≥ ", []
         for setting in settings:
             ours = frame[(frame["task"] == task) & (frame["learner"] == setting)]
-            ratio = bound + times_ours(races["seconds"], ours["seconds"]) if ours["reached"].all() else "-"
+            arrived = len(ours) and ours["reached"].all()
+            ratio = bound + times_ours(races["seconds"], ours["seconds"]) if arrived else "-"
             times.append("" if name in settings else ratio)
-        arrived = f"{races['reached'].sum()} of {len(races)}"
+        share = f"{races['reached'].sum()} of {len(races)}"
         spreads = bound + spread(races["policy_steps"]), bound + spread(races["seconds"], 1)
-        lines.append([str(task), str(name), arrived, *spreads, *times])
+        lines.append([str(task), str(name), share, *spreads, *times])
     heads = [f"times ours{name.removeprefix(OURS)} [95 %]" for name in settings]
     return markdown(["task", "learner", "arrived", "policy_steps", "seconds", *heads], lines)
 

@@ -219,6 +219,24 @@ def test_peers_are_compared_with_each_setting_of_ours() -> None:
     head, _, few, _, other = bench_train.table(DataFrame(rows, columns=list(bench_train.COLUMNS))).splitlines()
     assert head.endswith("| times ours, few [95 %] | times ours, many [95 %] |")
     assert few.endswith("|  |  |") and other.endswith("| 6.00 | 3.00 |")
+    rows += [("reach", name, 0, True, 100, seconds[name]) for name in ("hrl-comfort, many", "other")]
+    last = bench_train.table(DataFrame(rows, columns=list(bench_train.COLUMNS))).splitlines()[-1]
+    assert last.endswith("| - | 3.00 |"), "no ratio to a setting that did not race"
+
+
+@pytest.mark.parametrize(("name", "updates"), [("4 updates", 0.25), ("1 update", 0.0625)])
+def test_ours_races_with_the_updates_that_its_name_says(name: str, updates: float, tmp_path: Path, monkeypatch) -> None:
+    raced: list[TrainConfig] = []
+
+    def training(config: TrainConfig, *_: object) -> None:
+        raced.append(config)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench_train, "Training", training)
+    config = race_config(tmp_path, 64)
+    with pytest.raises(KeyboardInterrupt):
+        bench_train.RACES[f"hrl-comfort, 16 cells, {name} in 16 steps"](config, bench_train.Clock(len, 1, 1))
+    assert [(each.engine.num_envs, each.agent.updates_per_policy_step) for each in raced] == [(16, updates)]
 
 
 def test_rating_and_shield_are_measured_beside_the_papers_arm(tmp_path: Path, monkeypatch, capsys) -> None:
