@@ -74,4 +74,4 @@ hrl-comfort figure kind=divisions 'labels=[one,two,three]' output=$out/divisions
 hrl-comfort bench env output=$out/bench
 hrl-comfort bench safety task=pick_place human=mixture task.terminate_on=unsafe_contact output=$out/bench
 hrl-comfort bench update output=$out/bench
-hrl-comfort bench train task=pick curriculum=off task.precision.grasp_tolerance_m=0.3 output=$out/bench/pick_30cm
+hrl-comfort bench train task=pick output=$out/bench

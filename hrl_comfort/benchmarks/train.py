@@ -124,7 +124,7 @@ def table(frame: DataFrame) -> str:
         bound, times = "" if races["reached"].all() else "≥ ", []
         for setting in settings:
             ours = frame[(frame["task"] == task) & (frame["learner"] == setting)]
-            arrived = len(ours) and ours["reached"].all()
+            arrived = not ours.empty and ours["reached"].all()
             ratio = bound + times_ours(races["seconds"], ours["seconds"]) if arrived else "-"
             times.append("" if name in settings else ratio)
         share = f"{races['reached'].sum()} of {len(races)}"

@@ -37,11 +37,6 @@ def trained(learner: SAC) -> list[torch.Tensor]:
     return [parameter for group in learner.optimiser.param_groups for parameter in group["params"]]
 
 
-@pytest.fixture(autouse=True)
-def _seeded() -> None:
-    torch.manual_seed(0)
-
-
 def beside_a_valley(bc_weight: float) -> float:
     """Return the final action of an actor that begins at -0.9; -1 is worth 1, +1 is worth 2, between is little.
 

@@ -96,7 +96,6 @@ def test_an_update_of_every_learner_changes_its_networks(name: str, monkeypatch)
 
 
 def test_torchrls_sac_learns_towards_the_reward() -> None:
-    torch.manual_seed(0)
     agent = compose("train", [*SMALL, "agent.learning_rate=3e-3", "agent.buffer_size=64"]).agent
     learner = TorchRLSAC(agent, 9, 6, gamma=0.9)
     learner.remember(bench_update.transitions((9, 6))[:64])
