@@ -6,6 +6,7 @@ import dataclasses
 import os
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,17 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
         raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
 
 
-def composed(root: str, known: list[str]) -> DictConfig:
-    """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`."""
+def composed(root: str, known: Iterable[str]) -> DictConfig:
+    """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`, read-only."""
+    return _composed(root, tuple(known))
+
+
+@lru_cache(maxsize=256)  # Hydra takes 0.15 s, and a process often composes the same again
+def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
     with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
-        return hydra_compose(root, known)
+        node = hydra_compose(root, list(known))
+    OmegaConf.set_readonly(node, True)
+    return node
 
 
 def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
