@@ -9,6 +9,11 @@ levels='levels=[1,2,3,4,5,6,7,8,9,10]'
 
 # Pick, place and return at 10 cm, and the cycle; the same by a rated arm behind the shield.
 hrl-comfort train hierarchy experiment=cycle output=$out/cycle
+for t in pick place return; do
+    hrl-comfort evaluate policy=$out/cycle/$t split=validation episodes=1000 output=$out/cycle/$t/validation
+done
+hrl-comfort evaluate task=cycle meta_controller=scripted policies.pick=$out/cycle/pick policies.place=$out/cycle/place \
+    policies.return=$out/cycle/return split=validation episodes=1000 output=$out/cycle/cycle/validation
 for s in 0 1 2; do for d in three two; do
     hrl-comfort train hierarchy experiment=shielded division=$d train_seed=$s output=$out/shielded/$d$s
 done; done
@@ -21,8 +26,8 @@ done
 # One policy for ten comfort levels at 30 cm, and the skills of a shift for ten levels, with and without comfort.
 for s in 0 1 2 3 4; do
     hrl-comfort train experiment=comfort train_seed=$s episode_seed=$s output=$out/comfort/seed$s
-    for split in paper validation; do
-        hrl-comfort evaluate policy=$out/comfort/seed$s split=$split episodes=1000 $levels output=$out/comfort/seed$s/$split
+    for split in paper 'validation episode_seed=890000'; do
+        hrl-comfort evaluate policy=$out/comfort/seed$s split=$split episodes=1000 $levels output=$out/comfort/seed$s/${split%% *}
     done
     hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
     hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
