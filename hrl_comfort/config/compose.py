@@ -6,6 +6,7 @@ import dataclasses
 import os
 import re
 from collections.abc import Iterable, Iterator
+from copy import deepcopy
 from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
@@ -70,16 +71,14 @@ def compose(root: str, overrides: Iterable[str] = ()) -> Config:
 
 
 def composed(root: str, known: Iterable[str]) -> DictConfig:
-    """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`, read-only."""
-    return _composed(root, tuple(known))
+    """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`."""
+    return deepcopy(_composed(root, tuple(known)))  # a copy resolves `${now:}` anew
 
 
 @lru_cache(maxsize=256)  # Hydra takes 0.15 s, and a process often composes the same again
 def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
     with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
-        node = hydra_compose(root, list(known))
-    OmegaConf.set_readonly(node, True)
-    return node
+        return hydra_compose(root, list(known))
 
 
 def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:

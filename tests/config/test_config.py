@@ -81,6 +81,10 @@ def test_overrides_win_over_the_experiment():
     assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
 
 
+def test_the_time_in_an_output_is_that_of_its_own_composition():
+    assert trained("output='${now:%f}'").output != trained("output='${now:%f}'").output
+
+
 def test_whole_numbers_are_coordinates_too_and_texts_are_not():
     assert trained("human.spawns_m=[[1,1],[0,-2]]", "human.held_out=[]").human.spawns_m == [[1, 1], [0, -2]]
     for value in ("[[1,a]]", "[[1,true]]", "[[1]]", "[1,1]", "[[[1,1]]]", "[[1,nan]]"):
