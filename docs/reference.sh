@@ -26,9 +26,9 @@ done
 # One policy for ten comfort levels at 30 cm, and the skills of a shift for ten levels, with and without comfort.
 for s in 0 1 2 3 4; do
     hrl-comfort train experiment=comfort train_seed=$s episode_seed=$s output=$out/comfort/seed$s
-    for split in paper 'validation episode_seed=890000'; do
-        hrl-comfort evaluate policy=$out/comfort/seed$s split=$split episodes=1000 $levels output=$out/comfort/seed$s/${split%% *}
-    done
+    hrl-comfort evaluate policy=$out/comfort/seed$s episodes=1000 $levels output=$out/comfort/seed$s/paper
+    hrl-comfort evaluate policy=$out/comfort/seed$s split=validation episode_seed=890000 episodes=1000 $levels \
+        output=$out/comfort/seed$s/validation
     hrl-comfort train hierarchy experiment=comfort_shift train_seed=$s output=$out/comfort_shift/levels$s
     hrl-comfort train hierarchy experiment=comfort_shift comfort=off 'hierarchy.levels=[]' train_seed=$s output=$out/comfort_shift/off$s
     for kind in levels off; do hrl-comfort benchmark split=validation policy=$out/comfort_shift/$kind$s output=$out/benchmark/$kind-$s; done

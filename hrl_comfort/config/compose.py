@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import threading
 from collections.abc import Iterable, Iterator
 from copy import deepcopy
 from functools import lru_cache
@@ -47,35 +48,40 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections and keys that take their defaults from the run of the given policy, by root."""
+_ALONE = threading.RLock()
+"""Hydra composes in one thread at a time."""
 
 
 def compose(root: str, overrides: Iterable[str] = ()) -> Config:
     """Return the configuration `root` with Hydra `overrides`.
 
-    With a policy that belongs to a run, the sections AS_TRAINED default to those of the run. Overrides win.
+    With a policy that belongs to a run, the sections AS_TRAINED default to those of the run. Overrides win. A process
+    reads the files of `conf/` once for the same overrides.
 
     Raises:
       ConfigError: an unknown key or choice, or a value that is not allowed.
     """
-    known = check_overrides(root, overrides)
-    try:
-        if root in AS_TRAINED:
-            known = [*_as_trained(known, AS_TRAINED[root]), *known]
-        return _settled(ROOTS[root], composed(root, known), known)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(one_line(error)) from error
-    except RecursionError:
-        raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
-    except OverflowError as error:
-        raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+    with _ALONE:
+        known = check_overrides(root, overrides)
+        try:
+            if root in AS_TRAINED:
+                known = [*_as_trained(known, AS_TRAINED[root]), *known]
+            return _settled(ROOTS[root], composed(root, known), known)
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(one_line(error)) from error
+        except RecursionError:
+            raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
+        except OverflowError as error:
+            raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
 
 
 def composed(root: str, known: Iterable[str]) -> DictConfig:
     """Return what Hydra makes of `conf/ROOT.yaml` and overrides from `check_overrides`."""
-    return deepcopy(_composed(root, tuple(known)))  # a copy resolves `${now:}` anew
+    with _ALONE:
+        return deepcopy(_composed(root, tuple(known)))  # a copy resolves `${now:}` anew
 
 
-@lru_cache(maxsize=256)  # Hydra takes 0.15 s, and a process often composes the same again
+@lru_cache(maxsize=64)  # Hydra takes 0.15 s, and a process often composes the same again
 def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
     with initialize_config_dir(str(config_dir()), version_base="1.3", job_name="hrl-comfort"):
         return hydra_compose(root, list(known))

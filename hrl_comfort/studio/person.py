@@ -10,10 +10,10 @@ import numpy as np
 
 from hrl_comfort import humans
 from hrl_comfort.config import HumanConfig
+from hrl_comfort.config.compose import compose
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.humans.walk import Array
 from hrl_comfort.studio.session import Session
-from hrl_comfort.studio.tune.draft import compose_alone
 
 KEYS = {"w": (1.0, 0.0), "s": (-1.0, 0.0), "a": (0.0, 1.0), "d": (0.0, -1.0)}
 """Steps forward and to the left, by key."""
@@ -177,6 +177,6 @@ class Person:
 
 def motion_config(name: str) -> HumanConfig:
     """Return the configuration of the motion `name` as in `conf/human/`."""
-    human = getattr(compose_alone("studio", [f"human={name}"]), "human", None)
+    human = getattr(compose("studio", [f"human={name}"]), "human", None)
     assert isinstance(human, HumanConfig)
     return human

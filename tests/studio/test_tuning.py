@@ -16,7 +16,7 @@ from hrl_comfort.config.compose import compose
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.studio.server import LiveStudio
-from hrl_comfort.studio.tune.draft import Draft, compose_alone, overlay, overrides_of, training_overrides
+from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.training import Training
 from tests.studio.browser import opened, until
 
@@ -110,7 +110,7 @@ def test_a_parameter_takes_effect_at_the_next_reset_and_the_page_says_so(shown: 
 
 def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
     chain = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    config = compose_alone("studio", ["task=cycle", "meta_controller=scripted", *chain, "human=still", "port=0"])
+    config = compose("studio", ["task=cycle", "meta_controller=scripted", *chain, "human=still", "port=0"])
     assert isinstance(config, StudioConfig)
     studio = LiveStudio(config)
     studio.loop.running = False

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from operator import attrgetter
 from typing import Any
@@ -12,16 +11,8 @@ from omegaconf import OmegaConf
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.config.compose import compose, composed, environment
-from hrl_comfort.config.overrides import NAMES, Config, choices, groups, override
+from hrl_comfort.config.overrides import NAMES, choices, groups, override
 from hrl_comfort.config.stages import flat
-
-_composing = threading.Lock()
-
-
-def compose_alone(root: str, overrides: Iterable[str]) -> Config:
-    """Return `compose(root, overrides)`; Hydra composes in one thread at a time."""
-    with _composing:
-        return compose(root, overrides)
 
 
 def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
@@ -30,9 +21,8 @@ def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
     values = {name: value for name, value in asdict(config).items() if name in fields}
     chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items()}
     lines = {group: f"{group}={name}" for group, name in chosen.items() if name in choices(group)}
-    with _composing:
-        default = dict(flat(plain(composed(root, list(lines.values())))))
-        plainest = dict(flat(plain(composed(root, []))))
+    default = dict(flat(plain(composed(root, lines.values()))))
+    plainest = dict(flat(plain(composed(root, []))))
     lines = {group: line for group, line in lines.items() if plainest[NAMES[group]] != chosen[group]}
     return lines | {key: override(key, value) for key, value in flat(values) if default.get(key) != value}
 
@@ -54,7 +44,7 @@ class Draft:
 
     def __init__(self, root: str, lines: Mapping[str, str]) -> None:
         self.root, self.lines, self._first = root, dict(lines), dict(lines)
-        self.config = compose_alone(root, self.lines.values())
+        self.config = compose(root, self.lines.values())
 
     @property
     def changed(self) -> dict[str, str]:
@@ -71,7 +61,7 @@ class Draft:
         """
         lines = {each: line for each, line in self.lines.items() if each != key and not each.startswith(f"{key}.")}
         lines[key] = f"{key}={text}"
-        self.config = compose_alone(self.root, lines.values())
+        self.config = compose(self.root, lines.values())
         self.lines = lines
 
     def value(self, key: str) -> Any:
@@ -87,7 +77,7 @@ def training_overrides(studio: Draft, training: Draft) -> dict[str, str]:
 
 def overlay(lines: Mapping[str, str]) -> str:
     """Return the overrides of a training as an overlay for `conf/experiment/`."""
-    config = compose_alone("train", lines.values())
+    config = compose("train", lines.values())
     chosen = [key for key in lines if key in groups("train")]
     node: dict[str, Any] = {"defaults": [{f"override /{key}": lines[key].partition("=")[2]} for key in chosen]}
     made = OmegaConf.create(node if chosen else {})

@@ -11,10 +11,11 @@ import numpy as np
 import viser.uplot
 
 from hrl_comfort.config import ConfigError, EnvConfig, StudioConfig, TrainConfig
+from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
-from hrl_comfort.studio.tune.draft import Draft, compose_alone, overlay, overrides_of, training_overrides
+from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
 from hrl_comfort.studio.tune.training import CURVES, Poll, Training
 
@@ -145,7 +146,7 @@ class Tuning:
           ConfigError: the cell is that of a chain, or the learner does not fit it.
         """
         lines = training_overrides(self.draft, self.learner)
-        compose_alone("train", lines.values())
+        compose("train", lines.values())
         return lines
 
     def _watch(self) -> None:
