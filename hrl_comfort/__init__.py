@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from os import PathLike, fspath
 from typing import TYPE_CHECKING
 
@@ -28,21 +27,15 @@ def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
       ConfigError: a choice is not allowed.
       TypeError: a key of `choices` is not one of the configuration, as for any unknown keyword.
     """
+    from hrl_comfort.config import TrainConfig
     from hrl_comfort.config.checks import UnknownKeyError
+    from hrl_comfort.config.compose import compose, environment
     from hrl_comfort.config.overrides import override
 
     try:
-        return _composed(tuple(override(key, value) for key, value in {"task": task, **choices}.items()))
+        config = compose("train", [override(key, value) for key, value in {"task": task, **choices}.items()])
     except UnknownKeyError as error:
         raise TypeError(f"{task} got an unexpected keyword argument {error.key!r}: {error}") from None
-
-
-@lru_cache(maxsize=64)  # a client makes many equal environments, and composing one takes longer than building it
-def _composed(overrides: tuple[str, ...]) -> EnvConfig:
-    from hrl_comfort.config import TrainConfig
-    from hrl_comfort.config.compose import compose, environment
-
-    config = compose("train", overrides)
     assert isinstance(config, TrainConfig)
     return environment(config)
 
