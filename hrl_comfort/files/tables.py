@@ -129,14 +129,15 @@ def conform(frame: DataFrame, name: str, where: object) -> DataFrame:
 
 def _typed(values: Series, kind: str, most: float) -> Series:
     """Return a column in the dtype of its kind, fractions within ±`most`; raise ValueError at the first bad cell."""
-    there = (values.notna() & (values.astype("str") != "")).to_numpy(dtype=bool)
+    numeric = pd.api.types.is_numeric_dtype(values.dtype)
+    there = (values.notna() if numeric else values.notna() & (values.astype("str") != "")).to_numpy(dtype=bool)
     if not kind.endswith("?"):
         _refuse(values, ~there, "is missing")
     kind_of = kind.rstrip("?")
     if kind_of == "text":
         return values.where(there).astype("str")
     number = values
-    if not pd.api.types.is_numeric_dtype(values.dtype):
+    if not numeric:
         number = pd.to_numeric(values.astype("str").str.strip().str.lower().replace(TRUTH), errors="coerce")
     found = number.to_numpy(dtype=float, na_value=np.nan)
     _refuse(values, there & np.isnan(found), "is not a number" if kind_of != "bool" else "is neither True nor False")

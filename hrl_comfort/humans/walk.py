@@ -73,8 +73,15 @@ class Walk:
     @classmethod
     def along(cls, walks: Sequence[Walk]) -> Walk:
         """Return K walks of n humans as one walk of n * K rows; the K rows of a human are adjacent."""
-        stacked = {f.name: np.stack([getattr(walk, f.name) for walk in walks], axis=1) for f in fields(cls)}
-        return cls(**{name: value.reshape(-1, *value.shape[2:]) for name, value in stacked.items()})
+        return cls(**{f.name: _alternating([getattr(walk, f.name) for walk in walks]) for f in fields(cls)})
+
+
+def _alternating(values: Sequence[Array]) -> Array:
+    """Return the rows of K arrays (n, ...) in one (n * K, ...), the K of a row together."""
+    first = values[0]
+    if all(value is first for value in values):  # five times as fast
+        return np.repeat(first, len(values), axis=0)
+    return np.stack(values, axis=1).reshape(-1, *first.shape[1:])
 
 
 @dataclass(frozen=True)

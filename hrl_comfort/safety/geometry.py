@@ -74,15 +74,15 @@ class ArmGeometry:
         """Return rotation (3, 3, J, N), a point on the axis and origin (3, J, N) m of the joints' links."""
         fixed, sine, cosine = self._steps
         steps = fixed + np.sin(angles.T) * sine + (1 - np.cos(angles.T)) * cosine  # (3, 3, J, N)
-        n, turns, anchors = len(angles), [], []
+        n, turns, anchors, origins = len(angles), [], [], []
         turn, origin = np.broadcast_to(np.eye(3)[..., None], (3, 3, n)), np.zeros((3, n))
         for joint in range(self.joints):
             anchors.append(origin + _turned(turn, self._offset[joint]))
             turn = _turned(turn[:, :, None], steps[:, :, joint])
             origin = anchors[joint] - _turned(turn, self._anchor[joint])
             turns.append(turn)
-        rotation, anchor = np.stack(turns, axis=2), np.stack(anchors, axis=1)
-        return rotation, anchor, anchor - _turned(rotation, self._anchor.T[..., None])
+            origins.append(origin)
+        return np.stack(turns, axis=2), np.stack(anchors, axis=1), np.stack(origins, axis=1)
 
     def points(self, angles: Array, velocity: Array) -> tuple[Array, Array]:
         """Return ends and middles of the capsules (N, 3 C, 3) m and their velocities (N, 3 C, 3) m/s.

@@ -77,6 +77,8 @@ def limb_poses(
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
     angle, cos_yaw, sin_yaw = swing_rad * np.sin(phase), np.cos(yaw), np.sin(yaw)
+    if directions is not None and np.isnan(directions).all():
+        directions = None
     if directions is not None:  # legs that are given do not walk
         angle = np.where(np.isnan(directions[..., 0, :1]), angle, 0.0)
     swung, half, cos_angle = angle / 2, yaw / 2, np.cos(angle)
@@ -95,7 +97,7 @@ def limb_poses(
     poses[..., _ELBOWS, 0] += cos_yaw * forward
     poses[..., _ELBOWS, 1] += sin_yaw * forward
     poses[..., _ELBOWS, 2] -= UPPER_ARM_M * cos_angle
-    if directions is not None and not np.isnan(directions).all():
+    if directions is not None:
         _direct(poses, yaw, directions)
     return poses
 

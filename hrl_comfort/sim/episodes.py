@@ -100,6 +100,8 @@ class Episodes:
         self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
         self._arm: humans.ArmSource | None = None
         """Arm as the human sees it while a decision lasts: the arm at its beginning."""
+        self._discs = humans.KeepOut(np.zeros((rows, 0, 2)), 0.0)
+        """Where the humans must not go while a decision lasts."""
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
@@ -193,6 +195,7 @@ class Episodes:
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
         self._arm = cache(partial(self._separation.arm.points, *seen))
+        self._discs = self.sampler.keep_out(self.draw.points)
         self._tracker.begin_decision()
         if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
@@ -294,9 +297,9 @@ class Episodes:
     def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
         """Return `walk` after the control step that begins at `times` (N,)."""
         assert self.state is not None
-        keep_out, tcp = self.sampler.keep_out(self.draw.points), self.state.tcp_pos.numpy()[:, :2]
+        tcp = self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
-        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, keep_out, self._arm)
+        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, self._discs, self._arm)
         standing = np.flatnonzero(self._disturbance.stands(times))
         return walk.put(standing, before.rows(standing)) if len(standing) else walk
 

@@ -1,5 +1,6 @@
 """Signals of the compiled model: control vectors, and sensor readings as fields of State."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,9 @@ def pack_controls(
     position, quaternion = control[..., joints:places], control[..., places:]
     props, limbs = len(scene.mocap) - len(LIMBS), limbs.reshape(n, steps, 1, len(LIMBS), 7)
     position[..., : 3 * len(LIMBS)] = limbs[..., :3].reshape(n, steps, 1, -1)
-    position[..., 3 * len(LIMBS) :] = np.tile((FAR_AWAY_M, 0.0, 0.0), props)
+    position[..., 3 * len(LIMBS) :] = _absent(props)[0]
     quaternion[..., : 4 * len(LIMBS)] = limbs[..., 3:].reshape(n, steps, 1, -1)
-    quaternion[..., 4 * len(LIMBS) :] = np.tile((1.0, 0.0, 0.0, 0.0), props)
+    quaternion[..., 4 * len(LIMBS) :] = _absent(props)[1]
     balls_at = position[..., 3 * len(LIMBS) :].reshape(*control.shape[:3], props, 3)
     if count := points.shape[1]:
         balls_at[..., 2 : 2 + count, :] = points[:, None, None]
@@ -54,6 +55,12 @@ def pack_controls(
             prop = ball_props(index)[colours[:, index]]
             balls_at[np.arange(n), :, :, prop] = balls[:, index, None, None]
     return control.reshape(n, -1, scene.ncontrol)
+
+
+@cache
+def _absent(props: int) -> tuple[Array, Array]:
+    """Return position (3 * props,) m and quaternion (4 * props,) of props that are not there."""
+    return np.tile((FAR_AWAY_M, 0.0, 0.0), props), np.tile((1.0, 0.0, 0.0, 0.0), props)
 
 
 class Sensors:
