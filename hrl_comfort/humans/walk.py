@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,7 @@ class Walk:
         return cls(**{f.name: _alternating([getattr(walk, f.name) for walk in walks]) for f in fields(cls)})
 
 
-def _alternating(values: Sequence[Array]) -> Array:
+def _alternating(values: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return the rows of K arrays (n, ...) in one (n * K, ...), the K of a row together."""
     first = values[0]
     if all(value is first for value in values):  # five times as fast

@@ -98,10 +98,8 @@ class Episodes:
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
         self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
-        self._arm: humans.ArmSource | None = None
-        """Arm as the human sees it while a decision lasts: the arm at its beginning."""
-        self._discs = humans.KeepOut(np.zeros((rows, 0, 2)), 0.0)
-        """Where the humans must not go while a decision lasts."""
+        self._around: tuple[humans.KeepOut, humans.ArmSource] | None = None
+        """Keep-out discs, and the arm as the human sees it, while a decision lasts: the arm at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
@@ -194,8 +192,7 @@ class Episodes:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
-        self._arm = cache(partial(self._separation.arm.points, *seen))
-        self._discs = self.sampler.keep_out(self.draw.points)
+        self._around = self.sampler.keep_out(self.draw.points), cache(partial(self._separation.arm.points, *seen))
         self._tracker.begin_decision()
         if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
@@ -296,10 +293,10 @@ class Episodes:
 
     def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
         """Return `walk` after the control step that begins at `times` (N,)."""
-        assert self.state is not None
+        assert self.state is not None and self._around is not None
         tcp = self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
-        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, self._discs, self._arm)
+        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, *self._around)
         standing = np.flatnonzero(self._disturbance.stands(times))
         return walk.put(standing, before.rows(standing)) if len(standing) else walk
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from omegaconf import OmegaConf
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, TrainConfig
-from hrl_comfort.config.compose import compose, save_config
-from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups, override
+from hrl_comfort.config.compose import compose, composed, save_config
+from hrl_comfort.config.overrides import ROOTS, check_overrides, choices, config_dir, groups, override
 
 OWN = {
     "export": ["policy=expert"],
@@ -79,6 +82,25 @@ def test_a_choice_does_not_repeat_a_line_of_the_shared_file():
 def test_overrides_win_over_the_experiment():
     config = trained("experiment=paper", "task=pick", "engine.num_envs=3")
     assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("root", "overrides"),
+    [
+        (
+            "train",
+            ["human=arc", "human.keep_out_m=0.4", "++reward.contact=-3", "reward.contact=-4", "agent.hidden=[16]"],
+        ),
+        ("train", ["human.speed_m_s=0.1", "human=mixture", "~human.mixture.approach", "+human.mixture.still={}"]),
+        ("train_hierarchy", ["agent.gamma=0.9", "division=one", "experiment=comfort_cycle", "hierarchy.episodes=3"]),
+        ("evaluate", ["task=sort", "++policies.pick=expert", "meta_controller=scripted", "meta_controller.retries=2"]),
+    ],
+)
+def test_values_that_are_set_in_a_copy_are_what_hydra_composes(root: str, overrides: list[str]) -> None:
+    known = check_overrides(root, overrides)
+    with initialize_config_dir(str(config_dir()), version_base="1.3"):
+        at_once = hydra_compose(root, known)
+    assert OmegaConf.to_container(composed(root, known)) == OmegaConf.to_container(at_once)
 
 
 def test_the_time_in_an_output_is_that_of_its_own_composition():
