@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import DISTURBANCES
 from hrl_comfort.config.checks import one_of
+from hrl_comfort.humans import Walk
 from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.tasks import State, Subtask
 
@@ -65,9 +66,12 @@ class Disturbance:
         """Continue from `state_dict`."""
         self._left = saved["left"].numpy().copy()
 
-    def stands(self, steps: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (N,) whether the person stands still at control steps (N,)."""
-        return (steps < BLOCK_STEPS) & (self.kind == "block")
+    def walked(self, before: Walk, after: Walk, steps: NDArray[np.int64]) -> Walk:
+        """Return the walk `after` the control steps (N,) where people walk, and that `before` them where they stand."""
+        if self.kind != "block":
+            return after
+        standing = np.flatnonzero(steps < BLOCK_STEPS)
+        return after.put(standing, before.rows(standing))
 
 
 def blocking_place(drop: Array, keep_out_m: float) -> Array:

@@ -296,9 +296,7 @@ class Episodes:
         assert self.state is not None and self._around is not None
         tcp = self.state.tcp_pos.numpy()[:, :2]
         noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
-        before, walk = walk, humans.advance(self.config.human, walk, noise, tcp, *self._around)
-        standing = np.flatnonzero(self._disturbance.stands(times))
-        return walk.put(standing, before.rows(standing)) if len(standing) else walk
+        return self._disturbance.walked(walk, humans.advance(self.config.human, walk, noise, tcp, *self._around), times)
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""
