@@ -67,7 +67,7 @@ class Disturbance:
         self._left = saved["left"].numpy().copy()
 
     def walked(self, before: Walk, after: Walk, steps: NDArray[np.int64]) -> Walk:
-        """Return the walk `after` the control steps (N,) where people walk, and that `before` them where they stand."""
+        """Return the walk after the control steps of index `steps` (N,): that `before` them where people stand."""
         if self.kind != "block":
             return after
         standing = np.flatnonzero(steps < BLOCK_STEPS)

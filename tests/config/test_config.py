@@ -92,6 +92,7 @@ def test_overrides_win_over_the_experiment():
             ["human=arc", "human.keep_out_m=0.4", "++reward.contact=-3", "reward.contact=-4", "agent.hidden=[16]"],
         ),
         ("train", ["human.speed_m_s=0.1", "human=mixture", "~human.mixture.approach", "+human.mixture.still={}"]),
+        ("train", ["hydra/launcher=basic", "hydra.run.dir=/x", "train_seed=3"]),
         ("train_hierarchy", ["agent.gamma=0.9", "division=one", "experiment=comfort_cycle", "hierarchy.episodes=3"]),
         ("evaluate", ["task=sort", "++policies.pick=expert", "meta_controller=scripted", "meta_controller.retries=2"]),
     ],
