@@ -71,7 +71,7 @@ class Disturbance:
         if self.kind != "block":
             return after
         standing = np.flatnonzero(steps < BLOCK_STEPS)
-        return after.put(standing, before.rows(standing))
+        return after.put(standing, before.rows(standing)) if len(standing) else after
 
 
 def blocking_place(drop: Array, keep_out_m: float) -> Array:
