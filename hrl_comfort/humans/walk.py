@@ -80,7 +80,7 @@ class Walk:
 def _alternating(values: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return the rows of K arrays (n, ...) in one (n * K, ...), the K of a row together."""
     first = values[0]
-    if all(value is first for value in values):  # five times as fast
+    if all(value is first for value in values):  # as the spawn and the traits are, over a decision
         return np.repeat(first, len(values), axis=0)
     return np.stack(values, axis=1).reshape(-1, *first.shape[1:])
 

@@ -52,8 +52,10 @@ class Tracker:
 
     def follow(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
         """See people at `place` (N * K, 2) m, `limbs` (N * K, L, 7) by the control steps `steps` (N, K)."""
+        if not self.active:
+            return
         n, count = steps.shape
-        for k in range(count if self.active else 0):
+        for k in range(count):
             self.see(steps[:, k], frames, place.reshape(n, count, 2)[:, k], limbs.reshape(n, count, -1, 7)[:, k])
 
     def see(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
