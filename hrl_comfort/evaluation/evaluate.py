@@ -18,10 +18,10 @@ from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.episode import COLUMNS
-from hrl_comfort.evaluation.rollout import MARKS, Result, rollout
+from hrl_comfort.evaluation.rollout import Result, rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
-from hrl_comfort.files.output import output_file, output_folder
+from hrl_comfort.files.output import EVALUATION_MARKS, output_file, output_folder
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.policies.load import Source
 
@@ -40,7 +40,7 @@ def evaluate(config: EvaluateConfig) -> Path:
         if name not in COLUMNS:
             raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
     output = Path(config.output)
-    with output_folder(output, EvaluateConfig, *MARKS):
+    with output_folder(output, EvaluateConfig, *EVALUATION_MARKS):
         if (output / "summary.json").is_file() and config.checkpoints == "none":
             warnings.warn(f"{output} holds an earlier evaluation, which this one replaces at its end", stacklevel=2)
         if config.checkpoints == "all":

@@ -20,10 +20,10 @@ from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.evaluation.rollout import MARKS, rollout, split
+from hrl_comfort.evaluation.rollout import rollout, split
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
-from hrl_comfort.files.output import output_folder
+from hrl_comfort.files.output import EVALUATION_MARKS, output_folder
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy
@@ -60,7 +60,7 @@ def handover(config: EvaluateConfig) -> Path:
     if config.disturbance != "none":
         raise ConfigError(f"disturbance={config.disturbance} does not go with handover")
     output = Path(config.output)
-    with output_folder(output, EvaluateConfig, *MARKS):
+    with output_folder(output, EvaluateConfig, *EVALUATION_MARKS):
         _write_tables(config, output)
     return output
 

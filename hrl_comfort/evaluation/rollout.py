@@ -40,8 +40,6 @@ COURSE = (
     "joint_target", "arm_distance", "level", "stage", "touching", "unsafe_contact", "table_collision", "self_collision",
 )  # fmt: skip
 """Fields of `State` that are kept of every instant, those of `Course` among them."""
-MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
-"""Configurations by which the folder of an evaluation is known."""
 
 
 @dataclass

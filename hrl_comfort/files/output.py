@@ -16,6 +16,8 @@ from hrl_comfort.files.sweep_record import FILE, read_job
 
 SIGNATURE = b"hrl-comfort"
 """In the first kilobyte of every page and picture that this program writes."""
+EVALUATION_MARKS = ("config.yaml", "checkpoints/config.yaml", "handover.yaml")
+"""Configurations by which the folder of an evaluation is known."""
 INSIST = "choose another output, or add --overwrite"
 
 

@@ -1,4 +1,7 @@
-"""One job of a sweep: it runs, records its outcome and leaves the other jobs alone."""
+"""One job of a sweep: it runs, records its outcome and leaves the other jobs alone.
+
+joblib's workers run jobs in processes of their own, and import neither torch nor pandas before they need them.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,19 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from hrl_comfort.analysis.learning_curve import curve_of, training_end
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override, root_of
-from hrl_comfort.evaluation.rollout import MARKS
 from hrl_comfort.files.atomic import overwrites
-from hrl_comfort.files.output import INSIST, is_own
-from hrl_comfort.files.run_folder import read_run
+from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.sweep_record import Job
-from hrl_comfort.hierarchy.q_learning import choice_file
-from hrl_comfort.policies.actor import policy_file
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
+from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.resume import HIERARCHY, Left, left
 
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
@@ -96,8 +93,9 @@ def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
       ConfigError: it is damaged.
     """
     folder, evaluates = Path(config.output), isinstance(config, EvaluateConfig)
-    known: tuple[Any, ...] = (EvaluateConfig, *MARKS) if evaluates else (TrainingConfig, "config.yaml", HIERARCHY)
-    if not (overwrites() or is_own(folder, *known)):
+    marks = EVALUATION_MARKS if evaluates else ("config.yaml", HIERARCHY)
+    known = EvaluateConfig if evaluates else TrainingConfig
+    if not (overwrites() or is_own(folder, known, *marks)):
         raise OtherRunError(f"output={folder} holds other files than those of this command; {INSIST}")
     file = folder / (HIERARCHY if isinstance(config, HierarchyTrainConfig) else "config.yaml")
     if not file.is_file():
@@ -114,6 +112,9 @@ def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
 def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
     if not summary.is_file():
         return False
+    from hrl_comfort.hierarchy.q_learning import choice_file  # seconds, for torch
+    from hrl_comfort.policies.actor import policy_file
+
     named = {"policy": config.policy, **config.policies}
     paths = {name: Path(path) for name, path in named.items() if path is not None and Path(path).exists()}
     files = [choice_file(path) if name == "meta_controller" else policy_file(path) for name, path in paths.items()]
@@ -122,6 +123,9 @@ def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
 
 def _score(folder: Path) -> float:
     """Return the score of a finished training or evaluation."""
+    from hrl_comfort.analysis.learning_curve import curve_of, training_end  # half a second, for pandas
+    from hrl_comfort.files.run_folder import read_run
+
     found = read_run(folder)
     if found.metrics is not None:
         return training_end(found.metrics).get(curve_of(found.metrics).score, math.nan)

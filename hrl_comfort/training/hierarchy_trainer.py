@@ -21,8 +21,9 @@ from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
+from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.resume import HIERARCHY, Left, claim, left
+from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import train
 
 EPISODE_LENGTH = {"cycle": 3}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -17,10 +16,9 @@ from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConf
 from hrl_comfort.config.compose import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
+from hrl_comfort.training.left import HIERARCHY, Left, left
 
 C = TypeVar("C", bound=TrainingConfig)
-HIERARCHY = "hierarchy.yaml"
-"""Configuration of a hierarchy, in its folder."""
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
     TrainConfig: ("a subtask", "train"),
     MetaControllerTrainConfig: ("a controller", "train meta_controller"),
@@ -28,14 +26,6 @@ WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
 """Object of a training, and its command, by the class of its configuration."""
 MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError)
 """Errors of torch, TorchRL and this program when a state does not fit."""
-
-
-class Left(Enum):
-    """The work left in a folder; values are the outcomes that a sweep reports."""
-
-    ALL = "done"
-    REST = "resumed"
-    NOTHING = "skipped, finished"
 
 
 class Resumable(Protocol):
@@ -46,14 +36,6 @@ class Resumable(Protocol):
 
     def run(self) -> None:
         """Train to the end."""
-
-
-def left(folder: Path) -> Left:
-    """Return the work left in the folder of a training or a hierarchy; raise ConfigError if it is damaged."""
-    if is_finished(folder):
-        return Left.NOTHING
-    begun = (folder / HIERARCHY).is_file() or checkpoint.resumable(folder / "checkpoints")
-    return Left.REST if begun else Left.ALL
 
 
 def train_in_folder(config: C, begin: Callable[[C, Path, bool], Resumable]) -> Path:

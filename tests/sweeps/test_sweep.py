@@ -171,6 +171,12 @@ def test_a_sweep_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None
     assert len(below) >= 5 and not [pid for pid in below if alive(pid)]
 
 
+def test_a_worker_imports_neither_torch_nor_pandas() -> None:
+    code = "import sys, hrl_comfort.sweeps.launcher; print(*sorted({'torch', 'pandas', 'mujoco'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
 @pytest.mark.parametrize(
     ("choice", "extra"),
     [

@@ -19,8 +19,8 @@ from hrl_comfort.sweeps.job import OtherRunError, rest_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
+from hrl_comfort.training.left import Left
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.resume import Left
 from hrl_comfort.training.trainer import Training
 from tests.stopping import stopping
 
