@@ -75,36 +75,44 @@ class Clusters:
         there = np.isfinite(columns).all(axis=0)
         several = self.seed.max(initial=0) > 0
         groups = self.seed if several else self.spawn
-        parts = [DataFrame(each).groupby(groups).sum().to_numpy() for each in (*np.where(there, columns, 0), there)]
+        sums = [DataFrame(each).groupby(groups).sum().to_numpy() for each in (*np.where(there, columns, 0), there)]
+        parts = [each.T for each in sums]  # (T, clusters)
 
-        def whole(*parts: Floats, axis: int = 0) -> Any:
-            *totals, count = (part.sum(axis=axis) for part in parts)
+        def whole(*parts: Floats, axis: int = -1) -> Any:
+            # In a copy the numbers of one t lie together, so that their sum is the same with other t beside it.
+            *totals, count = (np.ascontiguousarray(part).sum(axis=axis) for part in parts)
             return statistic(*(total / count for total in totals))
 
         with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # all spawn points agree: no interval
             if several:  # each seed's own number, NaN where it has no value
-                each = DataFrame(statistic(*(total / parts[-1] for total in parts[:-1])))
+                each = DataFrame(statistic(*(total / parts[-1] for total in parts[:-1])).T)
                 mean = each.mean().to_numpy()
                 half = each.sem().to_numpy() * scipy.stats.t.ppf(0.975, each.count() - 1)
                 return mean, mean - half, mean + half
             mean = np.asarray(whole(*parts))
-            if len(parts[0]) < 2:
+            if parts[0].shape[1] < 2:
                 return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
             options: dict[str, Any] = {"n_resamples": RESAMPLES, "batch": 200, "rng": np.random.default_rng(0)}
-            found = scipy.stats.bootstrap(parts, whole, paired=True, method="percentile", **options).confidence_interval
+            options |= {"axis": -1, "paired": True, "method": "percentile"}
+            found = scipy.stats.bootstrap(parts, whole, **options).confidence_interval
         return mean, found.low, found.high
 
     def estimate(self, *columns: Floats, statistic: Statistic = itself, bounds: Bounds = UNBOUNDED) -> Estimate | None:
         """Return a statistic of the means of columns (n,) and its interval; None where it has no value."""
         mean, low, high = (each[0] for each in self.bands(*(c[:, None] for c in columns), statistic=statistic))
-        if not np.isfinite(mean):
-            return None
-        told = np.isfinite(low) and np.isfinite(high) and not math.isclose(low, high, rel_tol=1e-9, abs_tol=1e-12)
-        return {"mean": float(mean), "ci95": np.clip((low, high), *bounds).tolist() if told else None}
+        return _estimate(mean, low, high, bounds)
 
     def estimates(self, values: DataFrame, bounds: Mapping[str, Bounds] | None = None) -> dict[str, Estimate]:
         """Return the mean of each column of `values` (n) that has one, with its interval within its bounds, if any."""
         limits = {**dict.fromkeys(values, UNBOUNDED), **(bounds or {})}
-        found = {name: self.estimate(column(values, name), bounds=limits[name]) for name in values}
+        bands = zip(*self.bands(np.stack([column(values, name) for name in values], axis=1)), strict=True)
+        found = {name: _estimate(*band, limits[name]) for name, band in zip(values, bands, strict=True)}
         return {name: estimate for name, estimate in found.items() if estimate is not None}
+
+
+def _estimate(mean: float, low: float, high: float, bounds: Bounds) -> Estimate | None:
+    if not np.isfinite(mean):
+        return None
+    told = np.isfinite(low) and np.isfinite(high) and not math.isclose(low, high, rel_tol=1e-9, abs_tol=1e-12)
+    return {"mean": float(mean), "ci95": np.clip((low, high), *bounds).tolist() if told else None}

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import SHARE, UNBOUNDED, Clusters
+from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.tables import Floats, column
 
@@ -68,23 +68,21 @@ def _label(cell: Any) -> str | float | int | bool | None:
 def _metrics(measured: DataFrame, episodes: DataFrame, limits: pd.Series) -> dict[str, Any]:
     """Return the metrics of one group of episodes; a metric without a value is absent."""
     clusters, won = Clusters.of(episodes), column(episodes, "success") > 0
-    found = {}
-
-    def add(name: str, values: Floats, bounds: tuple[float, float] = UNBOUNDED) -> None:
-        if (estimate := clusters.estimate(values, bounds=bounds)) is not None:
-            found[name] = estimate
-
+    metrics: dict[str, Floats] = {}
+    shares = []
     for name in measured.select_dtypes(["number", "bool", "boolean"]):
         values = column(measured, name)
         if name not in ("steps", "policy_steps") and "distance" not in name:
-            add(name, values, SHARE if measured[name].dtype in ("bool", "boolean") else UNBOUNDED)
+            metrics[name] = values
+            shares += [name] if measured[name].dtype in ("bool", "boolean") else []
             continue
-        add(name, np.where(won, values, np.nan))
+        metrics[name] = np.where(won, values, np.nan)
         if name == "steps":
-            add("steps_all", np.where(won, values, limits))
+            metrics["steps_all"] = np.where(won, values, limits)
         elif name != "policy_steps":
-            add(f"{name}_all", values)
+            metrics[f"{name}_all"] = values
     if "other_collision" in measured:
         for name, kinds in COLLISIONS.items():
-            add(name, measured["other_collision"].isin(kinds).to_numpy(dtype=float), SHARE)
-    return found
+            metrics[name] = measured["other_collision"].isin(kinds).to_numpy(dtype=float)
+            shares.append(name)
+    return {**clusters.estimates(DataFrame(metrics), dict.fromkeys(shares, SHARE))}

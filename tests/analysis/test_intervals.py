@@ -141,6 +141,18 @@ def test_a_ratio_has_the_interval_of_the_ratio_and_rows_that_lack_a_value_do_not
     assert found["ci95"] == pytest.approx([0.5, 0.5], abs=1e-3), "what spawn points do to both cancels"
 
 
+@pytest.mark.parametrize("seeds", [1, 12])
+def test_many_columns_have_the_means_and_intervals_of_each_alone(seeds):
+    rng = np.random.default_rng(0)
+    values = DataFrame(rng.normal(size=(360, 5))).rename(columns=str)
+    values.iloc[::7, 1], values["3"] = np.nan, np.nan
+    clusters = Clusters(np.arange(360) % seeds, np.arange(360) % 19)
+    found = clusters.estimates(values, {"0": SHARE})
+    bounds = {"0": {"bounds": SHARE}}
+    alone = {name: clusters.estimate(values[name].to_numpy(), **bounds.get(name, {})) for name in values}
+    assert found == {name: estimate for name, estimate in alone.items() if estimate is not None} and len(found) == 4
+
+
 def test_where_all_agree_or_there_is_one_cluster_no_interval_is_given():
     values = np.array([1.0, np.nan, 3.0])
     assert clusters(np.zeros(3, int), np.zeros(3, int)).estimate(values) == {"mean": 2.0, "ci95": None}
