@@ -10,7 +10,6 @@ from pathlib import Path
 
 from hydra import version
 from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -19,8 +18,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import run_folder
-from hrl_comfort.config.overrides import config_dir, one_line, override, root_of
+from hrl_comfort.config.overrides import one_line, override, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
+from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.output import INSIST
 from hrl_comfort.files.sweep_record import find_jobs, planned
@@ -49,7 +49,7 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
         rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
     rest += _plugin_overrides(rest)
     version.setbase("1.3")
-    hydra_app = Hydra.create_main_hydra2("hrl-comfort", create_config_search_path(str(config_dir())))
+    hydra_app = Hydra.create_main_hydra2("hrl-comfort", search_path())
     command, batches, crash = uuid.uuid4().hex, None, ""
     task = partial(job, verb, run, command)
     root = root_of(verb)
