@@ -142,7 +142,7 @@ def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
     """
     text = yaml_text(path)
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, yaml.CSafeLoader)  # libyaml's limit of the depth keeps it off the end of the stack
     except (ValueError, OverflowError, RecursionError, yaml.YAMLError) as error:
         raise damaged(path, error) from None
     if not isinstance(content, dict):
