@@ -82,7 +82,8 @@ def _alternating(values: Sequence[NDArray[Any]]) -> NDArray[Any]:
     first = values[0]
     if all(value is first for value in values):  # as the spawn and the traits are, over a decision
         return np.repeat(first, len(values), axis=0)
-    return np.stack(values, axis=1).reshape(-1, *first.shape[1:])
+    joined = np.concatenate(values).reshape(len(values), *first.shape)
+    return joined.swapaxes(0, 1).reshape(-1, *first.shape[1:])
 
 
 @dataclass(frozen=True)

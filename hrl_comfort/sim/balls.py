@@ -62,9 +62,10 @@ def go_on(state: State, before: State, failed: Tensor, colours: Tensor, task: Su
 
 def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:
     """Return the positions of the balls (N, B, 3), m: on their table, on the gripper or at a drop point."""
-    own = task.in_round(state.stage).numpy()
-    where = np.array([task.ball(stage) for stage in range(len(task.stages) + 1)])[own, None]
+    held, dropped = (task.ball_at(place, state.stage).numpy()[:, None] for place in (Ball.TOOL, Ball.DROP))
     target = state.target.numpy()[:, None] == np.arange(state.balls.shape[1])
-    dropped = state.placed.numpy() | (target & (where == Ball.DROP))
-    balls = np.where(dropped[..., None], state.drops.numpy(), state.balls.numpy())
-    return np.where((target & (where == Ball.TOOL))[..., None], state.tcp_pos.numpy()[:, None], balls)
+    dropped = state.placed.numpy() | (target & dropped)
+    balls = state.balls.numpy()
+    if dropped.any():
+        balls = np.where(dropped[..., None], state.drops.numpy(), balls)
+    return np.where((target & held)[..., None], state.tcp_pos.numpy()[:, None], balls)

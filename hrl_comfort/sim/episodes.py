@@ -98,8 +98,8 @@ class Episodes:
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}
         self.walks = self.walk  # (N * K,), after each of the K control steps that the decision may take
-        self._around: tuple[humans.KeepOut, humans.ArmSource] | None = None
-        """Keep-out discs, and the arm as the human sees it, while a decision lasts: the arm at its beginning."""
+        self._around: tuple[Array, humans.KeepOut, humans.ArmSource] | None = None
+        """Tool (N, 2) m, keep-out discs and arm as the human sees them while a decision lasts: as at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
         """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
@@ -192,7 +192,9 @@ class Episodes:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
-        self._around = self.sampler.keep_out(self.draw.points), cache(partial(self._separation.arm.points, *seen))
+        arm = cache(partial(self._separation.arm.points, *seen))
+        self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
+        noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
         self._tracker.begin_decision()
         if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
@@ -202,21 +204,21 @@ class Episodes:
             velocity = np.repeat(increment / CONTROL_STEP_S, steps, axis=0)
             ends = targets[:, substeps - 1 :: substeps].reshape(-1, joint_target.shape[1])
             points = SetPoints.unshielded(ends, velocity, times.reshape(-1) + 1)
-            self.walks = humans.Walk.along(list(self._walking(times, ends.reshape(self.rows, steps, -1))))
+            self.walks = humans.Walk.along(list(self._walking(times, noise, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self.walks)
             self._tracker.follow(times + 1, self.draw.frames, self.walks.position, limbs)
         else:
-            points, limbs = self._driven(increment / CONTROL_STEP_S, times)
+            points, limbs = self._driven(increment / CONTROL_STEP_S, times, noise)
             targets = points.ramp(joint_target, substeps)
         places = self._tracker.seen(self.walks.position)
         self._planned = self._plan(self.walks, places, limbs, points, times.reshape(-1) + 1)
         balls = rendered_positions(self.state, self.subtask)
         return self._controls(self._servos.follow(targets), self._planned["limbs"], balls)
 
-    def _driven(self, asked: Array, times: NDArray[np.int64]) -> tuple[SetPoints, Array]:
+    def _driven(self, asked: Array, times: NDArray[np.int64], noise: Array) -> tuple[SetPoints, Array]:
         """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
 
-        `asked` (N, J) rad/s, `times` (N, K).
+        `asked` (N, J) rad/s, `times` (N, K), `noise` (N, K, NOISE).
         """
         assert self.drive is not None and self.state is not None
         names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
@@ -226,7 +228,7 @@ class Episodes:
         self.drive.begin_decision()
         for k in range(times.shape[1]):
             points.append(self.drive.step(points[-1], asked, now, self._tracker.shown))
-            walk = self._walk_on(walks[-1], times[:, k])
+            walk = self._walk_on(walks[-1], times[:, k], noise[:, k])
             walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
             walks.append(walk)
             limbs.append(poses)
@@ -247,7 +249,9 @@ class Episodes:
         moving = self._sensors.read_decision(readings, self._planned, self.state, rows)
         limit = self.max_episode_steps(self.state.level)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
-        state = result.state.with_(level=self._next_level(result))
+        state = result.state
+        if self.config.comfort.source != "none":
+            state = state.with_(level=self._next_level(result))
         state = self._disturbance.applied(update_placed(state, self.state.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
@@ -282,21 +286,19 @@ class Episodes:
         assert self.state is not None
         self.state = target_ball(self.state, rows, ball, self.subtask)
 
-    def _walking(self, times: NDArray[np.int64], angles: Array) -> Iterator[humans.Walk]:
-        """Yield the K walks over the control steps that begin at `times` (N, K) and take the arms to (N, K, J) rad."""
+    def _walking(self, times: NDArray[np.int64], noise: Array, angles: Array) -> Iterator[humans.Walk]:
+        """Yield the K walks over control steps that begin at `times` (N, K) and take arms to `angles` (N, K, J) rad."""
         walk = self.walk
         for k in range(times.shape[1]):
-            before, walk = walk, self._walk_on(walk, times[:, k])
+            before, walk = walk, self._walk_on(walk, times[:, k], noise[:, k])
             if self._people_stop:
                 walk, *_ = stop_at_contact(self.scene, self._separation, angles[:, k], before, walk)
             yield walk
 
-    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64]) -> humans.Walk:
-        """Return `walk` after the control step that begins at `times` (N,)."""
-        assert self.state is not None and self._around is not None
-        tcp = self.state.tcp_pos.numpy()[:, :2]
-        noise = self.draw.noise[np.arange(self.rows), np.minimum(times, self.sampler.horizon - 1)]
-        return self._disturbance.walked(walk, humans.advance(self.config.human, walk, noise, tcp, *self._around), times)
+    def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], noise: Array) -> humans.Walk:
+        """Return `walk` after the control step that begins at `times` (N,); noise (N, NOISE)."""
+        assert self._around is not None
+        return self._disturbance.walked(walk, humans.advance(self.config.human, walk, noise, *self._around), times)
 
     def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""
@@ -313,8 +315,6 @@ class Episodes:
     def _next_level(self, result: StepResult) -> Tensor:
         """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
         assert self.state is not None
-        if self.config.comfort.source == "none":
-            return self.state.level
         return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
     def _plan(

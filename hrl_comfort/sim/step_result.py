@@ -89,10 +89,7 @@ def compute_step(
     count = len(moving["tcp_pos"]) // n
     row, preceding, first = _order(n, count)
     constant = {name: value.index_select(0, row) for name, value in vars(before).items() if name not in moving}
-    earlier = {
-        name: torch.cat([value, getattr(before, name)]).index_select(0, preceding) for name, value in moving.items()
-    }
-    previous, after = State(**constant, **earlier), State(**constant, **moving)
+    previous, after = _Earlier(constant, moving, before, preceding), State(**constant, **moving)
     after = after.with_(stage=subtask.next_stage(after))
 
     failing = subtask.failed(previous, after)
@@ -120,6 +117,23 @@ def compute_step(
         valid=valid,
         instants=after,
     )
+
+
+class _Earlier(State):
+    """The instant before each of a decision's. Terms read few fields: what moved is put together when it is read."""
+
+    def __init__(self, constant: dict[str, Tensor], moving: dict[str, Tensor], before: State, order: Tensor) -> None:
+        vars(self).update(constant, _parts=(moving, before, order))
+
+    def __getattr__(self, name: str) -> Tensor:
+        moving, before, order = vars(self)["_parts"]
+        if name not in moving:
+            raise AttributeError(name)
+        vars(self)[name] = torch.cat([moving[name], getattr(before, name)]).index_select(0, order)
+        return vars(self)[name]
+
+    def fields(self) -> dict[str, Tensor]:
+        return {name: getattr(self, name) for name in State.__dataclass_fields__}
 
 
 def source_input(before: State, result: StepResult) -> SourceInput:

@@ -98,16 +98,20 @@ class State:
         pink = (self.colours == 1)[..., None]
         return torch.where(pink, self.pink_drop[:, None], self.orange_drop[:, None])
 
+    def fields(self) -> dict[str, Tensor]:
+        """Return the fields by their names."""
+        return vars(self)
+
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
-        return State(**{name: value.index_select(0, index) for name, value in vars(self).items()})
+        return State(**{name: value.index_select(0, index) for name, value in self.fields().items()})
 
     def with_(self, **changes: Tensor) -> State:
         """Return a copy with the given fields replaced."""
-        return State(**(vars(self) | changes))
+        return State(**(self.fields() | changes))
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
-        theirs = vars(other)
-        return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in vars(self).items()})
+        theirs = other.fields()
+        return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in self.fields().items()})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -141,6 +142,15 @@ class Subtask:
         """Return the location of the ball in a stage, or after the last one."""
         stage = stage % len(self.stages) if self.repeats else stage
         return self.stages[stage].ball if stage < len(self.stages) else self.stages[-1].ball_after
+
+    def ball_at(self, place: Ball, stage: Tensor) -> Tensor:
+        """Return (N,) bool: the ball of the stage (N,), or after the last one, is at `place`."""
+        return self._places[place][self.in_round(stage)]
+
+    @cached_property
+    def _places(self) -> dict[Ball, Tensor]:
+        balls = [self.ball(stage) for stage in range(len(self.stages) + 1)]
+        return {place: torch.tensor([ball == place for ball in balls]) for place in Ball}
 
     def grasping(self, stage: Tensor) -> Tensor:
         """Return (N,) bool: a ball is to be picked in the stage (N,)."""
