@@ -5,6 +5,8 @@ STAMP := .venv/.installed
 
 # One thread a process: more of them on a busy machine are slower, not faster.
 export OMP_NUM_THREADS := 1
+# Bytecode is kept: the tests start many processes.
+unexport PYTHONDONTWRITEBYTECODE
 
 WEB := hrl_comfort/studio/web
 PAGE := $(WEB)/dist/page.js
