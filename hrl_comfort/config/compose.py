@@ -15,7 +15,6 @@ from typing import Any
 
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from hydra.types import RunMode
@@ -35,6 +34,7 @@ from hrl_comfort.config.overrides import (
     config_dir,
     one_line,
     override,
+    parse,
 )
 from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze
@@ -85,7 +85,7 @@ def composed(root: str, known: Iterable[str]) -> DictConfig:
     Hydra does it; with a value that is added (`+`) or deleted (`~`) Hydra composes all of them.
     """
     with _ALONE:
-        parsed = OverridesParser.create().parse_overrides(list(known))
+        parsed = [parse(line) for line in known]
         values = [each for each in parsed if not _is_choice(each)]
         if any(each.is_add() or each.is_delete() for each in values):
             values = []
@@ -179,7 +179,7 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
 
     For a group chosen in `overrides`, keys that any file of the group sets are left out.
     """
-    parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(overrides)}
+    parsed = {o.key_or_group: o.value() for o in map(parse, overrides)}
     given = {key: value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")}
     # The environment of a learned controller comes before those of its skills.
     sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta_controller")]

@@ -70,7 +70,11 @@ def dataset(config: EvaluateConfig) -> Path:
                 "environment": json.dumps(asdict(environment(config))),
             }
         )
+        # Minari would measure the whole folder after every episode: a time that grows as the square of their number.
+        vars(storage)["get_size"] = float
         storage.update_episodes(episodes)
+        del vars(storage)["get_size"]
+        storage.update_metadata({"dataset_size": storage.get_size()})
         save_config(config, output / "config.yaml")
     steps = sum(len(episode) for episode in episodes)
     Console().print(f"{folder.parent}: {len(episodes)} episodes, {steps:,} decisions", soft_wrap=True)

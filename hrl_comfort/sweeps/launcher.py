@@ -11,14 +11,13 @@ from pathlib import Path
 from hydra import version
 from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import run_folder
-from hrl_comfort.config.overrides import one_line, override, root_of
+from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
 from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
@@ -132,7 +131,7 @@ def _worker_overrides() -> list[str]:
 
 def _of_runs(overrides: list[str]) -> bool:
     """Return whether `policy` alone is swept, over one policy each of several run folders."""
-    swept = [each for each in OverridesParser.create().parse_overrides(overrides) if each.is_sweep_override()]
+    swept = [each for each in map(parse, overrides) if each.is_sweep_override()]
     if [each.key_or_group for each in swept] != ["policy"]:
         return False
     folders = [run_folder(str(each).strip("'\"")) for each in swept[0].sweep_string_iterator()]

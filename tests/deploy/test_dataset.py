@@ -31,6 +31,7 @@ def test_minari_loads_the_data_set_by_its_name(pick, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(pick))
     loaded = minari.load_dataset("hrl_comfort/pick-v0")
     assert loaded.total_episodes == 600
+    assert loaded.storage.metadata["dataset_size"] == loaded.storage.get_size() > 1  # MB
     assert json.loads(loaded.storage.metadata["environment"])["task"]["name"] == "pick"
     episode = next(loaded.iterate_episodes())
     assert episode.observations.shape == (len(episode) + 1, *loaded.observation_space.shape)
