@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import RESAMPLES, SHARE, UNBOUNDED, Clusters
+from hrl_comfort.analysis.intervals import RESAMPLES, SHARE, Clusters
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import Floats, column
@@ -27,6 +27,7 @@ DISTANCE, STEPS, SPEED = "human_distance_mean_m", "steps", "joint_increment_mean
 MEASURED = (DISTANCE, STEPS, "human_distance_by_path_m", "tool_path_m", "waiting_share", SPEED)
 RATES = ("success", "unsafe_contact", "contact", "other_collision")
 """Shares of all episodes: success; an unsafe contact with the person; any contact; a collision with cell or robot."""
+BOUNDS = dict.fromkeys((*RATES, "waiting_share"), SHARE)
 OVER = ("pairs", "all")
 SAME = ["task", "precision_m"]
 """Columns that everything compared must agree in."""
@@ -185,12 +186,11 @@ def of_spawns(data: Paired) -> dict[str, Any]:
     """Return means at each level and changes of some entries; a measure without a value is absent."""
     levels: list[dict[str, Any]] = [{"level": level} for level in data.levels]
     for part, names in {"pairs": MEASURED, "all": MEASURED, "rates": RATES}.items():
-        for name in names:
-            bounds = SHARE if name in (*RATES, "waiting_share") else UNBOUNDED
-            for at, values in zip(levels, data.over(name, "pairs" if part == "pairs" else "all").T, strict=True):
-                estimate = data.clusters.estimate(values, bounds=bounds)
-                told = {} if estimate is None else {name: {**estimate, "episodes": int(np.isfinite(values).sum())}}
-                at[part] = at.get(part, {}) | told
+        columns = {name: data.over(name, "pairs" if part == "pairs" else "all").T for name in names}
+        for number, at in enumerate(levels):
+            values = DataFrame({name: each[number] for name, each in columns.items()})
+            estimates, episodes = data.clusters.estimates(values, BOUNDS), np.isfinite(values).sum()
+            at[part] = {name: {**each, "episodes": int(episodes[name])} for name, each in estimates.items()}
     steps = [compare(data, start, end) for start, end in pairwise(data.levels)]
     return {
         "entries": len(data.entries),

@@ -105,6 +105,8 @@ class Clusters:
 
     def estimates(self, values: DataFrame, bounds: Mapping[str, Bounds] | None = None) -> dict[str, Estimate]:
         """Return the mean of each column of `values` (n) that has one, with its interval within its bounds, if any."""
+        if not len(values.columns):
+            return {}
         limits = {**dict.fromkeys(values, UNBOUNDED), **(bounds or {})}
         bands = zip(*self.bands(np.stack([column(values, name) for name in values], axis=1)), strict=True)
         found = {name: _estimate(*band, limits[name]) for name, band in zip(values, bands, strict=True)}

@@ -13,7 +13,7 @@ from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.commands import TrainConfig
 from hrl_comfort.config.learning import StageConfig
 from hrl_comfort.config.overrides import check_overrides, one_line, override
-from hrl_comfort.config.structured import freeze
+from hrl_comfort.config.structured import freeze, section
 
 T = TypeVar("T", bound=TrainConfig)
 SETTABLE = (
@@ -86,13 +86,13 @@ def flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any
 
 def with_budget(config: T, policy_steps: int) -> T:
     """Return `config` with another budget, which its stages share as before; a hierarchy's refinement grows with it."""
-    node = OmegaConf.create(dataclasses.asdict(config))
+    values = dataclasses.asdict(config)
     steps = [stage.policy_steps for stage in config.curriculum.stages]
     begin = 0
-    for index, stage in enumerate(node.curriculum.stages):
+    for index, stage in enumerate(values["curriculum"]["stages"]):
         end = round(policy_steps * sum(steps[: index + 1]) / sum(steps))
-        stage.policy_steps, begin = end - begin, end
-    for stage in node.hierarchy.refinement if steps and "hierarchy" in node else ():
-        stage.policy_steps = max(1, round(policy_steps / sum(steps) * stage.policy_steps))
-    node.agent.policy_steps = policy_steps
-    return freeze(type(config), node)
+        stage["policy_steps"], begin = end - begin, end
+    for stage in values["hierarchy"]["refinement"] if steps and "hierarchy" in values else ():
+        stage["policy_steps"] = max(1, round(policy_steps / sum(steps) * stage["policy_steps"]))
+    values["agent"]["policy_steps"] = policy_steps
+    return section(type(config), values)

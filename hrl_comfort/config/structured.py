@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
+from omegaconf.errors import MissingMandatoryValue
 from pydantic import TypeAdapter, ValidationError
 
 from hrl_comfort.config.checks import ConfigError, first_error
@@ -19,10 +20,10 @@ EXACT = 2.0**53
 
 def freeze(cls: type[T], node: Any) -> T:
     """Return the dataclass `cls` for `node`; raise ConfigError if a value is missing or not allowed."""
-    missing = sorted(OmegaConf.missing_keys(node))
-    if missing:
-        raise ConfigError(f"{missing[0]} must be set")
-    return section(cls, OmegaConf.to_container(node, resolve=True))
+    try:
+        return section(cls, OmegaConf.to_container(node, resolve=True, throw_on_missing=True))
+    except MissingMandatoryValue:
+        raise ConfigError(f"{min(OmegaConf.missing_keys(node))} must be set") from None
 
 
 def section(cls: type[T], values: Any) -> T:
