@@ -14,7 +14,7 @@ from hrl_comfort.scene.ur import UR_ARMS
 
 
 class Robot(Protocol):
-    """A serial arm of J hinges on a fixed base."""
+    """A serial arm of J hinges on a fixed base, hashable."""
 
     @property
     def name(self) -> str:
@@ -49,9 +49,15 @@ def robot_named(name: str) -> Robot:
     """Return the robot `name`: one of ROBOTS, an entry point or `package.module:name`.
 
     Raises:
-      ConfigError: there is none.
+      ConfigError: there is none, or it is no hashable Robot.
     """
     found = part("robot.name", name, ROBOTS)
     if not (hasattr(found, "build") and hasattr(found, "joints")):
         raise ConfigError(f"robot.name={name!r} is of type {type(found).__name__}; it must be a Robot, such as MjcfArm")
+    try:
+        hash(found)
+    except TypeError as error:
+        raise ConfigError(
+            f"robot.name={name!r} must be hashable, as a frozen dataclass of tuples is: {error}"
+        ) from None
     return found

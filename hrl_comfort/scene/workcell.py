@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
 from hrl_comfort.scene.calibration import calibrated
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
-from hrl_comfort.scene.robots import robot_named
+from hrl_comfort.scene.robots import Robot, robot_named
 
 PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
 """Visual mocap bodies after the limbs; unused ones stand at x = FAR_AWAY_M."""
@@ -77,19 +79,10 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
         raise ConfigError(
             f"robot.home_deg={list(home)} has {len(home)} angles; robot.name={robot.name} has {len(arm.joints)} joints"
         )
-    root = mjcf.RootElement(model="cell")
-    _set_options(root, substeps)
-    floor_z = -cell.base_height_m
-    _add_surroundings(root.worldbody, cell, floor_z)
-    frame = root.attach(arm.build())
-    _hold_shoulder(frame.root.find("joint", f"robot/{arm.joints[0]}"))
-    build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
     more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
-    _add_props(root.worldbody, cell, PROPS + more)
     names = tuple(f"robot/{name}" for name in arm.joints)
-    sizes = _add_sensors(root, names)
-
-    xml, assets = root.to_xml_string(), root.get_assets()
+    hashable: Any = {name: tuple(value) for name, value in vars(cell).items() if isinstance(value, list)}
+    xml, assets, sizes = _described(arm, replace(cell, **hashable), substeps, names, PROPS + more)
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
@@ -105,8 +98,25 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
         mocap=MOCAP + more,
-        floor_z=floor_z,
+        floor_z=-cell.base_height_m,
     )
+
+
+@lru_cache(maxsize=16)
+def _described(
+    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], props: tuple[str, ...]
+) -> tuple[str, Mapping[str, bytes], Mapping[str, int]]:
+    """Return XML and assets of a cell, which take longer than to compile them, and the sizes of its sensors."""
+    root = mjcf.RootElement(model="cell")
+    _set_options(root, substeps)
+    floor_z = -cell.base_height_m
+    _add_surroundings(root.worldbody, cell, floor_z)
+    frame = root.attach(arm.build())
+    _hold_shoulder(frame.root.find("joint", joints[0]))
+    build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
+    _add_props(root.worldbody, cell, props)
+    sizes = _add_sensors(root, joints)
+    return root.to_xml_string(), root.get_assets(), sizes
 
 
 def tool_at(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
