@@ -14,7 +14,10 @@ from hrl_comfort.scene.ur import UR_ARMS
 
 
 class Robot(Protocol):
-    """A serial arm of J hinges on a fixed base, hashable."""
+    """A serial arm of J hinges on a fixed base."""
+
+    def __hash__(self) -> int:
+        """Equal arms are built once a process."""
 
     @property
     def name(self) -> str:
