@@ -60,8 +60,8 @@ for s in 0 1 2 3 4; do
     seeds="train_seed=$s episode_seed=$s"
     hrl-comfort train experiment=paper_experiment_1 $seeds output=$out/paper/seed$s/pick_place
     hrl-comfort train experiment=paper_experiment_1 task=return agent.policy_steps=100000 $seeds output=$out/paper/seed$s/return
-    for l in 1 10; do hrl-comfort train experiment=paper_experiment_2 comfort.level=$l $seeds output=$out/paper/seed$s/level_$l; done
-    for each in pick_place return level_1 level_10; do hrl-comfort evaluate policy=$out/paper/seed$s/$each $all; done
+    for l in 1 4 7 10; do hrl-comfort train experiment=paper_experiment_2 comfort.level=$l $seeds output=$out/paper/seed$s/level_$l; done
+    for each in pick_place return level_1 level_4 level_7 level_10; do hrl-comfort evaluate policy=$out/paper/seed$s/$each $all; done
 done
 
 # Figures; each writes its numbers beside it as JSON.
