@@ -29,7 +29,7 @@ NOT_RUN = (
 """Commands that install, fetch or take hours. The rest must run."""
 TRAINING = (
     "agent.policy_steps=640", "agent.learning_starts=64", "agent.hidden=[16]", "agent.batch_size=32",
-    "agent.log_every=320", "agent.checkpoint_every=320", "task.max_episode_steps=100",
+    "agent.log_every=320", "agent.checkpoint_every=320",
 )  # fmt: skip
 LONG = "200000"
 """Steps of trainings by scripts of the documentation."""

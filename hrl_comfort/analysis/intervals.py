@@ -25,6 +25,8 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 from hrl_comfort.files.tables import Floats, column
 
 RESAMPLES = 2000
+AT_ONCE = 4096
+"""Means of spawn points, of all columns that are resampled together: more take memory, and time for it."""
 Bounds = tuple[float, float]
 SHARE: Bounds = (0.0, 1.0)
 """Bounds of a share."""
@@ -105,11 +107,13 @@ class Clusters:
 
     def estimates(self, values: DataFrame, bounds: Mapping[str, Bounds] | None = None) -> dict[str, Estimate]:
         """Return the mean of each column of `values` (n) that has one, with its interval within its bounds, if any."""
-        if not len(values.columns):
-            return {}
         limits = {**dict.fromkeys(values, UNBOUNDED), **(bounds or {})}
-        bands = zip(*self.bands(np.stack([column(values, name) for name in values], axis=1)), strict=True)
-        found = {name: _estimate(*band, limits[name]) for name, band in zip(values, bands, strict=True)}
+        names = list(values)
+        found: dict[str, Estimate | None] = {}
+        at_once = max(1, AT_ONCE // (1 + int(self.spawn.max(initial=0))))
+        for some in (names[start : start + at_once] for start in range(0, len(names), at_once)):
+            bands = zip(*self.bands(np.stack([column(values, name) for name in some], axis=1)), strict=True)
+            found |= {name: _estimate(*band, limits[name]) for name, band in zip(some, bands, strict=True)}
         return {name: estimate for name, estimate in found.items() if estimate is not None}
 
 

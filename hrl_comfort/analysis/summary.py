@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from pandas import DataFrame
 
-from hrl_comfort.analysis.intervals import SHARE, Clusters
+from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.tables import Floats, column
 
@@ -65,7 +65,7 @@ def _label(cell: Any) -> str | float | int | bool | None:
     return None if pd.isna(cell) else cell.item() if isinstance(cell, np.generic) else cell
 
 
-def _metrics(measured: DataFrame, episodes: DataFrame, limits: pd.Series) -> dict[str, Any]:
+def _metrics(measured: DataFrame, episodes: DataFrame, limits: pd.Series) -> dict[str, Estimate]:
     """Return the metrics of one group of episodes; a metric without a value is absent."""
     clusters, won = Clusters.of(episodes), column(episodes, "success") > 0
     metrics: dict[str, Floats] = {}
@@ -85,4 +85,4 @@ def _metrics(measured: DataFrame, episodes: DataFrame, limits: pd.Series) -> dic
         for name, kinds in COLLISIONS.items():
             metrics[name] = measured["other_collision"].isin(kinds).to_numpy(dtype=float)
             shares.append(name)
-    return {**clusters.estimates(DataFrame(metrics), dict.fromkeys(shares, SHARE))}
+    return clusters.estimates(DataFrame(metrics), dict.fromkeys(shares, SHARE))

@@ -152,7 +152,7 @@ def _count(value: object) -> float:
 
 @lru_cache(maxsize=4096)
 def parse(line: str) -> Override:
-    """Return an override of Hydra's grammar, whose parser takes a millisecond, and the square of a list's length.
+    """Return an override of Hydra's grammar, whose parser takes milliseconds, and for long lists far more.
 
     Raises:
       HydraException, ValueError, RecursionError: bad grammar.

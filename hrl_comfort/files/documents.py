@@ -143,7 +143,8 @@ def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
     text = yaml_text(path)
     try:
         content = yaml.load(text, yaml.CSafeLoader)  # libyaml's limit of the depth keeps it off the end of the stack
-    except (ValueError, OverflowError, RecursionError, yaml.YAMLError) as error:
+    # Of tags on other values, such as `!!int ''`, the parser lets errors of Python through.
+    except (ValueError, OverflowError, RecursionError, LookupError, AttributeError, yaml.YAMLError) as error:
         raise damaged(path, error) from None
     if not isinstance(content, dict):
         raise damaged(path, f"it holds a {type(content).__name__}, not a mapping")

@@ -16,9 +16,6 @@ from hrl_comfort.scene.ur import UR_ARMS
 class Robot(Protocol):
     """A serial arm of J hinges on a fixed base."""
 
-    def __hash__(self) -> int:
-        """Equal arms are built once a process."""
-
     @property
     def name(self) -> str:
         """Value of `robot.name`."""
@@ -52,15 +49,9 @@ def robot_named(name: str) -> Robot:
     """Return the robot `name`: one of ROBOTS, an entry point or `package.module:name`.
 
     Raises:
-      ConfigError: there is none, or it is no hashable Robot.
+      ConfigError: there is none.
     """
     found = part("robot.name", name, ROBOTS)
     if not (hasattr(found, "build") and hasattr(found, "joints")):
         raise ConfigError(f"robot.name={name!r} is of type {type(found).__name__}; it must be a Robot, such as MjcfArm")
-    try:
-        hash(found)
-    except TypeError as error:
-        raise ConfigError(
-            f"robot.name={name!r} must be hashable, as a frozen dataclass of tuples is: {error}"
-        ) from None
     return found

@@ -16,6 +16,7 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigErr
 from hrl_comfort.scene.calibration import calibrated
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import Robot, robot_named
+from hrl_comfort.scene.ur import UrModel
 
 PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
 """Visual mocap bodies after the limbs; unused ones stand at x = FAR_AWAY_M."""
@@ -82,7 +83,8 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
     names = tuple(f"robot/{name}" for name in arm.joints)
     hashable: Any = {name: tuple(value) for name, value in vars(cell).items() if isinstance(value, list)}
-    xml, assets, sizes = _described(arm, replace(cell, **hashable), substeps, names, PROPS + more)
+    describe = _described_once if isinstance(arm, UrModel) else _described  # others may come from a file that changes
+    xml, assets, sizes = describe(arm, replace(cell, **hashable), substeps, names, PROPS + more)
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
@@ -102,11 +104,10 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
     )
 
 
-@lru_cache(maxsize=16)
 def _described(
     arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], props: tuple[str, ...]
 ) -> tuple[str, Mapping[str, bytes], Mapping[str, int]]:
-    """Return XML and assets of a cell, which take longer than to compile them, and the sizes of its sensors."""
+    """Return XML and assets of a cell, and the sizes of its sensors."""
     root = mjcf.RootElement(model="cell")
     _set_options(root, substeps)
     floor_z = -cell.base_height_m
@@ -117,6 +118,10 @@ def _described(
     _add_props(root.worldbody, cell, props)
     sizes = _add_sensors(root, joints)
     return root.to_xml_string(), root.get_assets(), sizes
+
+
+_described_once: Any = lru_cache(maxsize=16)(_described)
+"""It takes longer than to compile what it returns."""
 
 
 def tool_at(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:

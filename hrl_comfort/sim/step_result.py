@@ -89,7 +89,7 @@ def compute_step(
     count = len(moving["tcp_pos"]) // n
     row, preceding, first = _order(n, count)
     constant = {name: value.index_select(0, row) for name, value in vars(before).items() if name not in moving}
-    previous, after = _Earlier(constant, moving, before, preceding), State(**constant, **moving)
+    previous, after = _earlier(constant, moving, before, preceding), State(**constant, **moving)
     after = after.with_(stage=subtask.next_stage(after))
 
     failing = subtask.failed(previous, after)
@@ -122,18 +122,24 @@ def compute_step(
 class _Earlier(State):
     """The instant before each of a decision's. Terms read few fields: what moved is put together when it is read."""
 
-    def __init__(self, constant: dict[str, Tensor], moving: dict[str, Tensor], before: State, order: Tensor) -> None:
-        vars(self).update(constant, _parts=(moving, before, order))
-
     def __getattr__(self, name: str) -> Tensor:
-        moving, before, order = vars(self)["_parts"]
+        moving, before, order = vars(self).get("_parts", ({}, None, None))
         if name not in moving:
-            raise AttributeError(name)
+            return object.__getattribute__(self, name)  # type: ignore[no-any-return]  # raises AttributeError
         vars(self)[name] = torch.cat([moving[name], getattr(before, name)]).index_select(0, order)
         return vars(self)[name]
 
     def fields(self) -> dict[str, Tensor]:
         return {name: getattr(self, name) for name in State.__dataclass_fields__}
+
+    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
+        return State, tuple(self.fields().values())
+
+
+def _earlier(constant: dict[str, Tensor], moving: dict[str, Tensor], before: State, order: Tensor) -> State:
+    made = object.__new__(_Earlier)
+    vars(made).update(constant, _parts=(moving, before, order))
+    return made
 
 
 def source_input(before: State, result: StepResult) -> SourceInput:

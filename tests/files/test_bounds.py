@@ -99,6 +99,14 @@ def test_yaml_with_aliases_is_refused(read: Callable[[Path], object], tmp_path: 
         read(tmp_path / "config.yaml")
 
 
+@pytest.mark.parametrize("value", ["!!int ''", "!!float ''", "!!timestamp foo", "!!bool foo", "[" * 2000])
+def test_yaml_that_python_cannot_make_a_value_of_is_one_line(value: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(f"task: {value}")
+    for read in (load_config, read_yaml):
+        with pytest.raises(ConfigError, match=r"config\.yaml is damaged: "):
+            read(tmp_path / "config.yaml")
+
+
 def test_a_sweep_has_a_bounded_number_of_jobs(tmp_path: Path) -> None:
     assert len(check_overrides("train", ["train_seed=range(0,100)", "agent.gamma=0.9,0.99"], sweep=True)) == 2
     for much in (["train_seed=range(0,1000000000)"], ["train_seed=range(0,300)"] * 3, ["train_seed=range(0,1,0)"]):

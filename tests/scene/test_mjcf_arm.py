@@ -15,7 +15,7 @@ import hrl_comfort
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.safety.geometry import ArmGeometry, segment_distance
-from hrl_comfort.scene import MjcfArm, build_scene, franka, workcell
+from hrl_comfort.scene import MjcfArm, build_scene, franka
 from hrl_comfort.scene.jaco import JACO
 from hrl_comfort.scene.robots import robot_named
 from hrl_comfort.sim.engine import Engine
@@ -215,10 +215,6 @@ def test_a_robot_that_does_not_fit_gets_one_line(module: str, monkeypatch: pytes
         hrl_comfort.load("reach", robot=module, **{"robot.home_deg": [0] * 6})
     with pytest.raises(ConfigError, match="is of type str; it must be a Robot, such as MjcfArm"):
         robot_named("os:sep")
-    monkeypatch.setattr(sys.modules["my_arm"], "LISTS", replace(SEVEN, joints=[*SEVEN.joints]), raising=False)
-    with pytest.raises(ConfigError, match=r"my_arm:LISTS' must be hashable, .*: unhashable type: 'list'"):
-        robot_named("my_arm:LISTS")
-    workcell._described.cache_clear()
     monkeypatch.setattr(franka, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"needs the files of gymnasium-robotics: pip install --no-deps"):
         hrl_comfort.load("reach", robot="franka")

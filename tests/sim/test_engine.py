@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from copy import copy, deepcopy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,7 @@ from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.tasks import SUBTASKS
+from hrl_comfort.tasks import SUBTASKS, State
 
 TASKS = sorted(SUBTASKS)
 FIELDS = ("joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen")
@@ -23,6 +26,28 @@ FIELDS = ("joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "hum
 
 def configured(*overrides: str) -> EnvConfig:
     return environment(compose("train", overrides))
+
+
+def test_the_state_before_that_terms_get_is_a_whole_state() -> None:
+    engine = Engine(configured("task=pick"), 3, 0)
+    start, seen = engine.reset(), list[tuple[State, State]]()
+    task = engine.episodes.subtask
+
+    def watched(before: State, after: State) -> torch.Tensor:
+        seen.append((before, after))
+        return task.rewards["contact"](before, after)
+
+    engine.episodes.subtask = replace(task, rewards={**task.rewards, "contact": watched})
+    engine.step(np.ones((3, 6)))
+    ((before, after),) = seen
+    for same in (copy(before), deepcopy(before), pickle.loads(pickle.dumps(before)), replace(before), before.with_()):
+        for name, value in same.fields().items():
+            steps = getattr(after, name).view(3, 5, *value.shape[1:])
+            earlier = torch.cat([getattr(start, name)[:, None], steps[:, :-1]], dim=1)
+            if name != "stage":  # that of the decision
+                torch.testing.assert_close(value.view(steps.shape), earlier, rtol=0, atol=0, equal_nan=True)
+    with pytest.raises(AttributeError, match="has no attribute 'colours_of'"):
+        _ = before.colours_of  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("task", TASKS)
