@@ -26,7 +26,7 @@ from hrl_comfort.files.tables import Floats, column
 
 RESAMPLES = 2000
 AT_ONCE = 4096
-"""Means of spawn points, of all columns that are resampled together: more take memory, and time for it."""
+"""Largest number of columns times clusters that are resampled together, which bounds the memory."""
 Bounds = tuple[float, float]
 SHARE: Bounds = (0.0, 1.0)
 """Bounds of a share."""

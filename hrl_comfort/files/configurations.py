@@ -1,4 +1,4 @@
-"""Where Hydra finds configurations: in `conf/`, and its own, of which a process reads each file once."""
+"""Hydra's search path: its own configurations and those of `conf/`. A process reads each file once."""
 
 from __future__ import annotations
 

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
-from hrl_comfort.config.overrides import check_jobs
+from hrl_comfort.config.overrides import check_jobs, parse
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import damaged, read_json, read_yaml
 
@@ -81,8 +80,7 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
     if not file.is_file():
         return []
     try:
-        asked = [str(line) for line in OmegaConf.create(read_yaml(file)[0]).hydra.overrides.task]
-        parsed = OverridesParser.create().parse_overrides(asked)
+        parsed = [parse(str(line)) for line in OmegaConf.create(read_yaml(file)[0]).hydra.overrides.task]
         check_jobs(parsed)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)
     except DAMAGED as error:

@@ -121,7 +121,7 @@ def _described(
 
 
 _described_once: Any = lru_cache(maxsize=16)(_described)
-"""It takes longer than to compile what it returns."""
+"""To describe a cell takes longer than to compile it."""
 
 
 def tool_at(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -125,7 +125,7 @@ class _Earlier(State):
     def __getattr__(self, name: str) -> Tensor:
         moving, before, order = vars(self).get("_parts", ({}, None, None))
         if name not in moving:
-            return object.__getattribute__(self, name)  # type: ignore[no-any-return]  # raises AttributeError
+            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
         vars(self)[name] = torch.cat([moving[name], getattr(before, name)]).index_select(0, order)
         return vars(self)[name]
 
