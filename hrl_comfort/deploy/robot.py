@@ -206,12 +206,12 @@ def joined(results: list[StepResult], count: int) -> StepResult:
     """Return decisions of one control step each as one of at most `count`, those that did not come void."""
     last, missing = results[-1], count - len(results)
     padded = results + [last] * missing
-    instants = {name: torch.cat([getattr(each.instants, name) for each in padded]) for name in vars(last.instants)}
-    valid = torch.arange(count)[None] < len(results)
+    taken = torch.arange(count)[None] < len(results)
+    instants = {name: torch.cat([getattr(each.instants, name) for each in padded]) for name in last.instants.fields()}
     return replace(
         last,
         reward_terms=torch.stack([each.reward_terms for each in results]).sum(dim=0),
-        step_rewards=torch.cat([each.step_rewards for each in padded], dim=1) * valid,
-        valid=valid,
+        step_rewards=torch.cat([each.step_rewards for each in padded], dim=1) * taken,
+        decision_steps=torch.tensor([len(results)]),
         instants=State(**instants),
     )

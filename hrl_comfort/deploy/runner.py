@@ -171,7 +171,7 @@ class Run:
             recorder.add(each.result, each.active, each.ended, each.runs)
         if cut and taken and not bool(taken[-1].ended.all()):
             every, latest = torch.ones(1, dtype=torch.bool), taken[-1].result
-            recorder.add(replace(latest, valid=torch.zeros_like(latest.valid)), ~every, every, [])
+            recorder.add(replace(latest, decision_steps=torch.zeros_like(latest.decision_steps)), ~every, every, [])
         if taken:
             recorder.finish()
 

@@ -112,6 +112,18 @@ ArmSource = Callable[[], tuple[Array, Array]]
 """Return points of the arm (n, P, 3) m, at least one a link, and their velocities (n, P, 3) m/s."""
 
 
+def once(source: ArmSource) -> ArmSource:
+    """Return a source that asks `source` when somebody first looks, and then gives the same."""
+    seen: list[tuple[Array, Array]] = []
+
+    def kept() -> tuple[Array, Array]:
+        if not seen:
+            seen.append(source())
+        return seen[0]
+
+    return kept
+
+
 @dataclass(frozen=True)
 class Surroundings:
     """The robot beside n people, as they see it, and where they must not go."""

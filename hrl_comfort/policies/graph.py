@@ -41,7 +41,7 @@ class Watched(State):
 
 def inputs_of(task: Subtask, state: State) -> tuple[str, ...]:
     """Return the fields of `state` that the observation of `task` is made of, in the order of State."""
-    watched = Watched(**vars(state))
+    watched = Watched(**state.fields())
     task.observe(watched)
     read = set(vars(watched)["read"])
     return tuple(name for name in NAMES if name in read)

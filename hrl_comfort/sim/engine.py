@@ -87,11 +87,17 @@ class Engine:
 
     def _run(self, physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
         """Return states and sensors (r, K * substeps, ...) of `rows` (r,), all by default."""
-        model: Any = self.scene.model
+        models = [self.scene.model] * len(physics)
         if self._models:
-            model = self._models if rows is None else [self._models[row] for row in rows]
-        run = self._rollout.rollout(model, self._data, physics, control, control_spec=CONTROL_SPEC)
-        return run[0], run[1]
+            models = self._models if rows is None else [self._models[row] for row in rows]
+        n, steps = control.shape[:2]
+        states, sensed = np.empty((n, steps, self.scene.nstate)), np.empty((n, steps, self.scene.model.nsensordata))
+        # The checks of the shapes take as long as a third of one cell's physics.
+        self._rollout.rollout(
+            models, self._data, physics, control, control_spec=CONTROL_SPEC, skip_checks=True, nstep=steps,
+            state=states, sensordata=sensed,
+        )  # fmt: skip
+        return states, sensed
 
     def _vary(self, rows: NDArray[np.int64]) -> None:
         """Give the links of `rows` the mass and friction of their episodes."""

@@ -7,7 +7,7 @@ episode; every random number of it comes from (seed, row, episode).
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -134,8 +134,7 @@ class Episodes:
             self.walk = self.walk.put(pending, fresh)
             begun = self.draw.start[pending]
             targets, limbs = begun[:, moving:], limbs_of(self.scene, fresh)
-            velocity = begun[:, moving // 2 : moving]
-            still = np.zeros_like(targets) if self.drive is None else self.drive.rated(velocity)
+            still = np.zeros_like(targets) if self.drive is None else self.drive.rated(begun[:, moving // 2 : moving])
             steps = np.zeros(len(pending), dtype=np.int64)
             values = self.values(pending)
             self._servos.begin(pending, values, targets)
@@ -192,7 +191,7 @@ class Episodes:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
-        arm = cache(partial(self._separation.arm.points, *seen))
+        arm = humans.once(partial(self._separation.arm.points, *seen))
         self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
         noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
         self._tracker.begin_decision()
@@ -256,13 +255,12 @@ class Episodes:
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
-        first = np.arange(self.rows) * self.planned_steps
-        last = np.maximum((state.steps - self.state.steps).numpy() - 1, 0)
-        self.walk = self.walks.rows(first + last)
+        last = result.decision_steps.numpy() - 1
+        self.walk = self.walks.rows(np.arange(self.rows) * self.planned_steps + last)
         for part in self._planning:
             part.end_decision(last)
         self.state = state
-        return replace(result, state=state)
+        return result if state is result.state else replace(result, state=state)
 
     def values(self, rows: Any = slice(None)) -> Values:
         """Return how the cells of `rows`, all by default, differ from the model."""
@@ -331,7 +329,7 @@ class Episodes:
             "episode": torch.from_numpy(self.episode.copy()),
             "draw": {name: torch.from_numpy(value.copy()) for name, value in vars(self.draw).items()},
             "walk": {name: torch.from_numpy(value.copy()) for name, value in vars(self.walk).items()},
-            "state": dict(vars(self.state)),
+            "state": dict(self.state.fields()),
             "parts": [part.state_dict() for part in self._parts],
         }
 

@@ -116,7 +116,7 @@ class Sensors:
         n = len(before.steps)
         found = {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
         if not touching.any():
-            return {name: old[:, None].expand(-1, len(touching) // n).flatten() for name, old in found.items()}
+            return {name: torch.from_numpy(np.repeat(old.numpy(), len(touching) // n)) for name, old in found.items()}
         touching = touching.view(n, -1)
         began = touching & ~torch.cat([before.touching[:, None], touching[:, :-1]], dim=1)
         unsafe = torch.zeros_like(began)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from hrl_comfort.comfort.adapt import TERM
 from hrl_comfort.comfort.sources import SourceInput
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
-from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks import LazyState, State, Subtask
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class StepResult:
     terminated: Tensor
     truncated: Tensor
     """(N,) bool."""
-    valid: Tensor
-    """(N, K) bool, the control steps this decision took."""
+    decision_steps: Tensor
+    """(N,) int64, control steps this decision took."""
     instants: State
     """States after each control step, N * K rows, the K steps of a row together."""
 
@@ -48,24 +49,24 @@ class StepResult:
         return self.terminated | self.truncated
 
     @property
-    def decision_steps(self) -> Tensor:
-        """(N,) int64, control steps this decision took."""
-        return self.valid.sum(dim=1)
+    def valid(self) -> Tensor:
+        """(N, K) bool, the control steps this decision took."""
+        return torch.arange(self.step_rewards.shape[1]) < self.decision_steps[:, None]
 
     @property
     def level(self) -> Tensor:
         """(N,) comfort level in force, NaN without one; `state.level` is the next decision's."""
-        return self.instants.level.view(self.valid.shape)[:, 0]
+        return self.instants.level.view(self.step_rewards.shape)[:, 0]
 
     @property
     def human_distance(self) -> Tensor:
         """(N, K) m, horizontal, tool to the human's axis."""
-        return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.valid.shape)
+        return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.step_rewards.shape)
 
     @property
     def steps(self) -> list[State]:
         """The K instants of N rows each, for recording."""
-        n, count = self.valid.shape
+        n, count = self.step_rewards.shape
         return [self.instants.rows(torch.arange(n) * count + k) for k in range(count)]
 
 
@@ -87,23 +88,32 @@ def compute_step(
     """
     n = len(before.steps)
     count = len(moving["tcp_pos"]) // n
-    row, preceding, first = _order(n, count)
-    constant = {name: value.index_select(0, row) for name, value in vars(before).items() if name not in moving}
-    previous, after = _earlier(constant, moving, before, preceding), State(**constant, **moving)
-    after = after.with_(stage=subtask.next_stage(after))
+    order = _order(n, count)
+
+    def earlier(name: str) -> Tensor:
+        value: Tensor = getattr(before, name)
+        if name in moving:
+            return torch.cat([moving[name], value]).index_select(0, order.preceding)
+        return value.index_select(0, order.row)
+
+    # Stages and terms read few of the fields, so each is put together when it is read.
+    previous = LazyState(earlier)
+    kept = partial(getattr, previous)
+    stage = subtask.next_stage(LazyState(kept, **moving))
+    after = LazyState(kept, **moving, stage=stage)
 
     failing = subtask.failed(previous, after)
     moved_on = (after.stage > previous.stage) | failing
     over = moved_on.view(n, count) | (after.steps.view(n, count) >= max_episode_steps[:, None])
-    over[:, -1] = True
-    last = over.int().argmax(dim=1)
-    valid = torch.arange(count) <= last[:, None]
+    last = torch.where(over, order.step, count - 1).amin(dim=1)
+    valid = order.step <= last[:, None]
     gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
     earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
 
-    at = first + last
-    ended = before.with_(**{name: getattr(after, name).index_select(0, at) for name in (*moving, "stage")})
-    failed, finished = failing[at], subtask.success(ended)
+    at = order.first + last
+    constant = {name: getattr(before, name) for name in State.__dataclass_fields__ if name not in moving}
+    ended = LazyState(lambda name: moving[name].index_select(0, at), **constant | {"stage": stage.index_select(0, at)})
+    failed, finished = failing.index_select(0, at), subtask.success(ended)
     terminated = (failed | finished) & (not subtask.repeats)
     return StepResult(
         state=ended,
@@ -114,32 +124,9 @@ def compute_step(
         success=finished & ~failed,
         terminated=terminated,
         truncated=(ended.steps >= max_episode_steps) & ~terminated,
-        valid=valid,
+        decision_steps=last + 1,
         instants=after,
     )
-
-
-class _Earlier(State):
-    """The instant before each of a decision's. Terms read few fields: what moved is put together when it is read."""
-
-    def __getattr__(self, name: str) -> Tensor:
-        moving, before, order = vars(self).get("_parts", ({}, None, None))
-        if name not in moving:
-            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
-        vars(self)[name] = torch.cat([moving[name], getattr(before, name)]).index_select(0, order)
-        return vars(self)[name]
-
-    def fields(self) -> dict[str, Tensor]:
-        return {name: getattr(self, name) for name in State.__dataclass_fields__}
-
-    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
-        return State, tuple(self.fields().values())
-
-
-def _earlier(constant: dict[str, Tensor], moving: dict[str, Tensor], before: State, order: Tensor) -> State:
-    made = object.__new__(_Earlier)
-    vars(made).update(constant, _parts=(moving, before, order))
-    return made
 
 
 def source_input(before: State, result: StepResult) -> SourceInput:
@@ -155,14 +142,23 @@ def source_input(before: State, result: StepResult) -> SourceInput:
     )
 
 
-@lru_cache(maxsize=16)
-def _order(n: int, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return read-only indices for n rows of K = `count` instants, those of a row together.
+class _Order(NamedTuple):
+    """Indices for n rows of K instants, those of a row together; not to be written to."""
 
-    Row of each instant (n * K,); instant before each (n * K,), the n states before the decision being appended
-    to the instants; first instant of each row (n,).
-    """
+    row: Tensor
+    """(n * K,) row of each instant."""
+    preceding: Tensor
+    """(n * K,) instant before each, the n states before the decision being appended to the instants."""
+    first: Tensor
+    """(n,) first instant of each row."""
+    step: Tensor
+    """(K,) instants counted within their row."""
+
+
+@lru_cache(maxsize=16)
+def _order(n: int, count: int) -> _Order:
     instants = torch.arange(n * count).view(n, count)
     came_before = torch.arange(n * count, n * count + n)[:, None]
-    preceding = torch.cat([came_before, instants[:, :-1]], dim=1)
-    return torch.arange(n).repeat_interleave(count), preceding.flatten(), instants[:, 0].clone()
+    preceding = torch.cat([came_before, instants[:, :-1]], dim=1).flatten()
+    row, step = torch.arange(n).repeat_interleave(count), torch.arange(count)
+    return _Order(row, preceding, instants[:, 0].clone(), step)

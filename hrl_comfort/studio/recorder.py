@@ -126,7 +126,7 @@ class Recorder:
 
 def void(step: Step) -> StepResult:
     """Return the result of a decision that took no control step, after the latest one."""
-    return replace(step.result, valid=torch.zeros_like(step.result.valid))
+    return replace(step.result, decision_steps=torch.zeros_like(step.result.decision_steps))
 
 
 def motion(rows: list[list[object]]) -> list[list[object]]:

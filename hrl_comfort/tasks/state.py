@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -115,3 +116,24 @@ class State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = other.fields()
         return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in self.fields().items()})
+
+
+class LazyState(State):
+    """A state of which some fields are known; `make` gives another by its name, when it is first read."""
+
+    def __init__(self, make: Callable[[str], Tensor], **known: Tensor) -> None:
+        vars(self).update(known, _make=make)
+
+    def __getattr__(self, name: str) -> Tensor:
+        if name not in State.__dataclass_fields__:
+            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
+        made: Tensor = vars(self)["_make"](name)
+        vars(self)[name] = made
+        return made
+
+    def fields(self) -> dict[str, Tensor]:
+        """Return all fields by their names."""
+        return {name: getattr(self, name) for name in State.__dataclass_fields__}
+
+    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
+        return State, tuple(self.fields().values())

@@ -146,7 +146,7 @@ class Subtask:
 
     def ball_at(self, place: Ball, stage: Tensor) -> Tensor:
         """Return (N,) bool: the ball of the stage (N,), or after the last one, is at `place`."""
-        return self._places[place][self.in_round(stage)]
+        return self._places[place].index_select(0, self.in_round(stage))
 
     @cached_property
     def _places(self) -> dict[Ball, Tensor]:
@@ -155,11 +155,19 @@ class Subtask:
 
     def grasping(self, stage: Tensor) -> Tensor:
         """Return (N,) bool: a ball is to be picked in the stage (N,)."""
-        return torch.tensor([*(item.grasps for item in self.stages), False])[self.in_round(stage)]
+        return self._grasps.index_select(0, self.in_round(stage))
+
+    @cached_property
+    def _grasps(self) -> Tensor:
+        return torch.tensor([*(item.grasps for item in self.stages), False])
 
     def releasing(self, stage: Tensor) -> Tensor:
         """Return (N,) bool: a ball is carried in the stage (N,)."""
-        return torch.tensor([*(item.releases for item in self.stages), False])[self.in_round(stage)]
+        return self._releases.index_select(0, self.in_round(stage))
+
+    @cached_property
+    def _releases(self) -> Tensor:
+        return torch.tensor([*(item.releases for item in self.stages), False])
 
     def released(self, stage: Tensor) -> Tensor:
         """Return the number of balls (N,) int64 at a drop point by the stage (N,)."""

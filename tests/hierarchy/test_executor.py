@@ -49,7 +49,7 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         success=success,
         terminated=done & ~truncated,
         truncated=truncated,
-        valid=torch.ones(n, 1, dtype=torch.bool),
+        decision_steps=torch.ones(n, dtype=torch.int64),
         instants=state,
     )
 

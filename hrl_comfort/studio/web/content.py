@@ -135,7 +135,7 @@ def _option(option: Any, source: str, session: Session) -> dict[str, Any]:
 
 
 def _read_by_stages(session: Session, state: State) -> set[str]:
-    watched = Watched(**vars(state))
+    watched = Watched(**state.fields())
     session.engine.episodes.subtask.next_stage(watched)
     return set(vars(watched)["read"])
 
