@@ -97,10 +97,10 @@ def compute_step(
         return value.index_select(0, order.row)
 
     # Stages and terms read few of the fields, so each is put together when it is read.
-    previous = LazyState(earlier)
+    previous = LazyState.of(earlier)
     kept = partial(getattr, previous)
-    stage = subtask.next_stage(LazyState(kept, **moving))
-    after = LazyState(kept, **moving, stage=stage)
+    stage = subtask.next_stage(LazyState.of(kept, **moving))
+    after = LazyState.of(kept, **moving, stage=stage)
 
     failing = subtask.failed(previous, after)
     moved_on = (after.stage > previous.stage) | failing
@@ -112,7 +112,9 @@ def compute_step(
 
     at = order.first + last
     constant = {name: getattr(before, name) for name in State.__dataclass_fields__ if name not in moving}
-    ended = LazyState(lambda name: moving[name].index_select(0, at), **constant | {"stage": stage.index_select(0, at)})
+    ended = LazyState.of(
+        lambda name: moving[name].index_select(0, at), **constant | {"stage": stage.index_select(0, at)}
+    )
     failed, finished = failing.index_select(0, at), subtask.success(ended)
     terminated = (failed | finished) & (not subtask.repeats)
     return StepResult(

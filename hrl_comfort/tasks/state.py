@@ -119,10 +119,14 @@ class State:
 
 
 class LazyState(State):
-    """A state of which some fields are known; `make` gives another by its name, when it is first read."""
+    """A state whose fields are made when they are first read; copies and changed ones have all of them."""
 
-    def __init__(self, make: Callable[[str], Tensor], **known: Tensor) -> None:
-        vars(self).update(known, _make=make)
+    @classmethod
+    def of(cls, make: Callable[[str], Tensor], **known: Tensor) -> LazyState:
+        """Return a state of which some fields are known; `make` gives another by its name."""
+        state = object.__new__(cls)
+        vars(state).update(known, _make=make)
+        return state
 
     def __getattr__(self, name: str) -> Tensor:
         if name not in State.__dataclass_fields__:

@@ -16,8 +16,8 @@ from hrl_comfort.tasks.state import State
 StateFunction = Callable[[State], Tensor]
 """Pure function of one instant."""
 TransitionFunction = Callable[[State, State], Tensor]
-"""Pure function of two instants, one control step apart: (before, after) -> (N,). Fields of `before` are put together
-when they are read; `before.fields()` has all of them."""
+"""Pure function of two instants, one control step apart: (before, after) -> (N,). Most of their fields are put together
+when they are first read; `fields()` has all of them."""
 
 
 class Ball(StrEnum):

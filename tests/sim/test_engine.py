@@ -28,7 +28,7 @@ def configured(*overrides: str) -> EnvConfig:
     return environment(compose("train", overrides))
 
 
-def test_the_state_before_that_terms_get_is_a_whole_state() -> None:
+def test_the_states_that_terms_get_are_whole_states() -> None:
     engine = Engine(configured("task=pick"), 3, 0)
     start, seen = engine.reset(), list[tuple[State, State]]()
     task = engine.episodes.subtask
@@ -40,9 +40,10 @@ def test_the_state_before_that_terms_get_is_a_whole_state() -> None:
     engine.episodes.subtask = replace(task, rewards={**task.rewards, "contact": watched})
     engine.step(np.ones((3, 6)))
     ((before, after),) = seen
-    for same in (copy(before), deepcopy(before), pickle.loads(pickle.dumps(before)), replace(before), before.with_()):
-        for name, value in same.fields().items():
-            steps = getattr(after, name).view(3, 5, *value.shape[1:])
+    same = (copy, deepcopy, lambda state: pickle.loads(pickle.dumps(state)), replace, State.with_)
+    for earlier_state, later_state in ((each(before), each(after)) for each in same):
+        for name, value in earlier_state.fields().items():
+            steps = getattr(later_state, name).view(3, 5, *value.shape[1:])
             earlier = torch.cat([getattr(start, name)[:, None], steps[:, :-1]], dim=1)
             if name != "stage":  # that of the decision
                 torch.testing.assert_close(value.view(steps.shape), earlier, rtol=0, atol=0, equal_nan=True)
