@@ -19,9 +19,8 @@ import pandas as pd
 import scipy  # its stats are loaded when they are needed
 from numpy.typing import NDArray
 from pandas import DataFrame
-from pydantic import FiniteFloat
-from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
+from hrl_comfort.files.documents import Estimate
 from hrl_comfort.files.tables import Floats, column
 
 RESAMPLES = 2000
@@ -33,13 +32,6 @@ SHARE: Bounds = (0.0, 1.0)
 UNBOUNDED: Bounds = (-math.inf, math.inf)
 Statistic = Callable[..., Any]
 """Means of one or more quantities, each (...), to a number (...)."""
-
-
-class Estimate(TypedDict):
-    """A mean and its 95 % interval, None where none can be told."""
-
-    mean: FiniteFloat
-    ci95: list[FiniteFloat] | None
 
 
 def itself(mean: Any) -> Any:

@@ -26,7 +26,8 @@ from hrl_comfort.config import (
     TrainConfig,
 )
 from hrl_comfort.config.checks import is_object, one_of
-from hrl_comfort.config.overrides import Config, override
+from hrl_comfort.config.commands import CommandConfig
+from hrl_comfort.config.overrides import override
 from hrl_comfort.studio.policies import as_chain, as_skills, with_controller, with_defaults
 
 BARE = {
@@ -59,7 +60,7 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
     return as_chain(overrides) if key == "policy" else overrides
 
 
-def check(config: Config) -> None:
+def check(config: CommandConfig) -> None:
     """Raise ConfigError if `config` names a policy, a folder, a column or a package that is not there.
 
     What is merely doubtful in its cell gets a warning.
@@ -110,7 +111,7 @@ def check(config: Config) -> None:
             warnings.warn(doubt, stacklevel=2)
 
 
-def _drawn(config: Config) -> str | None:
+def _drawn(config: CommandConfig) -> str | None:
     """Return what a command cannot do without off-screen OpenGL."""
     match config:
         case HierarchyTrainConfig() | ReportConfig(video=True):
@@ -132,7 +133,7 @@ def _need_lsl(key: str) -> None:
         raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
 
 
-def policies(config: Config) -> Iterator[tuple[str, str | None]]:
+def policies(config: CommandConfig) -> Iterator[tuple[str, str | None]]:
     """Yield the keys that name policies, with their values."""
     if isinstance(config, EvaluateConfig):
         yield "policy", config.policy

@@ -15,8 +15,9 @@ from hrl_comfort.cli import help as help_texts
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.cli.first_checks import check, completed
 from hrl_comfort.config import ConfigError, ReportConfig
+from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.compose import compose, yaml_of
-from hrl_comfort.config.overrides import Config, check_overrides, root_of
+from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.sweeps.subprocesses import ERRORS
@@ -25,7 +26,7 @@ from hrl_comfort.training.preemption import Preempted
 FLAGS = ("-h", "--help", "--version", "--dry-run", "-m", "--multirun", "--overwrite")
 
 
-def configuration(command: str, overrides: list[str]) -> Config:
+def configuration(command: str, overrides: list[str]) -> CommandConfig:
     """Return the configuration of a command.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -40,10 +40,10 @@ class UnknownKeyError(ConfigError):
         self.key = key
 
 
-def one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Raise ConfigError unless `value` is one of `allowed`."""
-    if value not in allowed:
-        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {', '.join(allowed)}")
+def one_of(key: str, value: str, names: tuple[str, ...]) -> None:
+    """Raise ConfigError unless `value` is one of `names`."""
+    if value not in names:
+        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {', '.join(names)}")
 
 
 def between(key: str, value: float, low: float, high: float) -> None:
@@ -52,13 +52,9 @@ def between(key: str, value: float, low: float, high: float) -> None:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 
-def _in_range(value: float, low: float, high: float) -> float:
-    between("", value, low, high)
-    return value
-
-
-def _allowed(value: str, names: tuple[str, ...]) -> str:
-    one_of("", value, names)
+def _passed(value: Any, check: Callable[..., None], key: str = "", **allowed: Any) -> Any:
+    """Return a field's value; raise the ConfigError of `check` for one that is not allowed."""
+    check(key, value, **allowed)
     return value
 
 
@@ -70,12 +66,12 @@ def _unique(value: list[int]) -> list[int]:
 
 def within(low: float, high: float) -> AfterValidator:
     """Return the check of a field that its value is in [low, high]."""
-    return AfterValidator(partial(_in_range, low=low, high=high))
+    return AfterValidator(partial(_passed, check=between, low=low, high=high))
 
 
 def choice(*names: str) -> AfterValidator:
     """Return the check of a field that its value is one of `names`."""
-    return AfterValidator(partial(_allowed, names=names))
+    return AfterValidator(partial(_passed, check=one_of, names=names))
 
 
 unique = AfterValidator(_unique)
@@ -116,11 +112,11 @@ def plugins(key: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=f"hrl_comfort.{key}")}
 
 
-def part_name(key: str, value: str, known: tuple[str, ...]) -> None:
-    """Raise ConfigError unless `value` is one of `known` or of `plugins`, or has the form `package.module:name`."""
-    if value not in known and value not in plugins(key) and not is_object(value):
-        names = ", ".join([*known, *plugins(key)])
-        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {names}, or package.module:name")
+def part_name(key: str, value: str, names: tuple[str, ...]) -> None:
+    """Raise ConfigError unless `value` is one of `names` or of `plugins`, or has the form `package.module:name`."""
+    if value not in names and value not in plugins(key) and not is_object(value):
+        choices = ", ".join([*names, *plugins(key)])
+        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {choices}, or package.module:name")
 
 
 def part(key: str, name: str, known: Mapping[str, T]) -> T:
@@ -138,12 +134,7 @@ def part(key: str, name: str, known: Mapping[str, T]) -> T:
 
 def named(key: str, *known: str) -> AfterValidator:
     """Return the check `part_name` of the field `key`."""
-    return AfterValidator(partial(_named, key=key, names=known))
-
-
-def _named(value: str, key: str, names: tuple[str, ...]) -> str:
-    part_name(key, value, names)
-    return value
+    return AfterValidator(partial(_passed, check=part_name, key=key, names=known))
 
 
 def first_error(error: ValidationError) -> str:

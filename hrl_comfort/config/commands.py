@@ -31,7 +31,7 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class CommandConfig:
-    """Settings of pydantic that hold for every section of a command."""
+    """A command's configuration; its settings of pydantic hold for every section."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", str_min_length=1)
 

@@ -24,11 +24,11 @@ from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
 from hrl_comfort.config.checks import part_name
+from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.overrides import (
     NAMES,
     ROOTS,
     TOO_DEEP,
-    Config,
     check_overrides,
     choices,
     config_dir,
@@ -55,7 +55,7 @@ _ALONE = threading.RLock()
 """Hydra composes in one thread at a time."""
 
 
-def compose(root: str, overrides: Iterable[str] = ()) -> Config:
+def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
     """Return the configuration `root` with Hydra `overrides`.
 
     With a policy that belongs to a run, the sections AS_TRAINED default to those of the run. Overrides win. A process
@@ -111,7 +111,7 @@ def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
     return found
 
 
-def _settled(cls: type[Config], node: DictConfig, overrides: list[str]) -> Config:
+def _settled(cls: type[CommandConfig], node: DictConfig, overrides: list[str]) -> CommandConfig:
     """Return the configuration `cls` of a composed `node`, with its stages checked and their budget settled.
 
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
@@ -137,17 +137,17 @@ def environment(config: EnvConfig) -> EnvConfig:
     return EnvConfig(**{field.name: getattr(config, field.name) for field in dataclasses.fields(EnvConfig)})
 
 
-def save_config(config: Config, path: str | Path) -> None:
+def save_config(config: CommandConfig, path: str | Path) -> None:
     """Write `config` as YAML; `load_config` reads an equal one."""
     write_text(Path(path), yaml_of(config))
 
 
-def yaml_of(config: Config) -> str:
+def yaml_of(config: CommandConfig) -> str:
     """Return `config` as YAML."""
     return OmegaConf.to_yaml(OmegaConf.create(dataclasses.asdict(config)))
 
 
-def load_config(path: str | Path) -> Config:
+def load_config(path: str | Path) -> CommandConfig:
     """Return the configuration in `path`, a config.yaml or the run folder that contains it.
 
     Raises:

@@ -32,20 +32,9 @@ from hrl_comfort.config import (
     TrainConfig,
 )
 from hrl_comfort.config.checks import UnknownKeyError, is_object, plugins
+from hrl_comfort.config.commands import CommandConfig
 
-Config = (
-    TrainConfig
-    | HierarchyTrainConfig
-    | MetaControllerTrainConfig
-    | EvaluateConfig
-    | StudioConfig
-    | DeployConfig
-    | ExportConfig
-    | IdentifyConfig
-    | ReportConfig
-    | FigureConfig
-)
-ROOTS: dict[str, type[Config]] = {
+ROOTS: dict[str, type[CommandConfig]] = {
     "train": TrainConfig,
     "train_hierarchy": HierarchyTrainConfig,
     "train_meta_controller": MetaControllerTrainConfig,

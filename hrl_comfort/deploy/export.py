@@ -38,7 +38,7 @@ def export(config: ExportConfig) -> Path:
             engine = Engine(env, 2, 0)
             task = observed_by(policy, source, engine.episodes.subtask, env)
             state, scene = engine.reset(), engine.scene
-            inputs = inputs_of(task, state)
+            inputs = inputs_of(task.observe, state)
             about = description(task, inputs, env, policy.spec)
             graph = PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg))
             write_onnx(graph, state, inputs, about, output / f"{name}.onnx")

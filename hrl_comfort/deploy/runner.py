@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -224,28 +224,18 @@ def confirm(config: DeployConfig) -> None:
         raise ConfigError(f"{WORD!r} was not typed; nothing was moved")
 
 
-@dataclass
-class Interruption:
-    """Whether SIGINT has come."""
-
-    asked: bool = False
-
-    def __call__(self) -> bool:
-        """Return it."""
-        return self.asked
-
-
 @contextmanager
-def interruption() -> Iterator[Interruption]:
-    """Note the first SIGINT, so that the arm is braked; the next one has its usual effect."""
-    found, before = Interruption(), signal.getsignal(signal.SIGINT)
+def interruption() -> Iterator[Callable[[], bool]]:
+    """Tell whether SIGINT has come, so that the arm is braked; the next one has its usual effect."""
+    asked, before = False, signal.getsignal(signal.SIGINT)
 
     def note(number: int, frame: FrameType | None) -> None:
-        found.asked = True
+        nonlocal asked
+        asked = True
         signal.signal(signal.SIGINT, before)
 
     signal.signal(signal.SIGINT, note)
     try:
-        yield found
+        yield lambda: asked
     finally:
         signal.signal(signal.SIGINT, before)

@@ -14,7 +14,6 @@ from typing import Any
 
 import torch
 from rich.console import Console
-from torch import Tensor
 
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
@@ -138,12 +137,8 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     for name, term in task.observations.items():
         values = term(state)
         span = slice(first, first + values.shape[1])
-        deviation = _deviation(values, policy.normaliser.mean[span], policy.normaliser.variance[span])
-        for k, column in enumerate(deviation.T):
+        mean, spread = policy.normaliser.mean[span], policy.normaliser.variance[span].sqrt().clamp_min(1e-3)
+        for k, column in enumerate(((values - mean).abs() / spread).T):
             rows.append([name, k, round(float(column.max()), 3), float((column > FAR).double().mean())])
         first = span.stop
     return rows
-
-
-def _deviation(values: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
-    return (values - mean).abs() / variance.sqrt().clamp_min(1e-3)

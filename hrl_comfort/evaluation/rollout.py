@@ -55,19 +55,10 @@ class Result:
         """The episodes, as read from episodes.csv."""
         return records_of((episode.row() for episode in self.episodes), "episodes")
 
-    @property
-    def success(self) -> float:
-        """Fraction of episodes that succeeded."""
-        return float(np.mean([episode.success for episode in self.episodes]))
-
-    def summary(self, config: EvaluateConfig) -> dict[str, Any]:
-        """Return the groups of summary.json."""
-        limits = [episode.max_episode_steps for episode in self.episodes]
-        return summarise(self.table, config.group_by, limits)
-
     def write(self, output: Path, config: EvaluateConfig) -> dict[str, Any]:
         """Write the tables, config.yaml and summary.json in place of earlier ones; return the last."""
-        summary = self.summary(config)
+        limits = [episode.max_episode_steps for episode in self.episodes]
+        summary = summarise(self.table, config.group_by, limits)
         with all_or_none(*(output / name for name in STALE)):
             save_config(config, output / "config.yaml")
             write_table(output / "episodes.csv", COLUMNS, (row.row().values() for row in self.episodes))
@@ -89,7 +80,7 @@ def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
     with progress(f"evaluate {config.task.name}", config.episodes * max(1, len(config.levels))) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
-                EvaluationBatch(at_level, policy, entries.part(start, start + BATCH), result).run(show)
+                _run(at_level, policy, entries.part(start, start + BATCH), result, show)
     if config.split == "test":
         record(config, policy, result.table)
     return result
@@ -107,31 +98,25 @@ def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
     return [replace(config, comfort=replace(config.comfort, source="fixed", level=level)) for level in config.levels]
 
 
-class EvaluationBatch:
-    """Episodes that run side by side, one a row; they are appended to a `Result`."""
-
-    def __init__(self, config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result) -> None:
-        rows = len(entries.episode)
-        env = environment(config)
-        self.engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-        self.executor, self.choose = make_executor(config, policy, self.engine, int(entries.episode_seed[0]))
-        self.recorder = EpisodeRecorder(config, policy, self.engine, entries, result)
-
-    def run(self, show: Show) -> None:
-        """Run every row to the end of its episode."""
-        before = [episode.success for episode in self.recorder.result.episodes]
-        self.recorder.begin(self.engine.reset())
-        due = time.monotonic()
-        for executed in execute(self.engine, self.executor, self.choose):
-            if self.recorder.config.realtime:
-                steps = int((executed.result.valid & executed.active[:, None]).sum(dim=1).max())
-                due = max(due + steps * CONTROL_STEP_S, time.monotonic())  # what is late is not made up for
-                time.sleep(max(0.0, due - time.monotonic()))
-            self.recorder.add(executed.result, executed.active, executed.ended, executed.runs)
-            ended = [*before, *self.recorder.outcomes]
-            show(len(ended), success_of(ended))
-        self.engine.close()
-        self.recorder.finish()
+def _run(config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result, show: Show) -> None:
+    """Run episodes side by side, one a row, to their ends; append them to `result`."""
+    env, rows = environment(config), len(entries.episode)
+    engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
+    executor, choose = make_executor(config, policy, engine, int(entries.episode_seed[0]))
+    recorder = EpisodeRecorder(config, policy, engine, entries, result)
+    before = [episode.success for episode in result.episodes]
+    recorder.begin(engine.reset())
+    due = time.monotonic()
+    for executed in execute(engine, executor, choose):
+        if config.realtime:
+            steps = int((executed.result.valid & executed.active[:, None]).sum(dim=1).max())
+            due = max(due + steps * CONTROL_STEP_S, time.monotonic())  # what is late is not made up for
+            time.sleep(max(0.0, due - time.monotonic()))
+        recorder.add(executed.result, executed.active, executed.ended, executed.runs)
+        ended = [*before, *recorder.outcomes]
+        show(len(ended), success_of(ended))
+    engine.close()
+    recorder.finish()
 
 
 class EpisodeRecorder:
@@ -165,7 +150,16 @@ class EpisodeRecorder:
 
     def add(self, result: StepResult, active: torch.Tensor, ended: torch.Tensor, runs: list[OptionRun]) -> None:
         """Add a decision: rows (N,) bool that took part, and whose episode ended with it, and options that ended."""
-        self._add(result, active)
+        valid = result.valid & active[:, None]
+        steps = valid.numpy().sum(axis=1)
+        self.totals["policy_steps"] += active.numpy()
+        self.totals["return"] += np.where(active.numpy(), result.reward.numpy(), 0.0)
+        self.totals["steps"] += steps
+        self.totals["level"] += result.level.numpy() * steps
+        self._keep(result.instants, valid)
+        if self.config.record:
+            for k, instant in enumerate(result.steps):
+                self._record(instant, valid[:, k])
         for row in torch.nonzero(ended).squeeze(-1).tolist():
             self._found[row] = self._episode(row, result)
         self._runs += runs
@@ -179,17 +173,6 @@ class EpisodeRecorder:
         """Append the rows to the result, once every episode has ended."""
         self.result.episodes += self._measured()
         self.result.options += [self._option(run) for run in sorted(self._runs, key=lambda r: (r.row, r.start_step))]
-
-    def _add(self, step: StepResult, active: torch.Tensor) -> None:
-        valid = (step.valid & active[:, None]).numpy()
-        self.totals["policy_steps"] += active.numpy()
-        self.totals["return"] += np.where(active.numpy(), step.reward.numpy(), 0.0)
-        self.totals["steps"] += valid.sum(axis=1)
-        self.totals["level"] += step.level.numpy() * valid.sum(axis=1)
-        self._keep(step.instants, step.valid & active[:, None])
-        if self.config.record:
-            for k, instant in enumerate(step.steps):
-                self._record(instant, step.valid[:, k] & active)
 
     def _keep(self, instants: State, valid: torch.Tensor) -> None:
         self.seen.append(({name: getattr(instants, name) for name in (*SEEN, *COURSE)}, valid))

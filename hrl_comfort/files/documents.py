@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveInt, TypeAdapter, ValidationError, with_config
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
@@ -16,13 +16,11 @@ MOST_BYTES = 10**6
 T = TypeVar("T")
 
 
-class Metric(BaseModel):
-    """Mean and 95 % interval of one metric."""
-
-    model_config = ConfigDict(extra="allow")
+class Estimate(TypedDict):
+    """A mean and its 95 % interval, None where none can be told."""
 
     mean: FiniteFloat
-    ci95: tuple[FiniteFloat, FiniteFloat] | None
+    ci95: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None
 
 
 class Group(BaseModel):
@@ -37,7 +35,7 @@ class Group(BaseModel):
     precision_m: FiniteFloat | None = None
     split: str | None = None
     episodes: int
-    metrics: dict[str, Metric]
+    metrics: dict[str, Estimate]
 
 
 class Summary(BaseModel):
@@ -103,24 +101,6 @@ def read_json(path: Path, kind: type[T]) -> T:
         raise damaged(path, first_error(error)) from None
 
 
-def yaml_text(path: Path) -> str:
-    """Return the text of a YAML file.
-
-    Raises:
-      ConfigError: it is not UTF-8, not YAML, too large, or has aliases, by which few lines stand for any number.
-    """
-    if not path.is_file() or path.stat().st_size > MOST_BYTES:
-        raise damaged(path, f"it is not a regular file of at most {MOST_BYTES} bytes")
-    try:
-        text = path.read_text(encoding="utf-8")
-        aliases = [event for event in yaml.parse(text, yaml.CSafeLoader) if isinstance(event, yaml.AliasEvent)]
-    except (ValueError, yaml.YAMLError) as error:
-        raise damaged(path, error) from None
-    if aliases:
-        raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")
-    return text
-
-
 def read_config(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text of a config.yaml and its content, checked as far as `RunConfig` names it.
 
@@ -138,14 +118,21 @@ def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text of a YAML mapping and its content.
 
     Raises:
-      ConfigError: the file is not a YAML file in the sense of `yaml_text`, or not a mapping.
+      ConfigError: it is not UTF-8, not YAML, not a mapping, too large, or has aliases, by which few lines stand for
+        any number.
     """
-    text = yaml_text(path)
+    if not path.is_file() or path.stat().st_size > MOST_BYTES:
+        raise damaged(path, f"it is not a regular file of at most {MOST_BYTES} bytes")
     try:
-        content = yaml.load(text, yaml.CSafeLoader)  # libyaml's limit of the depth keeps it off the end of the stack
+        text = path.read_text(encoding="utf-8")
+        aliases = [event for event in yaml.parse(text, yaml.CSafeLoader) if isinstance(event, yaml.AliasEvent)]
+        # libyaml's limit of the depth keeps it off the end of the stack.
+        content = None if aliases else yaml.load(text, yaml.CSafeLoader)
     # Of tags on other values, such as `!!int ''`, the parser lets errors of Python through.
     except (ValueError, OverflowError, RecursionError, LookupError, AttributeError, yaml.YAMLError) as error:
         raise damaged(path, error) from None
+    if aliases:
+        raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")
     if not isinstance(content, dict):
         raise damaged(path, f"it holds a {type(content).__name__}, not a mapping")
     return text, content

@@ -138,51 +138,42 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
       ConfigError: the file is missing, damaged or of an earlier version, or the controller was trained for other
         options or another limit of waits.
     """
-    state = checkpoint.load(choice_file(Path(source)))
+    state, key = checkpoint.load(choice_file(Path(source))), f"policies.meta_controller={source!r}"
     spec, weights = state.get("spec"), state.get("network")
     if not isinstance(spec, dict) or not isinstance(weights, dict):
-        raise ConfigError(
-            f"policies.meta_controller={source!r} is not a trained controller; its folder holds meta_controller.pt"
-        )
+        raise ConfigError(f"{key} is not a trained controller; its folder holds meta_controller.pt")
     for name, kinds in SPEC.items():
         if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
-                f"policies.meta_controller={source!r} is damaged, or of an earlier version: its {name} is missing "
-                "or of a wrong type; train it again"
+                f"{key} is damaged, or of an earlier version: its {name} is missing or of a wrong type; train it again"
             )
     names, hidden = [str(name) for name in spec["names"]], spec["hidden"]
     if names != options or spec["levels"] != levels:
         raise ConfigError(
-            f"policies.meta_controller={source!r} chooses among {names} at {spec['levels']} levels; "
+            f"{key} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
         )
     if spec["max_waits"] != max_waits:
         trained, here = ("null" if each is None else each for each in (spec["max_waits"], max_waits))
-        raise ConfigError(
-            f"policies.meta_controller={source!r} was trained with meta_controller.max_waits={trained}; "
-            f"here it is {here}"
-        )
+        raise ConfigError(f"{key} was trained with meta_controller.max_waits={trained}; here it is {here}")
     layout = spec["observation"]
     if layout not in PERSON:
-        raise ConfigError(
-            f"policies.meta_controller={source!r} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}"
-        )
+        raise ConfigError(f"{key} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}")
     seen = observation_dim(layout, spec["balls"])
     if spec["observation_dim"] != seen:
         raise ConfigError(
-            f"policies.meta_controller={source!r} was trained on {spec['observation_dim']} observations; "
-            f"here there are {seen}: train it again"
+            f"{key} was trained on {spec['observation_dim']} observations; here there are {seen}: train it again"
         )
     if not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
-        raise ConfigError(f"policies.meta_controller={source!r} is damaged: its hidden is {hidden}")
+        raise ConfigError(f"{key} is damaged: its hidden is {hidden}")
     try:
         with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
             network = make_network(seen, len(options), hidden)
         network.load_state_dict(weights, assign=True)
     except (AttributeError, RuntimeError) as error:  # the former at a name that is no text
-        raise ConfigError(f"policies.meta_controller={source!r} is damaged: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"{key} is damaged: {str(error).splitlines()[0]}") from error
     if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
-        raise ConfigError(f"policies.meta_controller={source!r} is damaged: its weights are not all finite numbers")
+        raise ConfigError(f"{key} is damaged: its weights are not all finite numbers")
     network.float()
 
     @torch.no_grad()

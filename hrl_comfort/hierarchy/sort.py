@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import ComfortConfig, ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
+from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
 from hrl_comfort.hierarchy.options import IdleOption, Option
 from hrl_comfort.policies.expert import Expert
@@ -45,8 +45,14 @@ def sorting_options(
         raise ConfigError(f"policies.{missing[0]} is not given; task={config.task.name} needs {', '.join(names)}")
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task={config.task.name}; choose joint")
+    comfort = config.comfort
     for told in meta_controller.level_override:
-        check_told(told, config.comfort)
+        if comfort.source == "none" or told > comfort.levels:
+            raise ConfigError(
+                f"meta_controller.level_override={told} with comfort.source={comfort.source} and "
+                f"comfort.levels={comfort.levels}; "
+                "choose among the levels of a source, or meta_controller.level_override=[]"
+            )
     pick, place, back = (make_policy(policies[skill.name], skill, scene, config, seed) for skill in SKILLS)
     skills: list[Option | IdleOption] = []
     for level in (None, *meta_controller.level_override):
@@ -69,16 +75,6 @@ def sorting_options(
 def has_placed(state: State) -> Tensor:
     """Return (N,) bool: a ball has just been placed; the arm is to return."""
     return state.stage % ROUND == CYCLE.stages.index(RETURN_STAGE)
-
-
-def check_told(level: int, comfort: ComfortConfig) -> None:
-    """Raise ConfigError unless `level` is one of the levels of a comfort source."""
-    if comfort.source == "none" or level > comfort.levels:
-        raise ConfigError(
-            f"meta_controller.level_override={level} with comfort.source={comfort.source} and "
-            f"comfort.levels={comfort.levels}; "
-            "choose among the levels of a source, or meta_controller.level_override=[]"
-        )
 
 
 def stop(task: TaskConfig) -> Act:

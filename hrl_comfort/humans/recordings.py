@@ -79,18 +79,14 @@ def _read_csv(path: str, text: str) -> Recording:
         raise ConfigError(f"{name} has no line after its header; add one line a pose")
     table = np.array(list(_rows(name, len(columns), lines)))
     time = _control_steps(name, table[-1, 0])
-    x, y, yaw, *hands = (np.interp(time, table[:, 0], values) for values in (*table[:, 1:3].T, *_turns(table)))
+    table[:, 3] = np.unwrap(table[:, 3])
+    x, y, yaw, *hands = (np.interp(time, table[:, 0], values) for values in table[:, 1:].T)
     position, limbs = np.stack([x, y], axis=-1), np.full((len(time), 6, 3), np.nan)
     if hands:
         there = np.stack(hands, axis=-1).reshape(-1, 2, 3)
         there[..., :2] -= position[:, None]
         limbs = body.reaching(_turned(there, -yaw))
     return Recording(position, yaw, limbs, placed=True)
-
-
-def _turns(table: Array) -> Iterator[Array]:
-    yield np.unwrap(table[:, 3])
-    yield from table[:, 4:].T
 
 
 def _rows(name: str, columns: int, lines: list[list[str]]) -> Iterator[list[float]]:

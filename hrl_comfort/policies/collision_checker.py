@@ -28,22 +28,18 @@ class ArmSpheres:
     """The arm as spheres along its capsules."""
 
     def __init__(self, scene: Scene) -> None:
-        self._arm = ArmGeometry(scene)
-        ends = self._arm.pose(scene.home[None]).ends[..., 0]
+        self.arm = ArmGeometry(scene)
+        ends = self.arm.pose(scene.home[None]).ends[..., 0]
         counts = np.maximum(np.ceil(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=0) / SPACING_M - 1e-9), 1) + 1
         self._part = np.repeat(np.arange(len(counts)), counts.astype(int))
         self._along = np.concatenate([np.linspace(0.0, 1.0, int(count)) for count in counts])
-        self.radius = self._arm.radius[self._part]
+        self.radius = self.arm.radius[self._part]
 
     def spheres(self, joints: Array) -> Array:
         """Return the spheres' centres (..., P, 3) m."""
-        ends = self._arm.pose(joints.reshape(-1, joints.shape[-1])).ends[:, self._part]
+        ends = self.arm.pose(joints.reshape(-1, joints.shape[-1])).ends[:, self._part]
         centres = ends[:, :, 0] + (ends[:, :, 1] - ends[:, :, 0]) * self._along[:, None]
         return np.asarray(centres.T.reshape(*joints.shape[:-1], len(self.radius), 3))
-
-    def tool(self, joints: Array) -> Array:
-        """Return the tool centre points (n, 3) m of postures (n, J)."""
-        return self._arm.tool(joints)
 
 
 class CollisionChecker:

@@ -218,7 +218,7 @@ class Expert:
         return self._known[goal, more]
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        tool = self._body.tool(self._library)
+        tool = self._body.arm.tool(self._library)
         radius, height = np.hypot(tool[:, 0], tool[:, 1]), tool[:, 2]
         near = np.hypot(radius - np.hypot(goal[0], goal[1]), height - goal[2]) < 0.05
         seeds, tool = self._library[near].copy(), tool[near]

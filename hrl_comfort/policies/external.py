@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.checks import import_object
 
 SB3 = "sb3:"
 """Prefix of a file that Stable-Baselines3 saved."""
@@ -75,15 +74,6 @@ def from_function(source: str, function: Any) -> ObservationPolicy:
     if not callable(function):
         raise ConfigError(f"policy={source!r} is of type {type(function).__name__}; it must be callable")
     return ObservationPolicy(source, function)
-
-
-def from_module(source: str) -> ObservationPolicy:
-    """Return the policy `package.module:callable`.
-
-    Raises:
-      ConfigError: there is none.
-    """
-    return from_function(source, import_object("policy", source))
 
 
 def from_sb3(source: str) -> ObservationPolicy:

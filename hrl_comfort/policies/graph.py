@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.policies.actor import ActorPolicy
-from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks import LazyState, State, Subtask
+from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
 """Prefix of a file that `hrl-comfort export` wrote."""
@@ -30,21 +31,11 @@ OUTPUT = "joint_increment"
 NAMES = tuple(field.name for field in fields(State))
 
 
-class Watched(State):
-    """A state that remembers which of its fields were read."""
-
-    def __getattribute__(self, name: str) -> Any:
-        if name in NAMES:
-            object.__getattribute__(self, "__dict__").setdefault("read", []).append(name)
-        return super().__getattribute__(name)
-
-
-def inputs_of(task: Subtask, state: State) -> tuple[str, ...]:
-    """Return the fields of `state` that the observation of `task` is made of, in the order of State."""
-    watched = Watched(**state.fields())
-    task.observe(watched)
-    read = set(vars(watched)["read"])
-    return tuple(name for name in NAMES if name in read)
+def inputs_of(function: StateFunction, state: State) -> tuple[str, ...]:
+    """Return the fields of `state` that `function` reads, in the order of State."""
+    seen = LazyState.of(lambda name: getattr(state, name))
+    function(seen)
+    return tuple(name for name in NAMES if name in vars(seen))
 
 
 class PolicyGraph(nn.Module):

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import POLICIES, ConfigError, EnvConfig
-from hrl_comfort.config.checks import is_object
+from hrl_comfort.config.checks import import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
-from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_module, from_sb3
+from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import ONNX, read_onnx
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.predictive_sampling import PredictiveSampling
@@ -39,9 +39,13 @@ def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, 
     if isinstance(source, str) and source in SCRIPTED:
         return SCRIPTED[source](task, scene, config, seed)
     if isinstance(source, str) and Path(source).exists():
-        return trained(source, task, config)
+        actor = load_policy(source)
+        seen = observed_by(actor, source, task, config)
+        return lambda state: actor(seen.observe(state).float()).double()
     if isinstance(source, str) and source.startswith(ONNX):
-        return exported(source, task, config)
+        graph = read_onnx(source)
+        check_trained({**graph.about, "action": "joint"}, source, task, config)
+        return graph
     policy = from_function(name_of(source), source) if callable(source) else external(source)
     return on_standard_observations(policy, task, scene, config)
 
@@ -62,7 +66,7 @@ def external(source: str) -> ObservationPolicy:
     if source.startswith(SB3):
         return from_sb3(source)
     if is_object(source):
-        return from_module(source)
+        return from_function(source, import_object("policy", source))
     raise ConfigError(f"policy={source!r} is not there; give {POLICIES}")
 
 
@@ -122,17 +126,6 @@ def random(size: int, seed: int) -> Act:
     return lambda state: torch.rand(len(state.steps), size, generator=generator, dtype=torch.float64) * 2 - 1
 
 
-def trained(source: str, task: Subtask, config: EnvConfig) -> Act:
-    """Return the trained policy of a run folder, a checkpoint or a policy file.
-
-    Raises:
-      ConfigError: it is damaged, or was trained for another subtask, robot or decision length.
-    """
-    actor = load_policy(source)
-    seen = observed_by(actor, source, task, config)
-    return lambda state: actor(seen.observe(state).float()).double()
-
-
 def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfig) -> Subtask:
     """Return `task` with the observations that the policy read from `source` was trained on.
 
@@ -145,17 +138,6 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     if (levels := spec.get("levels")) is not None:
         seen = with_level(seen, levels)
     return seen.observing(share=share) if spec.get("shield") else seen
-
-
-def exported(source: str, task: Subtask, config: EnvConfig) -> Act:
-    """Return the policy `onnx:FILE`.
-
-    Raises:
-      ConfigError: it is damaged, or was trained for another subtask, robot or decision length.
-    """
-    policy = read_onnx(source)
-    check_trained({**policy.about, "action": "joint"}, source, task, config)
-    return policy
 
 
 def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvConfig) -> None:

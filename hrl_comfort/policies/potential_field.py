@@ -92,19 +92,14 @@ class PotentialField:
         pace = comfortable_pace(level, self._comfort).numpy()
         people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
         limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
-        before = state.joint_target.numpy()
+        before, data = state.joint_target.numpy(), self._configuration.data
         joints = before.copy()
         for row in range(len(joints)):
-            self._place_person(limbs[row])
+            data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[row, :, :3], limbs[row, :, 3:]
             for _ in range(self._solves):
                 ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
                 joints[row] += pace[row] * (ahead - joints[row])
         return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
-
-    def _place_person(self, limbs: Array) -> None:
-        """Put the person's limbs (7, 7) into the model."""
-        data = self._configuration.data
-        data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
 
     def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: bool) -> Array:
         """Return the joints (J,) rad after one control step."""

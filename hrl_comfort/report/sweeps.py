@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
@@ -36,7 +37,7 @@ def render(template: str, **values: Any) -> str:
         undefined=jinja2.StrictUndefined,
     )
     style = resources.files("hrl_comfort.report").joinpath("report.css").read_text(encoding="utf-8")
-    return environment.get_template(template).render(style=style, **values)
+    return environment.get_template(template).render(style=Markup(style), **values)
 
 
 def sweep_report(folder: Path, output: Path) -> bool:

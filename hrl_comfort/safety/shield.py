@@ -30,28 +30,6 @@ SERVO_SHARE = 0.7
 """Part of the safe speed that set-points may use: the servos swing around them while they brake."""
 
 
-class PersonBound:
-    """Bound on how far any part of the person gets in a time, from what the sensors said up to now."""
-
-    def __init__(self, config: SafetyConfig) -> None:
-        self._config = config
-
-    def distance(self, time_s: Array, speed: Array) -> Array:
-        """Return the distance (...,) m within `time_s` (...,) s from now, for measured speeds (...,) m/s.
-
-        `worst`: `human_speed_m_s` in any direction at any time. `observed`: the measured speed grows by at most
-        `human_acceleration_m_s2` and to at most `human_speed_m_s`. Both start at the last measurement.
-        """
-        config = self._config
-        time = time_s + config.delay_s
-        if config.bound == "worst":
-            return config.human_speed_m_s * time
-        speed = np.minimum(speed, config.human_speed_m_s)
-        rising = np.minimum(time, (config.human_speed_m_s - speed) / config.human_acceleration_m_s2)
-        top = speed + config.human_acceleration_m_s2 * rising
-        return (speed + top) / 2 * rising + top * (time - rising)
-
-
 @dataclass(frozen=True)
 class Memory:
     """Memory of the shield of N cells from one control step to the next."""
@@ -68,7 +46,6 @@ class Shield:
     def __init__(self, separation: Separation, rating: Rating, config: SafetyConfig, rows: int) -> None:
         self.arm, self._person = separation.arm, separation.person
         self._rating, self._config = rating, config
-        self._bound = PersonBound(config)
         self._late_s = config.latency_s + config.lag_s
         self._trailing = np.exp(-CONTROL_STEP_S / self._late_s)
         """Share of a speed that the arm still has after a control step."""
@@ -137,12 +114,27 @@ class Shield:
         They run on for a control step and brake then; 0 beside an arm that is slow already. Nothing depends on it.
         """
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
-        return np.where(until > 0.0, self._bound.distance(until, self._pace(now)), 0.0)
+        return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""
         pace: Array = norm(now.person - self.memory.seen).max(axis=(0, 1)) / CONTROL_STEP_S
         return pace
+
+    def _bound(self, time_s: Array, speed: Array) -> Array:
+        """Return how far (...,) m any part of the person gets within `time_s` (...,) s, measured at `speed` (...,) m/s.
+
+        `worst`: `human_speed_m_s` in any direction at any time. `observed`: the measured speed grows by at most
+        `human_acceleration_m_s2` and to at most `human_speed_m_s`. Both start at the last measurement.
+        """
+        config = self._config
+        time = time_s + config.delay_s
+        if config.bound == "worst":
+            return config.human_speed_m_s * time
+        speed = np.minimum(speed, config.human_speed_m_s)
+        rising = np.minimum(time, (config.human_speed_m_s - speed) / config.human_acceleration_m_s2)
+        top = speed + config.human_acceleration_m_s2 * rising
+        return (speed + top) / 2 * rising + top * (time - rising)
 
     def _plan(self, velocity: Array, speeds: Array) -> tuple[Array, Array, Array]:
         """Return when (C, N) s the capsules of braking arms are slow, their way (C, N) m and top speed (C, N) m/s.
@@ -165,7 +157,7 @@ class Shield:
         """
         until, travel, fastest = self._plan(velocity, speeds)
         behind = np.maximum(trail, fastest) * self._late_s
-        reach = self._bound.distance(until, pace)
+        reach = self._bound(until, pace)
         clear = np.logical_or(until == 0.0, apart > travel + behind + reach + self._config.margin_m)
         safe: NDArray[np.bool_] = clear.all(axis=0)
         return safe

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import combinations
+from operator import attrgetter
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CellConfig, EnvConfig, HierarchyTrainConfig, TaskConfig
+from hrl_comfort.config import CellConfig, EnvConfig, HierarchyTrainConfig
 from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.scene.robots import robot_named
 
@@ -36,25 +37,15 @@ def doubts(config: EnvConfig) -> Iterator[str]:
     for key in GOALS.get(name, ()):
         if key == "task.point_m" and name == "reach" and task.point == "random":
             continue
-        away = float(np.linalg.norm(np.array(_point(config, key)) - shoulder))
-        if away > most + tolerance(task, key):
+        point, precision = attrgetter(key)(config), task.precision
+        near = precision.place_tolerance_m if key in DROPS else precision.grasp_tolerance_m
+        away = float(np.linalg.norm(np.array(point) - shoulder))
+        if away > most + near:
             yield (
-                f"{key}={_point(config, key)} is {away:.2f} m from the shoulder of {config.robot.name}, "
+                f"{key}={point} is {away:.2f} m from the shoulder of {config.robot.name}, "
                 f"which reaches {most:.2f} m: the task cannot be done"
             )
     yield from _overlaps(config.cell)
-
-
-def tolerance(task: TaskConfig, key: str) -> float:
-    """Return the distance (m) from a goal at which the tool has arrived."""
-    precision = task.precision
-    return precision.place_tolerance_m if key in DROPS else precision.grasp_tolerance_m
-
-
-def _point(config: EnvConfig, key: str) -> list[float]:
-    section, _, name = key.partition(".")
-    point: list[float] = getattr(getattr(config, section), name)
-    return point
 
 
 def _overlaps(cell: CellConfig) -> Iterator[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -74,11 +75,7 @@ class MjcfArm:
         for index, joint in enumerate(self.joints):
             position, turn = source.relative(index)
             body = body.add("body", name=joint, pos=position, quat=turn, gravcomp=1)
-            low, high = source.limits(index)
-            body.add(
-                "joint", name=joint, axis=source.axis(index), pos=source.anchor(index), range=(low, high), limited=True,
-                armature=source.armature(index),
-            )  # fmt: skip
+            body.add("joint", name=joint, range=source.limits(index), limited=True, **source.hinge(index))
             mass, centre, inertia = source.inertia(index)
             body.add("inertial", mass=mass, pos=centre, fullinertia=inertia)
             _add_capsules(body, joint, source.capsules(index))
@@ -183,13 +180,11 @@ class _Source:
         (turn, origin), (here, at) = self._frame(index - 1), self._frame(index)
         return (at - origin) @ turn, _quaternion(turn.T @ here)
 
-    def axis(self, index: int) -> Array:
-        """Return the joint's axis (3,) in the frame of its link."""
-        return self._model.jnt_axis[self._joints[index]].copy()
-
-    def anchor(self, index: int) -> Array:
-        """Return a point (3,) m on the joint's axis in the frame of its link."""
-        return self._model.jnt_pos[self._joints[index]].copy()
+    def hinge(self, index: int) -> dict[str, Any]:
+        """Return axis (3,) and anchor (3,) m of a joint in the frame of its link; inertia of the drive, kg m²."""
+        model, joint = self._model, self._joints[index]
+        armature = float(model.dof_armature[model.jnt_dofadr[joint]])
+        return {"axis": model.jnt_axis[joint].copy(), "pos": model.jnt_pos[joint].copy(), "armature": armature}
 
     def limits(self, index: int) -> tuple[float, float]:
         """Return the lowest and highest angle, rad."""
@@ -197,10 +192,6 @@ class _Source:
             return -UNLIMITED_RAD, UNLIMITED_RAD
         low, high = self._model.jnt_range[self._joints[index]]
         return float(low), float(high)
-
-    def armature(self, index: int) -> float:
-        """Return the reflected inertia of the drive, kg m²."""
-        return float(self._model.dof_armature[self._model.jnt_dofadr[self._joints[index]]])
 
     def inertia(self, index: int) -> tuple[float, Array, tuple[float, ...]]:
         """Return mass (kg), centre (3,) m and inertia (xx, yy, zz, xy, xz, yz) kg m² of all that moves with a link."""

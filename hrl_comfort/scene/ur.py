@@ -62,8 +62,6 @@ class UrModel:
     speed_deg_s: Six
     joint_limit_deg: Six
     """Symmetric limits. The hardware allows +-360 deg; planners limit the elbow to +-180 deg."""
-    reach_m: float
-    payload_kg: float
     shoulder_radius_m: float
     upper_arm_radius_m: float
     elbow_radius_m: float
@@ -90,7 +88,7 @@ _ALPHA: Six = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 _LIMIT: Six = (360.0, 360.0, 180.0, 360.0, 360.0, 360.0)
 
 # DH, masses, centres of mass: Universal Robots, "DH parameters for calculations of kinematics and dynamics".
-# Torques, speeds, reach, payload: e-series datasheets and "Max. joint torques". UR3e radii: planning capsules.
+# Torques and speeds: e-series datasheets and "Max. joint torques". UR3e radii: planning capsules.
 UR3E = UrModel(
     name="ur3e",
     a_m=(0.0, -0.24355, -0.2132, 0.0, 0.0, 0.0),
@@ -101,8 +99,6 @@ UR3E = UrModel(
     torque_nm=(54.0, 54.0, 28.0, 9.0, 9.0, 9.0),
     speed_deg_s=(180.0, 180.0, 180.0, 360.0, 360.0, 360.0),
     joint_limit_deg=_LIMIT,
-    reach_m=0.5,
-    payload_kg=3.0,
     shoulder_radius_m=0.060,
     upper_arm_radius_m=0.054,
     elbow_radius_m=0.060,
@@ -130,8 +126,6 @@ UR5E = UrModel(
     torque_nm=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
     speed_deg_s=(180.0, 180.0, 180.0, 180.0, 180.0, 180.0),
     joint_limit_deg=_LIMIT,
-    reach_m=0.85,
-    payload_kg=5.0,
     shoulder_radius_m=0.065,
     upper_arm_radius_m=0.058,
     elbow_radius_m=0.060,
@@ -158,8 +152,6 @@ UR10E = UrModel(
     torque_nm=(330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
     speed_deg_s=(120.0, 120.0, 180.0, 180.0, 180.0, 180.0),
     joint_limit_deg=_LIMIT,
-    reach_m=1.3,
-    payload_kg=12.5,
     shoulder_radius_m=0.080,
     upper_arm_radius_m=0.075,
     elbow_radius_m=0.070,
@@ -170,24 +162,6 @@ UR10E = UrModel(
 )
 
 UR_ARMS: dict[str, UrModel] = {model.name: model for model in (UR3E, UR5E, UR10E)}
-
-
-def forward_kinematics(model: UrModel, joint_pos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the flange pose (..., 4, 4) in the base frame for joint angles (..., 6) in rad, calibration included."""
-    q = np.asarray(joint_pos, dtype=np.float64) + model.deltas.theta_rad
-    pose = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
-    for i in range(6):
-        a, d, alpha = _dh(model, i)
-        c, s = np.cos(q[..., i]), np.sin(q[..., i])
-        ca, sa = np.cos(alpha), np.sin(alpha)
-        step = np.zeros((*q.shape[:-1], 4, 4))
-        step[..., 0, 0], step[..., 0, 1], step[..., 0, 2] = c, -s * ca, s * sa
-        step[..., 1, 0], step[..., 1, 1], step[..., 1, 2] = s, c * ca, -c * sa
-        step[..., 2, 1], step[..., 2, 2] = sa, ca
-        step[..., 0, 3], step[..., 1, 3], step[..., 2, 3] = a * c, a * s, d
-        step[..., 3, 3] = 1.0
-        pose = pose @ step
-    return pose
 
 
 def link_poses(model: UrModel) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
@@ -224,7 +198,7 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
     """Return the arm with servos and gripper: bodies `base`, LINKS, `gripper`; sites `flange`, `tcp`.
 
     The body frame of a link is its DH frame, as for the published centres of mass; site `flange` has the pose of
-    `forward_kinematics`. Actuators take joint angles in rad.
+    the DH table. Actuators take joint angles in rad.
     """
     root = mjcf.RootElement(model="robot")
     root.compiler.angle = "radian"

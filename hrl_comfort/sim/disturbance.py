@@ -48,15 +48,10 @@ class Disturbance:
         """Return the state after a decision with the balls knocked out of the gripper back on their table."""
         if self.kind != "drop":
             return state
-        lost = torch.from_numpy(self.drops(task.releasing(state.stage).numpy()))
-        return state.with_(stage=state.stage - lost.long())
-
-    def drops(self, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return (N,) whether the ball is lost after a decision at whose end it is held (N,)."""
-        if self.kind != "drop":
-            return np.zeros_like(held)
+        held = task.releasing(state.stage).numpy()
         self._left[held] -= 1
-        return held & (self._left == 0)
+        lost = torch.from_numpy(held & (self._left == 0))
+        return state.with_(stage=state.stage - lost.long())
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""

@@ -50,15 +50,11 @@ class Engine:
     def reset(self, rows: NDArray[np.int64] | None = None, entries: EvaluationSet | None = None) -> State:
         """Begin the next episode of `rows` (all by default) and return the state of every row.
 
-        With `entries` (r,) of an evaluation split the rows begin these; see `Episodes.replay`.
+        With `entries` (r,) of an evaluation split the rows begin these; see `Episodes.begin`.
         """
         rows = np.arange(self.num_envs) if rows is None else rows
         if len(rows):
-            if entries is None:
-                start = self.episodes.begin(rows, self._probe)
-            else:
-                start = self.episodes.replay(rows, entries, self._probe)
-            self.physics[rows] = physics_of(start)
+            self.physics[rows] = physics_of(self.episodes.begin(rows, self._probe, entries))
             self._vary(rows)
         assert self.episodes.state is not None
         return self.episodes.state

@@ -12,7 +12,7 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.randomisation import draws, sizes
+from hrl_comfort.sim.randomisation import draws
 from hrl_comfort.sim.starts import PARTS, start_states
 from hrl_comfort.tasks import Subtask
 
@@ -95,25 +95,9 @@ class EpisodeSampler:
             self._starts = [self._unseen_left_out(bank) for bank in self._starts]
 
     def blank(self, rows: int) -> Draw:
-        """Return the draws of `rows` cells, to be filled in."""
-        balls = self._config.task.balls
-        world, readings, frames = sizes(self._config.randomise, self._joints)
-        return Draw(
-            balls=np.zeros((rows, balls, 3)),
-            colours=np.zeros((rows, balls), dtype=np.int64),
-            arriving=np.zeros((rows, ARRIVALS), dtype=np.int64),
-            noise=np.zeros((rows, self.horizon, humans.NOISE)),
-            traits=np.zeros((rows, humans.TRAITS)),
-            level=np.zeros((rows, DRAWS)),
-            motion_id=np.zeros(rows, dtype=np.int64),
-            spawn_id=np.zeros(rows, dtype=np.int64),
-            spawn=np.zeros((rows, 2)),
-            start=np.zeros((rows, self._arm)),
-            points=np.zeros((rows, 2, 3)),
-            world=np.zeros((rows, *world)),
-            readings=np.zeros((rows, *readings)),
-            frames=np.zeros((rows, *frames)),
-        )
+        """Return the draws of `rows` cells, to be filled in; raise ConfigError if none can be made."""
+        one = vars(next(self.attempts(0, 0)))
+        return Draw(**{name: np.zeros((rows, *value.shape), value.dtype) for name, value in one.items()})
 
     def attempts(self, row: int, episode: int) -> Iterator[Draw]:
         """Yield draws for an episode until the caller accepts one.

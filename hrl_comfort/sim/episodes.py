@@ -26,7 +26,7 @@ from hrl_comfort.scene.workcell import Scene, tool_at
 from hrl_comfort.sim.balls import go_on, rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance
-from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, Draw, EpisodeSampler
+from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.randomisation import Servos, Values, observed
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
@@ -101,26 +101,21 @@ class Episodes:
         self._around: tuple[Array, humans.KeepOut, humans.ArmSource] | None = None
         """Tool (N, 2) m, keep-out discs and arm as the human sees them while a decision lasts: as at its beginning."""
 
-    def begin(self, rows: NDArray[np.int64], probe: Probe) -> Array:
-        """Begin the next episode of `rows`; return their joints (r, 2 J): angles rad, velocities rad/s.
+    def begin(self, rows: NDArray[np.int64], probe: Probe, entries: EvaluationSet | None = None) -> Array:
+        """Begin the next episode of `rows` (r,); return their joints (r, 2 J): angles rad, velocities rad/s.
 
-        Draws are repeated until the cell begins free of contact and unsolved.
+        With `entries` (r,) of an evaluation split the rows begin these, and their next episode is still to come. Draws
+        are repeated until the cell begins free of contact and unsolved.
 
         Raises:
           ConfigError: no such start was found.
         """
-        self.episode[rows] += 1
-        return self._begin(rows, {row: self.sampler.attempts(int(row), int(self.episode[row])) for row in rows}, probe)
-
-    def replay(self, rows: NDArray[np.int64], entries: EvaluationSet, probe: Probe) -> Array:
-        """Begin the episodes `entries` (r,) of an evaluation split in `rows` (r,); return as `begin` does.
-
-        The next episode that the rows begin is the one that they would have begun now.
-        """
-        sampler = EpisodeSampler(self.scene, self.config, self.subtask, 0, entries)
-        return self._begin(rows, {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}, probe)
-
-    def _begin(self, rows: NDArray[np.int64], attempts: dict[int, Iterator[Draw]], probe: Probe) -> Array:
+        if entries is None:
+            self.episode[rows] += 1
+            attempts = {row: self.sampler.attempts(int(row), int(self.episode[row])) for row in rows}
+        else:
+            sampler = EpisodeSampler(self.scene, self.config, self.subtask, 0, entries)
+            attempts = {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}
         pending, moving = rows, 2 * len(self.scene.joints)
         for _ in range(ATTEMPTS):
             for row in pending:
@@ -250,7 +245,7 @@ class Episodes:
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state
         if self.config.comfort.source != "none":
-            state = state.with_(level=self._next_level(result))
+            state = state.with_(level=torch.from_numpy(self.source.advance(source_input(self.state, result))))
         state = self._disturbance.applied(update_placed(state, self.state.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
@@ -309,11 +304,6 @@ class Episodes:
         return max_episode_steps(
             level, task.max_episode_steps, replace(comfort, beta=0.0) if self.subtask.repeats else comfort
         )
-
-    def _next_level(self, result: StepResult) -> Tensor:
-        """Return the level (N,) at which the next decision is made; `state` is still that before this one."""
-        assert self.state is not None
-        return torch.from_numpy(self.source.advance(source_input(self.state, result)))
 
     def _plan(
         self, walk: humans.Walk, places: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]

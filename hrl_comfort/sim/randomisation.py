@@ -27,24 +27,16 @@ SINGLE = (
 """Keys of which an episode draws one number; of `link_mass` and `joint_friction` it draws one for each joint."""
 
 
-def sizes(config: RandomiseConfig, joints: int) -> tuple[tuple[int, ...], ...]:
-    """Return the shapes of an episode's draws: uniform numbers, noise of readings and of the tracker's frames."""
-    return (
-        (len(SINGLE) + 1 + 2 * joints,),
-        (READINGS if config.sensors else 0, 2 * joints),
-        (FRAMES if config.tracker else 0, 3),
-    )
-
-
 def draws(config: RandomiseConfig, joints: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return an episode's draws of `sizes`.
+    """Return an episode's draws: numbers (W,), noise of readings (READINGS, 2 joints), frames (FRAMES, 3).
 
     All in [0, 1) but the noise of readings and the last two of a frame, which are standard normal up to LARGEST_NOISE.
+    Without noise of sensors there are no readings, without a tracker no frames.
     """
-    world, readings, frames = sizes(config, joints)
-    numbers = rng.random(world)
-    noise = np.clip(rng.standard_normal(readings), -LARGEST_NOISE, LARGEST_NOISE)
-    lost, offset = rng.random((frames[0], 1)), rng.standard_normal((frames[0], 2))
+    readings, frames = READINGS if config.sensors else 0, FRAMES if config.tracker else 0
+    numbers = rng.random(len(SINGLE) + 1 + 2 * joints)
+    noise = np.clip(rng.standard_normal((readings, 2 * joints)), -LARGEST_NOISE, LARGEST_NOISE)
+    lost, offset = rng.random((frames, 1)), rng.standard_normal((frames, 2))
     length = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9)
     return numbers, noise, np.concatenate([lost, offset * np.minimum(1.0, LARGEST_NOISE / length)], axis=1)
 

@@ -10,6 +10,7 @@ import viser.uplot
 from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.studio.play import Watcher
 from hrl_comfort.studio.session import Session, Step
 
 SHOWN_S = 20.0
@@ -54,7 +55,7 @@ class Chart:
             self._handle.data = tuple(np.array(column, dtype=np.float64) for column in zip(*self._rows, strict=True))
 
 
-class Curves:
+class Curves(Watcher):
     """Charts of one or more cells; a cell's values are marked with its label where there are several."""
 
     def __init__(self, server: viser.ViserServer, sessions: list[Session], labels: list[str]) -> None:
@@ -85,9 +86,6 @@ class Curves:
         many = len(self._labels) > 1
         return tuple(f"{name} {label}" if many else name for label in self._labels for name in plain)
 
-    def began(self, cell: int, session: Session) -> None:
-        """See `play.Watcher`."""
-
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`."""
         result = step.result
@@ -107,9 +105,6 @@ class Curves:
                 if name == "speed":
                     values = np.append(values, session.walk.speed_m_s)
                 chart.add(session.seconds, tuple(float(value) for value in values))
-
-    def failed(self, error: Exception) -> None:
-        """See `play.Watcher`."""
 
     def draw(self) -> None:
         """Send the charts to the page."""

@@ -27,6 +27,7 @@ from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.studio.page import KEYS_PATH
+from hrl_comfort.studio.play import Watcher
 from hrl_comfort.studio.server import LiveStudio
 
 MEASURED_S = 30.0
@@ -83,15 +84,12 @@ def turned(data: bytes) -> set[str]:
 
 
 @dataclass
-class Seen:
-    """A `play.Watcher` that notes when a person who stood has moved in the state of the next decision."""
+class Seen(Watcher):
+    """A watcher that notes when a person who stood has moved in the state of the next decision."""
 
     from_m: np.ndarray | None = None
     at_s: float | None = None
     decisions: int = 0
-
-    def began(self, cell: int, session: Any) -> None:
-        """See `play.Watcher`."""
 
     def stepped(self, cell: int, session: Any, step: Any) -> None:
         """See `play.Watcher`; the policy has acted on the state by now."""
@@ -99,9 +97,6 @@ class Seen:
             self.decisions += 1
             if np.abs(session.state.human_pos[0].numpy() - self.from_m).max() > MOVED_M:
                 self.at_s = time.monotonic()
-
-    def failed(self, error: Exception) -> None:
-        """See `play.Watcher`."""
 
 
 def bench_studio(config: StudioConfig) -> Path:
@@ -245,17 +240,11 @@ def hours(studio: LiveStudio, episodes: int) -> list[tuple[str, str, str]]:
     ]
 
 
-class Errors:
-    """A `play.Watcher` that counts failures."""
+class Errors(Watcher):
+    """A watcher that counts failures."""
 
     def __init__(self) -> None:
         self.count = 0
-
-    def began(self, cell: int, session: Any) -> None:
-        """See `play.Watcher`."""
-
-    def stepped(self, cell: int, session: Any, step: Any) -> None:
-        """See `play.Watcher`."""
 
     def failed(self, error: Exception) -> None:
         """See `play.Watcher`."""

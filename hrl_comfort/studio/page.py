@@ -25,6 +25,11 @@ Answer = Callable[[Any, Request], Response | None]
 """(connection, request) -> response, or None where a websocket is to be opened."""
 
 
+def by_viewer(change: Callable[[Any], object]) -> Callable[[Any], object]:
+    """Return a callback of a control that calls `change` with the value which a viewer, not the program, has set."""
+    return lambda event: None if event.client is None else change(event.target.value)
+
+
 def is_loopback(host: str) -> bool:
     """Return whether only this machine can reach `host`."""
     try:

@@ -12,8 +12,9 @@ from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
+from hrl_comfort.studio.page import by_viewer
 from hrl_comfort.studio.person import motion_config
-from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.session import Session, Step
 
@@ -28,7 +29,7 @@ STOPPED_SHARE = 0.005
 """Share of the speed below which the status line calls the arm stopped; it is shown as 0 %."""
 
 
-class Panel:
+class Panel(Watcher):
     """Controls of a live play; every change is asked of the loop."""
 
     def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop) -> None:
@@ -74,9 +75,9 @@ class Panel:
         self._level = gui.add_slider(
             "level", min=1, max=comfort.levels, step=1, initial_value=int(self.session.slider.value)
         )
-        self._level.on_update(self._on_level)
+        self._level.on_update(by_viewer(lambda level: self.ask(lambda: self._set_level(level))))
         self._source = gui.add_dropdown("level from", ("slider", comfort.source))
-        self._source.on_update(self._on_source)
+        self._source.on_update(by_viewer(lambda source: self.ask(lambda: self._take_source(source))))
         self._show_source()
 
     def _show_source(self) -> None:
@@ -92,11 +93,6 @@ class Panel:
         self._option.options = tuple(self.session.options)
         self._show_source()
 
-    def _on_level(self, event: Any) -> None:
-        if event.client is not None:
-            level = float(event.target.value)
-            self.ask(lambda: self._set_level(level))
-
     def set_level(self, level: float) -> None:
         """Set the level of every cell, and the slider; for requests."""
         self._level.value = round(level)
@@ -106,51 +102,36 @@ class Panel:
         for session in self._play.sessions:
             session.set_level(level)
 
-    def _on_source(self, event: Any) -> None:
-        if event.client is None:
-            return
-        if event.target.value == "slider":
-            self.ask(lambda: self._set_level(self.session.slider.value))
-        else:
-            self.ask(self._follow_source)
-
-    def _follow_source(self) -> None:
+    def _take_source(self, source: str) -> None:
         for session in self._play.sessions:
-            session.follow_source()
+            if source == "slider":
+                session.set_level(self.session.slider.value)
+            else:
+                session.follow_source()
 
     def _add_person(self, gui: Any) -> None:
         person = self._play.person
         names = (BY_HAND, *dict.fromkeys((*MOTIONS, person.human.motion)))
         self._motion = gui.add_dropdown("motion", names, initial_value=person.motion)
-        self._motion.on_update(self._on_motion)
+        self._motion.on_update(by_viewer(self._take_motion))
         speed = gui.add_slider("walks at most (m/s)", min=0.1, max=3.0, step=0.1, initial_value=person.speed_m_s)
         speed.on_update(lambda event: self.ask(lambda: setattr(person, "speed_m_s", event.target.value)))
         gui.add_markdown("Drag the person, or walk with **W A S D** and turn with **Q E**.")
         self._hands = gui.add_checkbox("hands", False, hint="show a handle at each hand, to drag it")
-        self._hands.on_update(self._on_hands)
+        self._hands.on_update(by_viewer(lambda held: self.ask(lambda: person.reach(CARRYING.copy() if held else None))))
         with gui.add_folder("Walk by touch", expand_by_default=False):
             for label, key in TOUCH.items():
                 gui.add_button(label).on_hold(
                     lambda _, key=key: self._loop.ask(lambda: person.press(frozenset(key))), HOLD_HZ
                 )
 
-    def _on_motion(self, event: Any) -> None:
-        if event.client is None:
-            return
-        name, person = event.target.value, self._play.person
+    def _take_motion(self, name: str) -> None:
+        person, human = self._play.person, self.session.config.human
         if name == BY_HAND:
             self.ask(person.take)
-        elif name == self.session.config.human.motion:
-            human = self.session.config.human
-            self.ask(lambda: person.let_go(human))
         else:
-            chosen = motion_config(name)
+            chosen = human if name == human.motion else motion_config(name)
             self.ask(lambda: person.let_go(chosen))
-
-    def _on_hands(self, event: Any) -> None:
-        if event.client is not None:
-            hands = CARRYING.copy() if event.target.value else None
-            self.ask(lambda: self._play.person.reach(hands))
 
     def _add_policy(self, gui: Any) -> None:
         self._policies = [

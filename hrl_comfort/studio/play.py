@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from hrl_comfort.humans.walk import Array
 from hrl_comfort.plots.clip import Clip
@@ -15,8 +14,8 @@ HOLD_S = 1.0
 """Simulated time for which the end of an episode is shown."""
 
 
-class Watcher(Protocol):
-    """A part of the page that follows the play."""
+class Watcher:
+    """A part of the page that follows the play, as far as it overrides these methods."""
 
     def began(self, cell: int, session: Session) -> None:
         """Follow the first state of an episode in the cell of this index."""
@@ -53,7 +52,7 @@ class LivePlay:
         if not going:
             return self._end(max(ends))
         self.now_s = min(ends[index] for index in going)
-        self.person.update(self._decision_s)
+        self.person.update(self.sessions[0].decision_s)
         for index in going:
             if ends[index] <= self.now_s + 1e-9:
                 step = self.sessions[index].step()
@@ -108,7 +107,3 @@ class LivePlay:
         self.now_s += self.hold_s
         self.reset()
         return 0.0
-
-    @property
-    def _decision_s(self) -> float:
-        return self.sessions[0].decision_s

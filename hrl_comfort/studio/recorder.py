@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import viser
+from pandas import DataFrame
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns, rounded
@@ -22,7 +23,7 @@ from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.loop import Loop
-from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.session import ROW, Session, Step
 
 SPLIT = "live"
@@ -90,9 +91,11 @@ class Recorder:
             raise ConfigError("nothing was recorded: let it run for a decision before you stop")
         with output_folder(self.folder, type(None)), all_or_none():
             self._result.write(self.folder, self._session.config)
-            for episode in {row[0] for row in self._result.paths}:
-                rows = [row for row in self._result.paths if row[0] == episode]
-                write_table(self.folder / f"human_{episode}.csv", HEADER, motion(rows))
+            table = DataFrame(self._result.paths, columns=path_columns(len(self._result.paths[0])))
+            table["t"] = (table["step"] * CONTROL_STEP_S).map(rounded)
+            for episode, rows in table.groupby("episode"):
+                lines = rows[["t", "human_x", "human_y", "human_yaw"]].to_numpy().tolist()
+                write_table(self.folder / f"human_{episode}.csv", HEADER, lines)
         return self.folder
 
     def draw(self) -> Path:
@@ -129,15 +132,7 @@ def void(step: Step) -> StepResult:
     return replace(step.result, decision_steps=torch.zeros_like(step.result.decision_steps))
 
 
-def motion(rows: list[list[object]]) -> list[list[object]]:
-    """Return the lines (t, x, y, yaw) of a motion file from rows of paths.csv."""
-    columns = path_columns(len(rows[0]))
-    at = [columns.index(name) for name in ("human_x", "human_y", "human_yaw")]
-    step = columns.index("step")
-    return [[rounded(float(str(row[step])) * CONTROL_STEP_S), *(row[index] for index in at)] for row in rows]
-
-
-class RecordControl:
+class RecordControl(Watcher):
     """Button that records every cell, from the beginning of an episode to the next press.
 
     Args:
@@ -199,9 +194,6 @@ class RecordControl:
         """See `play.Watcher`."""
         if self.recorders:
             self.recorders[cell].add(step)
-
-    def failed(self, error: Exception) -> None:
-        """See `play.Watcher`."""
 
     def _draw(self, recorders: list[Recorder]) -> None:
         try:

@@ -13,7 +13,7 @@ from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.plots.clip import Array
 from hrl_comfort.plots.tape import Recording, Tape
 from hrl_comfort.studio.loop import Loop
-from hrl_comfort.studio.page import APART_M, Page, set_camera
+from hrl_comfort.studio.page import APART_M, Page, by_viewer, set_camera
 from hrl_comfort.studio.view import CellView
 
 PIECE_S = 0.1
@@ -61,7 +61,7 @@ class ReplayStudio:
         speed = gui.add_slider("speed (×)", min=0.1, max=4.0, step=0.1, initial_value=config.speed)
         chosen = gui.add_dropdown("episode", tuple(self._titles), initial_value=next(iter(self._titles)))
         self._run.on_click(lambda _: self.loop.ask(self._toggle))
-        self._time.on_update(self._on_time)
+        self._time.on_update(by_viewer(lambda at: self.loop.ask(lambda: self._scrub(at))))
         speed.on_update(lambda event: self.loop.ask(lambda: self.loop.set_speed(event.target.value)))
         chosen.on_update(lambda event: self.loop.ask(lambda: self.play(self._titles[event.target.value])))
         self.recording = self.tape.recordings[0]
@@ -128,11 +128,6 @@ class ReplayStudio:
     def _toggle(self) -> None:
         self.loop.set_running(not self.loop.running)
         self._refresh()
-
-    def _on_time(self, event: Any) -> None:
-        if event.client is not None:
-            wanted = float(event.target.value)
-            self.loop.ask(lambda: self._scrub(wanted))
 
     def _scrub(self, time_s: float) -> None:
         self.loop.set_running(False)

@@ -16,7 +16,7 @@ from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera
 from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.person import Person, motion_config
-from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.recorder import RecordControl
 from hrl_comfort.studio.replay import ReplayStudio
@@ -29,7 +29,7 @@ CURVES_S = 0.25
 """Simulated time between two updates of the curves, s."""
 
 
-class LiveStudio:
+class LiveStudio(Watcher):
     """A running studio of one or two cells.
 
     Args:
@@ -97,18 +97,12 @@ class LiveStudio:
         for session in self.sessions:
             session.close()
 
-    def began(self, cell: int, session: Session) -> None:
-        """See `play.Watcher`."""
-
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
         self.views[cell].show_zone(session.walk.position[0], session.reach_m)
         if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
             self._drawn_s = session.seconds
             self.curves.draw()
-
-    def failed(self, error: Exception) -> None:
-        """See `play.Watcher`."""
 
 
 class Drag:

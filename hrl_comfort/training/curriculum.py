@@ -46,46 +46,37 @@ class Curriculum:
     def __init__(self, config: CurriculumConfig, precision: PrecisionConfig, policy_steps: int) -> None:
         self._config = config
         self._policy_steps = policy_steps
-        self._precision_m = precision.grasp_tolerance_m if config.kind == "off" else config.start_m
-        self._outcomes: deque[bool] = deque(maxlen=config.window)
-
-    @property
-    def precision_m(self) -> float:
+        self.precision_m = precision.grasp_tolerance_m if config.kind == "off" else config.start_m
         """Precision of the episodes that start now, metres."""
-        return self._precision_m
-
-    @property
-    def finished(self) -> bool:
-        """True at the tightest precision of the schedule."""
-        return self._config.kind == "off" or self._precision_m <= self._config.end_m
+        self._outcomes: deque[bool] = deque(maxlen=config.window)
 
     def advance(self, policy_steps: int, finished: list[tuple[float, bool]]) -> None:
         """Update by the policy steps of the stage so far and (precision, success) of episodes that just ended."""
         config = self._config
         if config.kind == "linear":
             share = min(1.0, policy_steps / (config.fraction * self._policy_steps))
-            self._precision_m = config.start_m + share * (config.end_m - config.start_m)
+            self.precision_m = config.start_m + share * (config.end_m - config.start_m)
         elif config.kind == "adaptive":
             for precision_m, success in finished:
                 # Episodes that began before the last tightening were easier.
-                if precision_m == self._precision_m:
+                if precision_m == self.precision_m:
                     self._outcomes.append(success)
                     self._tighten_if_mastered()
 
     def _tighten_if_mastered(self) -> None:
         config = self._config
         mastered = sum(self._outcomes) >= config.threshold * config.window
-        if len(self._outcomes) == config.window and mastered and not self.finished:
+        if len(self._outcomes) == config.window and mastered and self.precision_m > config.end_m:
             # rounded to the micrometre, so that repeated subtraction lands on the values a reader expects
-            self._precision_m = max(config.end_m, round(self._precision_m - config.step_m, 6))
+            self.precision_m = max(config.end_m, round(self.precision_m - config.step_m, 6))
             self._outcomes.clear()
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue."""
-        return {"precision_m": self._precision_m, "outcomes": list(self._outcomes)}
+        return {"precision_m": self.precision_m, "outcomes": list(self._outcomes)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
-        self._precision_m = state["precision_m"]
+        self.precision_m = state["precision_m"]
         self._outcomes.clear()
         self._outcomes.extend(state["outcomes"])

@@ -91,22 +91,16 @@ class MetricsLog:
         for board in self._boards:
             board.close()
 
+    _PLAIN = ("run_id", "rows", "episodes", "finished", "updates")
+
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue in the middle of a row."""
-        return {
-            "run_id": self._run_id,
-            "rows": self._rows,
-            "episodes": self._episodes,
-            "finished": self._finished,
-            "updates": self._updates,
-            "sums": dict(self._sums),
-        }
+        return {"sums": dict(self._sums), **{name: getattr(self, f"_{name}") for name in self._PLAIN}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`; `start` then cuts the files back."""
-        self._run_id = state["run_id"]
-        self._rows, self._episodes = state["rows"], state["episodes"]
-        self._finished, self._updates = state["finished"], state["updates"]
+        for name in self._PLAIN:
+            setattr(self, f"_{name}", state[name])
         self._sums = dict(state["sums"])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,7 @@ def test_the_report_writes_table_and_figure_beside_the_sweep_and_names_what_is_n
         assert "not begun" in text
         assert "running, or killed, 20000 policy steps logged" in text
     assert 'src="data:image/svg' in html
+    assert resources.files("hrl_comfort.report").joinpath("report.css").read_text(encoding="utf-8") in html
 
 
 def test_a_combination_of_any_length_and_signs_is_drawn(tmp_path: Path) -> None:

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.calibration import read_deltas
-from hrl_comfort.scene.ur import TOOL_LENGTH_M, UR3E, UR_ARMS, forward_kinematics, link_poses
+from hrl_comfort.scene.ur import TOOL_LENGTH_M, UR3E, UR_ARMS, link_poses
 from hrl_comfort.scene.workcell import Scene, build_scene
+from tests.scene.kinematics import forward_kinematics
 from tests.scene.test_scene import CELL
 
 Array = NDArray[np.float64]

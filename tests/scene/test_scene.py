@@ -20,12 +20,12 @@ from hrl_comfort.scene import (
     TOOL_LENGTH_M,
     Scene,
     build_scene,
-    forward_kinematics,
     limb_poses,
 )
 from hrl_comfort.scene.human import LEG_RADIUS_M
 from hrl_comfort.scene.ur import GRIPPER_MASS_KG, JOINTS, LINKS, UR_ARMS
 from hrl_comfort.scene.workcell import DEEPEST_M
+from tests.scene.kinematics import forward_kinematics
 
 CELL = CellConfig(
     ball_m=[-0.615, -0.070, 0.287],
@@ -84,13 +84,6 @@ def test_compiled_flange_and_tool_are_where_the_dh_table_puts_them(name: str) ->
     expected = forward_kinematics(UR_ARMS[name], joint_pos)
     np.testing.assert_allclose(flange, expected, rtol=0, atol=1e-6)
     np.testing.assert_allclose(tcp, expected[:, :3, 3] + TOOL_LENGTH_M * expected[:, :3, 2], rtol=0, atol=1e-6)
-
-
-def test_forward_kinematics_keeps_batch_shapes() -> None:
-    joint_pos = np.random.default_rng(2).uniform(-3, 3, (4, 5, 6))
-    batch = forward_kinematics(UR_ARMS["ur3e"], joint_pos)
-    assert batch.shape == (4, 5, 4, 4)
-    np.testing.assert_array_equal(batch[2, 3], forward_kinematics(UR_ARMS["ur3e"], joint_pos[2, 3]))
 
 
 @every_robot

@@ -115,7 +115,7 @@ def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, optio
     env = environment(config)
     policy, engine = load_policy(REFERENCE / option), Engine(env, 50, 0)
     task = observed_by(policy, str(REFERENCE / option), engine.episodes.subtask, env)
-    names, states, actions, state = inputs_of(task, engine.reset()), [], [], engine.reset()
+    names, states, actions, state = inputs_of(task.observe, engine.reset()), [], [], engine.reset()
     for _ in range(20):
         acted = policy(task.observe(state)).double()
         for row in range(50):

@@ -22,17 +22,8 @@ from hrl_comfort.humans.recordings import read_recordings
 from hrl_comfort.humans.walk import Motion
 
 MOTIONS: dict[str, Motion] = {
-    "none": none,
-    "still": still,
-    "random_walk": random_walk,
-    "arc": arc,
-    "approach": approach,
-    "patrol": patrol,
-    "worker": worker,
-    "reactive": reactive,
-    "adversary": adversary,
-    "recorded": recorded,
-    "live": live,
+    each.__name__: each
+    for each in (none, still, random_walk, arc, approach, patrol, worker, reactive, adversary, recorded, live)
 }
 CARRIERS = ("patrol", "worker", "reactive")
 """Motions of people who hold their hands before the body."""

@@ -6,8 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -138,19 +137,3 @@ class Training:
                 [sys.executable, "-m", "hrl_comfort", "train", *words],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
             )  # fmt: skip
-
-
-class Poll:
-    """Calls `act` every `every_s` in a thread of its own until it is stopped."""
-
-    def __init__(self, act: Callable[[], None], every_s: float) -> None:
-        self._act, self._every_s, self._over = act, every_s, threading.Event()
-        threading.Thread(target=self._run, name="studio training", daemon=True).start()
-
-    def stop(self) -> None:
-        """Call `act` no more."""
-        self._over.set()
-
-    def _run(self) -> None:
-        while not self._over.wait(self._every_s):
-            self._act()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -17,7 +18,7 @@ from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
 from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
-from hrl_comfort.studio.tune.training import CURVES, Poll, Training
+from hrl_comfort.studio.tune.training import CURVES, Training
 
 if TYPE_CHECKING:
     from hrl_comfort.studio.server import LiveStudio
@@ -54,11 +55,12 @@ class Tuning:
         with gui.add_folder("Train", expand_by_default=False):
             self._add_training(gui)
         studio.play.renew = self._renew
-        self._poll = Poll(self._show, POLL_S)
+        self._over = threading.Event()
+        threading.Thread(target=self._show, name="studio training", daemon=True).start()
 
     def stop(self) -> None:
         """Stop the training."""
-        self._poll.stop()
+        self._over.set()
         self.training.stop()
 
     def _changed(self, error: ConfigError | None) -> None:
@@ -167,8 +169,10 @@ class Tuning:
             self._training_said.content = content
 
     def _show(self) -> None:
-        """Draw the curve of a training that goes on."""
-        if self.training.folder is not None:
+        """Draw the curve of a training that goes on, until the studio stops."""
+        while not self._over.wait(POLL_S):
+            if self.training.folder is None:
+                continue
             curves = self.training.curves()
             if len(curves[0]):
                 self._chart.data = curves

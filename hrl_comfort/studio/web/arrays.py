@@ -7,6 +7,7 @@ of its example: the page refuses others.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -89,33 +90,17 @@ class Traced(NDArrayOperatorsMixin):
         """See numpy."""
         return self._moved(lambda array: array.transpose(*axes))
 
-    def max(self, axis: Any) -> Traced:
-        """See numpy."""
-        return self._reduced("amax", axis, self.value.max(axis=axis))
-
-    def min(self, axis: Any) -> Traced:
-        """See numpy."""
-        return self._reduced("amin", axis, self.value.min(axis=axis))
-
-    def sum(self, axis: Any) -> Traced:
-        """See numpy."""
-        return self._reduced("sum", axis, self.value.sum(axis=axis))
-
-    def all(self, axis: Any) -> Traced:
-        """See numpy."""
-        return self._reduced("all", axis, self.value.all(axis=axis))
-
-    def argmin(self, axis: Any) -> Traced:
-        """See numpy."""
-        return self._reduced("argmin", axis, self.value.argmin(axis=axis))
-
     def _moved(self, move: Callable[[Array], Array]) -> Traced:
         places = np.arange(self.value.size).reshape(self.value.shape)
         return self.recorder.moved([self], np.asarray(move(places)), np.asarray(move(self.value)))
 
-    def _reduced(self, op: str, axis: Any, value: Any) -> Traced:
+    def _reduced(self, op: str, reduce: Callable[..., Any], axis: Any) -> Traced:
         axes = [axis] if np.ndim(axis) == 0 else list(axis)
-        return self.recorder.add(op, [f"%{self.name}", axes], value)
+        return self.recorder.add(op, [f"%{self.name}", axes], reduce(self.value, axis=axis))
+
+    max, min = partialmethod(_reduced, "amax", np.max), partialmethod(_reduced, "amin", np.min)
+    sum, all = partialmethod(_reduced, "sum", np.sum), partialmethod(_reduced, "all", np.all)
+    argmin = partialmethod(_reduced, "argmin", np.argmin)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
         if method != "__call__" or settings:
@@ -141,7 +126,7 @@ class Traced(NDArrayOperatorsMixin):
         if function is np.linalg.norm:
             return np.sqrt((args[0] * args[0]).sum(**settings))
         if function is np.cumsum:
-            return self._reduced("cumsum", settings["axis"], np.cumsum(self.value, **settings))
+            return self._reduced("cumsum", np.cumsum, settings["axis"])
         if function is np.take_along_axis and settings == {"axis": 0}:
             names = [self.recorder.name(each) for each in args]
             return self.recorder.add("take_along_rows", names, np.take_along_axis(*map(value_of, args), **settings))

@@ -20,7 +20,7 @@ from hrl_comfort.hierarchy.options import Option
 from hrl_comfort.humans import body, walk
 from hrl_comfort.humans.motions.live import ARRIVED_M
 from hrl_comfort.policies.actor import load_policy
-from hrl_comfort.policies.graph import PolicyGraph, Watched, inputs_of
+from hrl_comfort.policies.graph import PolicyGraph, inputs_of
 from hrl_comfort.policies.load import observed_by
 from hrl_comfort.scene import human
 from hrl_comfort.studio.clip import decision_clip
@@ -28,7 +28,6 @@ from hrl_comfort.studio.person import FARTHEST_M
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
-from hrl_comfort.tasks import State
 
 EPISODES = 8
 """Episodes after which the page begins again with the first."""
@@ -57,7 +56,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
     scene, task, env = engine.scene, episodes.subtask, episodes.config
     sources = config.policies or {task.name: str(config.policy)}
     options = [_option(each, sources[each.name], session) for each in session.executor.options]
-    seen = sorted(_read_by_stages(session, state))
+    seen = sorted(inputs_of(task.next_stage, state))
     levels = torch.arange(1, env.comfort.levels + 1, dtype=torch.float64)
     limits = {"episode": env.task.max_episode_steps, "option": session.executor.time_limit}
     made = {
@@ -121,7 +120,7 @@ def _option(option: Any, source: str, session: Session) -> dict[str, Any]:
     env = replace(env, task=replace(env.task, name=option.name))
     policy = load_policy(source)
     task = observed_by(policy, source, option.subtask, env)
-    inputs = inputs_of(task, session.state)
+    inputs = inputs_of(task.observe, session.state)
     if missing := set(inputs) - FIELDS:
         raise ConfigError(f"policy={source!r} observes {', '.join(sorted(missing))}, which a page does not have")
     graph = PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg))
@@ -132,12 +131,6 @@ def _option(option: Any, source: str, session: Session) -> dict[str, Any]:
         "levels": policy.spec["environment"].get("levels"),
         "graph": traced(graph, session.state, inputs),
     }
-
-
-def _read_by_stages(session: Session, state: State) -> set[str]:
-    watched = Watched(**state.fields())
-    session.engine.episodes.subtask.next_stage(watched)
-    return set(vars(watched)["read"])
 
 
 def _episode(session: Session) -> dict[str, Any]:
