@@ -75,7 +75,7 @@ class Panel(Watcher):
         self._level = gui.add_slider(
             "level", min=1, max=comfort.levels, step=1, initial_value=int(self.session.slider.value)
         )
-        self._level.on_update(by_viewer(lambda level: self.ask(lambda: self._set_level(level))))
+        self._level.on_update(by_viewer(lambda level: self.ask(lambda: self._set_level(float(level)))))
         self._source = gui.add_dropdown("level from", ("slider", comfort.source))
         self._source.on_update(by_viewer(lambda source: self.ask(lambda: self._take_source(source))))
         self._show_source()
