@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import uuid
+from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +17,7 @@ from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import one_of
 from hrl_comfort.config.compose import run_folder
 from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
@@ -27,10 +29,12 @@ from hrl_comfort.sweeps.job import Command, job
 from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent
 
 EXTRAS = {
-    "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
-    "submitit_slurm": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
-    "ray": ("ray", "hydra_plugins.hydra_ray_launcher"),
-    "optuna": ("optuna", "hydra_plugins.hydra_optuna_sweeper"),
+    "hydra/launcher": {
+        "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
+        "submitit_slurm": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
+        "ray": ("ray", "hydra_plugins.hydra_ray_launcher"),
+    },
+    "hydra/sweeper": {"optuna": ("optuna", "hydra_plugins.hydra_optuna_sweeper")},
 }
 """Extra and module of each launcher and sweeper that needs one."""
 
@@ -46,13 +50,13 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
     if verb == "evaluate" and not outputs and _of_runs(checked):
         rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
-    rest += _plugin_overrides(rest)
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", search_path())
     command, batches, crash = uuid.uuid4().hex, None, ""
     task = partial(job, verb, run, command)
     root = root_of(verb)
     try:
+        rest += _plugin_overrides(rest, hydra_app.config_loader.get_group_options)
         asked = hydra_app.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
         folder = Path(asked.hydra.sweep.dir)
         record = target_of(folder / "multirun.yaml")
@@ -102,13 +106,20 @@ def _report_records(folder: Path, command: str, crash: str) -> None:
         raise ConfigError(f"{not_done} of {count} jobs failed")
 
 
-def _plugin_overrides(overrides: list[str]) -> list[str]:
-    """Return further overrides for the chosen sweeper; raise ConfigError if an extra is missing."""
-    chosen = dict(line.split("=", 1) for line in overrides if line.startswith("hydra/"))
-    for key in ("hydra/launcher", "hydra/sweeper"):
-        extra, module = EXTRAS.get(chosen.get(key, ""), ("", ""))
-        if extra and find_spec(module) is None:
-            raise ConfigError(f"{key}={chosen[key]} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
+def _plugin_overrides(overrides: list[str], installed: Callable[[str], list[str]]) -> list[str]:
+    """Return further overrides for the chosen launcher and sweeper, of which `installed` gives the choices.
+
+    Raises:
+      ConfigError: there is no such choice, or its extra is missing.
+    """
+    lines = [parse(line) for line in overrides if line.startswith("hydra/")]
+    chosen = {each.key_or_group: str(each.value()) for each in lines}
+    for key, extras in EXTRAS.items():
+        if key in chosen:
+            one_of(key, chosen[key], tuple(sorted({*installed(key), *extras})))
+            extra, module = extras.get(chosen[key], ("", ""))
+            if extra and find_spec(module) is None:
+                raise ConfigError(f"{key}={chosen[key]} needs the extra {extra}: pip install 'hrl-comfort[{extra}]'")
     found = _worker_overrides() if chosen.get("hydra/launcher", "joblib") == "joblib" else []
     if chosen.get("hydra/sweeper") != "optuna":
         return found

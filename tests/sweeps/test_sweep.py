@@ -195,6 +195,16 @@ def test_a_missing_extra_is_named_in_one_line(
     assert capsys.readouterr().err == says
 
 
+def test_an_unknown_launcher_or_sweeper_is_told_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    for key, known in (
+        ("launcher", "basic, joblib, ray, submitit_local, submitit_slurm"),
+        ("sweeper", "basic, optuna"),
+    ):
+        assert commands.main(["train", "-m", f"hydra/{key}=slrum", "train_seed=0,1"]) == 1
+        says = f"hrl-comfort: hydra/{key}='slrum' is not allowed; choose one of {known}\n"
+        assert capsys.readouterr().err == says
+
+
 def test_a_search_gets_the_score_and_an_error_for_a_failure() -> None:
     assert float(JobResult("done", score=0.75)) == 0.75
     for result in (JobResult("failed", error="no policy"), JobResult("done", score=math.nan)):
