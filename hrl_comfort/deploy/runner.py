@@ -226,7 +226,7 @@ def confirm(config: DeployConfig) -> None:
 
 @contextmanager
 def interruption() -> Iterator[Callable[[], bool]]:
-    """Tell whether SIGINT has come, so that the arm is braked; the next one has its usual effect."""
+    """Catch the first SIGINT; yield a function that tells whether it has come. The next one has its usual effect."""
     asked, before = False, signal.getsignal(signal.SIGINT)
 
     def note(number: int, frame: FrameType | None) -> None:

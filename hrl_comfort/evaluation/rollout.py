@@ -80,7 +80,7 @@ def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
     with progress(f"evaluate {config.task.name}", config.episodes * max(1, len(config.levels))) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
-                _run(at_level, policy, entries.part(start, start + BATCH), result, show)
+                _run_batch(at_level, policy, entries.part(start, start + BATCH), result, show)
     if config.split == "test":
         record(config, policy, result.table)
     return result
@@ -98,7 +98,9 @@ def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:
     return [replace(config, comfort=replace(config.comfort, source="fixed", level=level)) for level in config.levels]
 
 
-def _run(config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result, show: Show) -> None:
+def _run_batch(
+    config: EvaluateConfig, policy: Source | None, entries: EvaluationSet, result: Result, show: Show
+) -> None:
     """Run episodes side by side, one a row, to their ends; append them to `result`."""
     env, rows = environment(config), len(entries.episode)
     engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)

@@ -35,7 +35,7 @@ def sorting_options(
     `meta_controller.level_override`.
 
     Raises:
-      ConfigError: the division is not three, or a policy is missing or does not fit.
+      ConfigError: the division is not three, a policy is missing or does not fit, or a level is not one of the source.
     """
     names = [skill.name for skill in SKILLS]
     if list(meta_controller.options) != names:

@@ -113,7 +113,7 @@ ArmSource = Callable[[], tuple[Array, Array]]
 
 
 def once(source: ArmSource) -> ArmSource:
-    """Return a source that asks `source` when somebody first looks, and then gives the same."""
+    """Return a source that calls `source` at its first call, and returns the same arrays afterwards."""
     seen: list[tuple[Array, Array]] = []
 
     def kept() -> tuple[Array, Array]:

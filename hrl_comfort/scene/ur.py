@@ -197,8 +197,8 @@ def _about_z(angle: float) -> NDArray[np.float64]:
 def build_robot(model: UrModel) -> mjcf.RootElement:
     """Return the arm with servos and gripper: bodies `base`, LINKS, `gripper`; sites `flange`, `tcp`.
 
-    The body frame of a link is its DH frame, as for the published centres of mass; site `flange` has the pose of
-    the DH table. Actuators take joint angles in rad.
+    The body frame of a link is its DH frame, as for the published centres of mass; site `flange` has the pose
+    of DH table and calibration. Actuators take joint angles in rad.
     """
     root = mjcf.RootElement(model="robot")
     root.compiler.angle = "radian"

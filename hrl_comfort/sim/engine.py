@@ -64,7 +64,13 @@ class Engine:
 
         If `rows` (r,) are given, only these are run; the others are void in the result and must be reset
         before they are stepped again.
+
+        Raises:
+          RuntimeError: a row has no episode yet.
+          ValueError: the actions are of another shape, or there are no rows, with which MuJoCo would crash.
         """
+        if rows is not None and not len(rows):
+            raise ValueError("rows=[] is not allowed; name at least one row")
         at = slice(None) if rows is None else rows
         control = self.episodes.apply_action(action)
         states, sensed = self._run(self.physics[at], control[at], rows)

@@ -104,8 +104,8 @@ class Episodes:
     def begin(self, rows: NDArray[np.int64], probe: Probe, entries: EvaluationSet | None = None) -> Array:
         """Begin the next episode of `rows` (r,); return their joints (r, 2 J): angles rad, velocities rad/s.
 
-        With `entries` (r,) of an evaluation split the rows begin these, and their next episode is still to come. Draws
-        are repeated until the cell begins free of contact and unsolved.
+        With `entries` (r,) of an evaluation split the rows begin these; without them, the next time, the episode that
+        they would have begun now. Draws are repeated until the cell begins free of contact and unsolved.
 
         Raises:
           ConfigError: no such start was found.
@@ -174,9 +174,12 @@ class Episodes:
 
         Raises:
           RuntimeError: a row has no episode yet.
+          ValueError: the actions are of another shape.
         """
         if self.state is None or not self._ready.all():
             raise RuntimeError("there is no episode yet: call reset before step")
+        if action.shape != (shape := (self.rows, self.action_dim)):
+            raise ValueError(f"actions of shape {action.shape} are not allowed; they must have shape {shape}")
         task, substeps = self.config.task, self.config.engine.substeps
         steps, joint_target = self.planned_steps, self.state.joint_target.numpy()
         action = np.minimum(np.maximum(action, -1.0), 1.0)

@@ -98,9 +98,9 @@ def compute_step(
 
     # Stages and terms read few of the fields, so each is put together when it is read.
     previous = LazyState.of(earlier)
-    kept = partial(getattr, previous)
-    stage = subtask.next_stage(LazyState.of(kept, **moving))
-    after = LazyState.of(kept, **moving, stage=stage)
+    unchanged = partial(getattr, previous)
+    stage = subtask.next_stage(LazyState.of(unchanged, **moving))
+    after = LazyState.of(unchanged, **moving, stage=stage)
 
     failing = subtask.failed(previous, after)
     moved_on = (after.stage > previous.stage) | failing

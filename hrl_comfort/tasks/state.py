@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -119,7 +120,10 @@ class State:
 
 
 class LazyState(State):
-    """A state whose fields are made when they are first read; copies and changed ones have all of them."""
+    """A state whose fields are made when they are first read.
+
+    It keeps what they are made of. Its copies, pickles, `rows` and `put` are states that have all fields.
+    """
 
     @classmethod
     def of(cls, make: Callable[[str], Tensor], **known: Tensor) -> LazyState:
@@ -134,6 +138,10 @@ class LazyState(State):
         made: Tensor = vars(self)["_make"](name)
         vars(self)[name] = made
         return made
+
+    def with_(self, **changes: Tensor) -> State:
+        """Return a copy with the given fields replaced, the others still to be made."""
+        return LazyState.of(partial(getattr, self), **changes)
 
     def fields(self) -> dict[str, Tensor]:
         """Return all fields by their names."""

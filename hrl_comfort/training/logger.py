@@ -27,6 +27,9 @@ class MetricsLog:
     Without an episode or an update in that time, their columns are empty, never zero.
     """
 
+    _PLAIN = ("run_id", "rows", "episodes", "finished", "updates")
+    """Attributes, without their underscore, that an exact continuation needs beside the sums."""
+
     def __init__(self, folder: Path, reward_names: tuple[str, ...], config: TrainConfig) -> None:
         self._folder, self._config = folder, config
         self._outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
@@ -90,8 +93,6 @@ class MetricsLog:
         """Close the boards."""
         for board in self._boards:
             board.close()
-
-    _PLAIN = ("run_id", "rows", "episodes", "finished", "updates")
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue in the middle of a row."""

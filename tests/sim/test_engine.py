@@ -18,7 +18,7 @@ from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.tasks import SUBTASKS, State
+from hrl_comfort.tasks import SUBTASKS, LazyState, State
 
 TASKS = sorted(SUBTASKS)
 FIELDS = ("joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen")
@@ -49,6 +49,30 @@ def test_the_states_that_terms_get_are_whole_states() -> None:
                 torch.testing.assert_close(value.view(steps.shape), earlier, rtol=0, atol=0, equal_nan=True)
     with pytest.raises(AttributeError, match="has no attribute 'colours_of'"):
         _ = before.colours_of  # type: ignore[attr-defined]
+
+
+def test_actions_of_another_shape_and_no_rows_are_refused_at_once() -> None:
+    engine = Engine(configured("task=pick"), 3, 0)
+    engine.reset()
+    for shape in ((1, 6), (3, 5), (6,)):
+        with pytest.raises(ValueError, match=r"must have shape \(3, 6\)"):
+            engine.step(np.ones(shape))
+    with pytest.raises(ValueError, match="name at least one row"):
+        engine.step(np.ones((3, 6)), np.array([], dtype=np.int64))
+    assert engine.step(np.ones((3, 6))).decision_steps.tolist() == [5, 5, 5]
+
+
+def test_a_changed_lazy_state_makes_the_others_when_they_are_read() -> None:
+    made: list[str] = []
+
+    def make(name: str) -> torch.Tensor:
+        made.append(name)
+        return torch.zeros(2)
+
+    changed = LazyState.of(make, stage=torch.ones(2)).with_(level=torch.full((2,), 3.0))
+    assert not made
+    assert changed.level.tolist() == [3.0, 3.0] and changed.stage.tolist() == [1.0, 1.0]
+    assert changed.steps is changed.steps and made == ["steps"]
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -305,7 +329,7 @@ def test_rows_that_are_left_out_of_a_decision_change_nothing_for_the_others() ->
     for _ in range(6):
         action = rng.uniform(-1, 1, (4, 6))
         expected, outcome = whole.step(action), part.step(action, rows)
-        for name, value in vars(expected.state).items():
+        for name, value in expected.state.fields().items():
             torch.testing.assert_close(getattr(outcome.state, name)[kept], value[kept], rtol=0, atol=0, equal_nan=True)
         assert torch.equal(outcome.reward_terms[kept], expected.reward_terms[kept])
         assert np.array_equal(part.physics[rows], whole.physics[rows])

@@ -98,8 +98,10 @@ class Traced(NDArrayOperatorsMixin):
         axes = [axis] if np.ndim(axis) == 0 else list(axis)
         return self.recorder.add(op, [f"%{self.name}", axes], reduce(self.value, axis=axis))
 
-    max, min = partialmethod(_reduced, "amax", np.max), partialmethod(_reduced, "amin", np.min)
-    sum, all = partialmethod(_reduced, "sum", np.sum), partialmethod(_reduced, "all", np.all)
+    max = partialmethod(_reduced, "amax", np.max)
+    min = partialmethod(_reduced, "amin", np.min)
+    sum = partialmethod(_reduced, "sum", np.sum)
+    all = partialmethod(_reduced, "all", np.all)
     argmin = partialmethod(_reduced, "argmin", np.argmin)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
@@ -125,7 +127,7 @@ class Traced(NDArrayOperatorsMixin):
             return np.minimum(np.maximum(value, low), high)
         if function is np.linalg.norm:
             return np.sqrt((args[0] * args[0]).sum(**settings))
-        if function is np.cumsum:
+        if function is np.cumsum and settings.keys() == {"axis"}:
             return self._reduced("cumsum", np.cumsum, settings["axis"])
         if function is np.take_along_axis and settings == {"axis": 0}:
             names = [self.recorder.name(each) for each in args]
