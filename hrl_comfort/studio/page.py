@@ -6,7 +6,7 @@ import hmac
 import http
 import ipaddress
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, redirect_stdout
 from http.cookies import CookieError, SimpleCookie
 from importlib.resources import files
@@ -25,9 +25,17 @@ Answer = Callable[[Any, Request], Response | None]
 """(connection, request) -> response, or None where a websocket is to be opened."""
 
 
-def by_viewer(change: Callable[[Any], object]) -> Callable[[Any], object]:
-    """Return a callback of a control that calls `change` with the value which a viewer, not the program, has set."""
-    return lambda event: None if event.client is None else change(event.target.value)
+def by_viewer(change: Callable[[Any], object]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """Return a callback of a control that calls `change` with the value which a viewer, not the program, has set.
+
+    It runs in the server's event loop, at once: in a thread it might read what the program has written meanwhile.
+    """
+
+    async def changed(event: Any) -> None:
+        if event.client is not None:
+            change(event.target.value)
+
+    return changed
 
 
 def is_loopback(host: str) -> bool:
