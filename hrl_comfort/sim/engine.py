@@ -94,7 +94,7 @@ class Engine:
             models = self._models if rows is None else [self._models[row] for row in rows]
         n, steps = control.shape[:2]
         states, sensed = np.empty((n, steps, self.scene.nstate)), np.empty((n, steps, self.scene.model.nsensordata))
-        # The checks of the shapes take as long as a third of one cell's physics.
+        # The checks of the shapes would take a sixth as long as one cell's physics.
         self._rollout.rollout(
             models, self._data, physics, control, control_spec=CONTROL_SPEC, skip_checks=True, nstep=steps,
             state=states, sensordata=sensed,

@@ -104,8 +104,8 @@ class Episodes:
     def begin(self, rows: NDArray[np.int64], probe: Probe, entries: EvaluationSet | None = None) -> Array:
         """Begin the next episode of `rows` (r,); return their joints (r, 2 J): angles rad, velocities rad/s.
 
-        With `entries` (r,) of an evaluation split the rows begin these; without them, the next time, the episode that
-        they would have begun now. Draws are repeated until the cell begins free of contact and unsolved.
+        With `entries` (r,) of an evaluation split the rows begin these; the next call without them begins the episode
+        that they would have begun now. Draws are repeated until the cell begins free of contact and unsolved.
 
         Raises:
           ConfigError: no such start was found.

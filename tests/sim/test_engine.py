@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from copy import copy, deepcopy
 from dataclasses import replace
+from operator import methodcaller
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def test_the_states_that_terms_get_are_whole_states() -> None:
     engine.episodes.subtask = replace(task, rewards={**task.rewards, "contact": watched})
     engine.step(np.ones((3, 6)))
     ((before, after),) = seen
-    same = (copy, deepcopy, lambda state: pickle.loads(pickle.dumps(state)), replace, State.with_)
+    same = (copy, deepcopy, lambda state: pickle.loads(pickle.dumps(state)), replace, methodcaller("with_"))
     for earlier_state, later_state in ((each(before), each(after)) for each in same):
         for name, value in earlier_state.fields().items():
             steps = getattr(later_state, name).view(3, 5, *value.shape[1:])
