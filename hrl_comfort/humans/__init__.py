@@ -39,7 +39,6 @@ from hrl_comfort.humans.walk import (
     facing_base,
     gait,
     length,
-    once,
     outside,
 )
 
@@ -231,6 +230,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
     "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector", "jittered_spawn",
-    "load_evaluation_set", "motion", "moved_spawns", "once", "outside", "seen_position", "share_of", "split_set",
+    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "split_set",
     "training_spawn", "training_spawns",
 ]  # fmt: skip

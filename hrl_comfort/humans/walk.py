@@ -112,18 +112,6 @@ ArmSource = Callable[[], tuple[Array, Array]]
 """Return points of the arm (n, P, 3) m, at least one a link, and their velocities (n, P, 3) m/s."""
 
 
-def once(source: ArmSource) -> ArmSource:
-    """Return a source that calls `source` at its first call, and returns the same arrays afterwards."""
-    seen: list[tuple[Array, Array]] = []
-
-    def kept() -> tuple[Array, Array]:
-        if not seen:
-            seen.append(source())
-        return seen[0]
-
-    return kept
-
-
 @dataclass(frozen=True)
 class Surroundings:
     """The robot beside n people, as they see it, and where they must not go."""

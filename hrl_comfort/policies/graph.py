@@ -57,9 +57,9 @@ class PolicyGraph(nn.Module):
 
 
 def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
-    """Return a state with `values` in its fields `inputs`; the others are None, and a graph must not read them."""
-    given = {**dict.fromkeys(NAMES), **dict(zip(inputs, values, strict=True))}
-    return State(**given)  # type: ignore[arg-type]  # the fields that are not read
+    """Return a state with `values` in its fields `inputs`; to read another raises KeyError."""
+    given = dict(zip(inputs, values, strict=True))
+    return LazyState.of(given.__getitem__, **given)
 
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:

@@ -7,7 +7,7 @@ episode; every random number of it comes from (seed, row, episode).
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -189,7 +189,7 @@ class Episodes:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
         seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
-        arm = humans.once(partial(self._separation.arm.points, *seen))
+        arm = cache(partial(self._separation.arm.points, *seen))
         self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
         noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
         self._tracker.begin_decision()
