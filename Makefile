@@ -50,7 +50,7 @@ test-docs: setup
 
 # Contacts beside every motion and policy, until stopped; goes on where it was.
 campaign: setup
-	nice -n 19 $(BIN)/python -m tests.safety.campaign docs/tables/safety_campaign.csv 30000 $(RECORDINGS)
+	nice -n 19 $(BIN)/python -m tests.safety.campaign runs/safety_campaign.csv 30000 $(RECORDINGS)
 
 # 10,000 generated inputs, drawn anew each time: what is said, files, streams, states. Some minutes.
 # 2,000 damaged artefacts and 300 hostile command lines, each in a process of its own. An hour.

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from hrl_comfort.analysis import comparison, handover
@@ -31,8 +30,7 @@ from hrl_comfort.plots.style import save_png
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("benchmark", "benchmarks", "replication", "safety")),
-    *sorted((ROOT / "docs" / "tables").glob("*.md")),
+    *(ROOT / "docs" / f"{name}.md" for name in ("results", "safety")),
 )
 REFERENCE = ROOT / "runs" / "reference"
 UNSHIELDED = ROOT / "docs" / "tables" / "unshielded"
@@ -77,26 +75,6 @@ def of_json(table: Callable[[dict[str, Any]], str]) -> Callable[[str], str]:
 def of_rows(table: Callable[[pd.DataFrame], str]) -> Callable[[str], str]:
     """Return what makes a table of the CSV file that it is given the name of."""
     return lambda name: table(read_table(REFERENCE / name))
-
-
-def curricula(rows: pd.DataFrame) -> str:
-    """Return the table of precision curricula: rows of metrics.csv with reward, target_m, curriculum and train_seed."""
-    lines = []
-    for (reward, target_m, kind), runs in rows.groupby(["reward", "target_m", "curriculum"], sort=False):
-        there = runs[np.isclose(runs["precision_m"], target_m)]
-        first = there[there["success"] >= 0.95].groupby("train_seed")["policy_steps"].min()
-        seeds = Clusters.of_runs(runs["train_seed"].nunique())
-        shares = []
-        for end in (40_000, 100_000, 150_000):
-            lap = runs[runs["policy_steps"] <= end].groupby("train_seed").last()
-            success = cell(seeds.estimate(lap["success"].to_numpy(), bounds=SHARE), 100)
-            precision = lap["precision_m"].mean()
-            shares.append(success if np.isclose(precision, target_m) else f"{success}, at {100 * precision:.0f} cm")
-        whole = seeds.estimate(first.to_numpy(float)) if len(first) == len(seeds.seed) else None
-        steps = cell(whole, digits=0) if whole else f"{len(first)} of {len(seeds.seed)} runs"
-        lines.append([f"{100 * target_m:.0f} cm, {reward}", str(kind), *shares, steps])
-    return markdown(("target, reward", "curriculum", *(f"{n}, %" for n in ("40,000", "100,000", "150,000")),
-                     "steps to 95 %"), lines)  # fmt: skip
 
 
 def on_test(policies: str) -> str:
@@ -157,7 +135,6 @@ KINDS: dict[str, Callable[[str], str]] = {
     "with less without shield": by_shield,
     "responses": of_entries(entries.responses),
     "closed loop": of_entries(entries.at_same_throughput),
-    "curricula": of_rows(curricula),
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),

@@ -80,8 +80,8 @@ def test_a_choice_does_not_repeat_a_line_of_the_shared_file():
 
 
 def test_overrides_win_over_the_experiment():
-    config = trained("experiment=paper", "task=pick", "engine.num_envs=3")
-    assert (config.task.name, config.task.action_repeat, config.engine.num_envs) == ("pick", 1, 3)
+    config = trained("experiment=paper_experiment_1", "task=pick", "engine.num_envs=3")
+    assert (config.task.name, config.human.spawn, config.engine.num_envs) == ("pick", "points", 3)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_overrides_win_over_the_experiment():
         ),
         ("train", ["human.speed_m_s=0.1", "human=mixture", "~human.mixture.approach", "+human.mixture.still={}"]),
         ("train", ["hydra/launcher=basic", "hydra.run.dir=/x", "train_seed=3"]),
-        ("train_hierarchy", ["agent.gamma=0.9", "division=one", "experiment=comfort_cycle", "hierarchy.episodes=3"]),
+        ("train_hierarchy", ["agent.gamma=0.9", "division=one", "experiment=comfort_shift", "hierarchy.episodes=3"]),
         ("evaluate", ["task=sort", "++policies.pick=expert", "meta_controller=scripted", "meta_controller.retries=2"]),
     ],
 )
@@ -113,15 +113,6 @@ def test_whole_numbers_are_coordinates_too_and_texts_are_not():
     for value in ("[[1,a]]", "[[1,true]]", "[[1]]", "[1,1]", "[[[1,1]]]", "[[1,nan]]"):
         with pytest.raises(ConfigError, match=r"human\.spawns_m"):
             trained(f"human.spawns_m={value}", "human.held_out=[]")
-
-
-def test_the_paper_experiment_is_the_papers():
-    config = trained("experiment=paper")
-    assert (config.agent.batch_size, config.agent.buffer_size, config.agent.gamma) == (1028, 1_000_000, 0.99)
-    assert (config.engine.num_envs, config.task.action_repeat, config.task.observation) == (5, 1, "paper")
-    assert (config.reward.pick, config.reward.place, config.reward.home) == (50, 100, 150)
-    assert config.curriculum.kind == "off"
-    assert config.reward.progress == 0
 
 
 @pytest.mark.parametrize("name", ["paper_experiment_1", "paper_experiment_2"])
@@ -149,10 +140,10 @@ def test_a_sweep_runs_in_subprocesses(tmp_path, capsys):
 
 
 def test_a_budget_scales_the_refinement_of_a_hierarchy_too():
-    whole = compose("train_hierarchy", ["experiment=comfort_cycle"])
-    cut = compose(
-        "train_hierarchy", ["experiment=comfort_cycle", f"agent.policy_steps={whole.agent.policy_steps // 10}"]
-    )
+    stages = "curriculum.stages=[{name:a,policy_steps:5000,set:{}}]"
+    refined = "hierarchy.refinement=[{name:again,policy_steps:1000,set:{agent.learning_rate:1e-4}}]"
+    whole = compose("train_hierarchy", [stages, refined])
+    cut = compose("train_hierarchy", [stages, refined, f"agent.policy_steps={whole.agent.policy_steps // 10}"])
     assert [stage.policy_steps for stage in cut.hierarchy.refinement] == [
         stage.policy_steps // 10 for stage in whole.hierarchy.refinement
     ]

@@ -1,4 +1,4 @@
-"""Cycles on a fake UR: `python -m tests.deploy.campaign docs/tables/robot_cycles.csv 100`.
+"""Cycles on a fake UR: `python -m tests.deploy.campaign runs/robot_cycles.csv 100`.
 
 The arm's network has 20 ms latency in each direction, up to 2 ms jitter, and loses 1 % of its packages. The policies
 were trained behind the shield; beside them walk people who keep to the acceleration that the shield assumes. A run

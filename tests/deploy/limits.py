@@ -1,4 +1,4 @@
-"""Set-points beyond the rating in simulated time: `python -m tests.deploy.limits docs/tables/robot_limits.csv 1e6`.
+"""Set-points beyond the rating in simulated time: `python -m tests.deploy.limits runs/robot_limits.csv 1e6`.
 
 Runs of four episodes under every policy in turn until there are so many set-points; a line of the table is a policy.
 """

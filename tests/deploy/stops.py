@@ -1,6 +1,6 @@
 """Every stop condition at random moments, in simulated time.
 
-`python -m tests.deploy.stops docs/tables/robot_stops.csv 50` writes the table.
+`python -m tests.deploy.stops runs/robot_stops.csv 50` writes the table.
 
 A run of `pick` is stopped at a random moment, its tables are written, and the next run begins where the arm stands. A
 line of the table is a kind of stop.

@@ -43,7 +43,7 @@ POLICIES = {
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
     "shielded_pick": (f"{BEHIND}/pick", "pick", *MASKED), "shielded_place": (f"{BEHIND}/place", "place", *MASKED),
     "shielded_return": (f"{BEHIND}/return", "return", *MASKED),
-    "comfort": ("runs/reference/comfort/seed0/pick_place_10cm", "pick_place", *LEVEL),
+    "comfort": ("runs/reference/comfort/stages/seed0", "pick_place", *LEVEL),
 }  # fmt: skip
 """Name -> `policy=`, task and overrides."""
 WAYS = {

@@ -27,9 +27,12 @@ from hrl_comfort.studio.web import content, page
 from hrl_comfort.studio.web.trace import traced
 from tests.studio.browser import opened, until
 
-REFERENCE = Path("runs/reference/comfort/seed0")
-CHAIN = ("pick", "place", "return")
-WORDS = [*(f"policies.{name}={REFERENCE / name}" for name in CHAIN), "task=cycle", "meta_controller=scripted"]
+CHAIN = {"pick_place": "runs/reference/comfort/stages/seed0", "return": "runs/reference/return"}
+"""A policy with levels, and one without."""
+WORDS = [
+    *(f"policies.{name}={folder}" for name, folder in CHAIN.items()), "task=cycle", "meta_controller=scripted",
+    "division=two", "task.precision.grasp_tolerance_m=0.3", "task.precision.place_tolerance_m=0.3",
+]  # fmt: skip
 WEB = Path("hrl_comfort/studio/web")
 EPISODES = 2
 SIZE = {"width": 700, "height": 560}
@@ -111,10 +114,10 @@ def test_a_whole_cycle_is_played_in_real_time_without_a_network(tab: Any) -> Non
 
 @pytest.mark.parametrize("option", CHAIN)
 def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, option: str) -> None:
-    config = compose("evaluate", [f"policy={REFERENCE / option}", "comfort.source=random", "task.start=ik"])
+    config = compose("evaluate", [f"policy={CHAIN[option]}", "comfort.source=random", "task.start=ik"])
     env = environment(config)
-    policy, engine = load_policy(REFERENCE / option), Engine(env, 50, 0)
-    task = observed_by(policy, str(REFERENCE / option), engine.episodes.subtask, env)
+    policy, engine = load_policy(Path(CHAIN[option])), Engine(env, 50, 0)
+    task = observed_by(policy, CHAIN[option], engine.episodes.subtask, env)
     names, states, actions, state = inputs_of(task.observe, engine.reset()), [], [], engine.reset()
     for _ in range(20):
         acted = policy(task.observe(state)).double()

@@ -29,7 +29,7 @@ from hrl_comfort.studio.web import content
 from hrl_comfort.studio.web.arrays import recorded
 from hrl_comfort.studio.web.safety import safety
 
-REFERENCE = Path("runs/reference/comfort/seed0")
+REFERENCE = Path("runs/reference/comfort_shift/levels0")
 SHIELDED = ["robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact"]
 CHAIN = [*(f"policies.{name}={REFERENCE / name}" for name in ("pick", "place", "return")), "meta_controller=scripted"]
 HERE = Path(__file__).parent

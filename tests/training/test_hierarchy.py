@@ -157,10 +157,11 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     assert isinstance(config, HierarchyTrainConfig)
     own = option_config(config, "cycle", Path("runs"), "ik")
     assert (own.agent.policy_steps, own.task.max_episode_steps) == (2050, 1500)
-    staged = compose("train_hierarchy", ["experiment=comfort_cycle"])
+    stages = ",".join(f"{{name:{name},policy_steps:{steps},set:{{}}}}" for name, steps in (("a", 1000), ("b", 600)))
+    staged = compose("train_hierarchy", ["hierarchy.shares.place=1.4", f"curriculum.stages=[{stages}]"])
     assert isinstance(staged, HierarchyTrainConfig)
     own = option_config(staged, "place", Path("runs"), "ik")
-    assert [stage.policy_steps for stage in own.curriculum.stages] == [140_000, 140_000, 84_000]
+    assert [stage.policy_steps for stage in own.curriculum.stages] == [1400, 840]
 
 
 @pytest.mark.parametrize(
