@@ -20,39 +20,75 @@ __version__ = "0.2.0"
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
 
 
-def environment_of(task: str, choices: Mapping[str, object]) -> EnvConfig:
-    """Return the configuration of `task` with `choices` as command-line overrides.
+def environment_of(
+    task: str | None = None, choices: Mapping[str, object] | None = None, run: str | PathLike[str] | None = None
+) -> EnvConfig:
+    """Return the configuration of an environment, for `hrl_comfort.envs.torchrl.CellEnv`; see `load`.
 
     Raises:
-      ConfigError: a choice is not allowed.
+      ConfigError: a choice is not allowed, or `run` is none, or of another task.
       TypeError: a key of `choices` is not one of the configuration, as for any unknown keyword.
     """
-    from hrl_comfort.config import TrainConfig
+    from hrl_comfort.config import ConfigError
     from hrl_comfort.config.checks import UnknownKeyError
-    from hrl_comfort.config.compose import compose, environment
-    from hrl_comfort.config.overrides import override
+    from hrl_comfort.config.compose import compose_environment, trained_environment, warn_unfinished
+    from hrl_comfort.config.overrides import groups, override
 
+    given = dict(choices or {})
+    if run is None:
+        given = {"task": task or "pick", **given}
+        root = "train_hierarchy" if given.get("experiment") in groups("train_hierarchy")["experiment"] else "train"
+    else:
+        run, root = fspath(run), "evaluate"
+        trained = trained_environment(run)
+        if trained is None:
+            raise ConfigError(f"run={run!r} is not the run folder or policy file of a training, such as runs/demo/pick")
+        if task not in (None, trained.task.name):
+            raise ConfigError(f"run={run!r} was trained for task={trained.task.name}, not {task}; name that, or none")
+        warn_unfinished(run)
+        given = {"policy": run, **given}
     try:
-        config = compose("train", [override(key, value) for key, value in {"task": task, **choices}.items()])
+        return compose_environment(root, [override(key, value) for key, value in given.items()])
     except UnknownKeyError as error:
-        raise TypeError(f"{task} got an unexpected keyword argument {error.key!r}: {error}") from None
-    assert isinstance(config, TrainConfig)
-    return environment(config)
+        name = given.get("task", run)
+        raise TypeError(f"{name} got an unexpected keyword argument {error.key!r}: {error}") from None
 
 
-def load(task: str = "pick", seed: int = 0, flat_observation: bool = False, **choices: object) -> Environment:
-    """Return `task` as a dm_control Environment of one cell; the same `seed` gives the same episodes.
+def load(
+    task: str | None = None,
+    seed: int = 0,
+    flat_observation: bool = False,
+    run: str | PathLike[str] | None = None,
+    **choices: object,
+) -> Environment:
+    """Return a dm_control Environment of one cell; the same `seed` gives the same episodes.
 
-    `choices` are command-line overrides: `load("pick", human="arc", robot="ur5e")` or, for a dotted key,
-    `load("pick", **{"human.speed_m_s": 1.0})`. With `flat_observation` the observation is one array.
+    The environment in which a policy was trained, and its policy in it:
+
+        import hrl_comfort
+        run = "runs/demo/pick"
+        policy, env = hrl_comfort.load_policy(run), hrl_comfort.load(run=run, flat_observation=True)
+        step = env.reset()
+        while not step.last():
+            step = env.step(policy(step.observation["observations"]))
+
+    Args:
+      task: the subtask; by default that of `run`, or `pick`.
+      seed: seed of the episodes.
+      flat_observation: whether the observation is one array, `observations`, not one for each term.
+      run: run folder, checkpoint or policy file; the environment is that of its training (as `evaluate policy=` has it:
+        all but `engine`), from any working directory.
+      choices: command-line overrides, over those of `run`: `load("pick", human="arc", robot="ur5e")`, an experiment,
+        `load("pick", experiment="shielded")`, or, for a dotted key, `load("pick", **{"human.speed_m_s": 1.0})`.
 
     Raises:
-      ConfigError: a choice is not allowed, or `seed` is not a whole number from 0 to 2**32 - 1.
+      ConfigError: a choice is not allowed, `run` is none or of another task, or `seed` is not a whole number from 0 to
+        2**32 - 1.
       TypeError: an unknown keyword.
     """
     from hrl_comfort.envs.dm import make_environment
 
-    return make_environment(environment_of(task, choices), seed, flat_observation)
+    return make_environment(environment_of(task, choices, run), seed, flat_observation)
 
 
 def load_policy(source: str | PathLike[str]) -> ObservationPolicy:

@@ -1,11 +1,14 @@
 """Registration of every subtask with Gymnasium on import (extra `gymnasium`).
 
 `gymnasium.make("hrl_comfort/Pick-v0", human="arc")` gives one cell,
-`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch. Without an import of this module the id is
+`gymnasium.make_vec("hrl_comfort/Pick-v0", num_envs=64)` a batch, and `run="runs/demo/pick"` in either the environment
+in which the policy of that run was trained. Without an import of this module the id is
 `"hrl_comfort.gym:hrl_comfort/Pick-v0"`.
 """
 
 from __future__ import annotations
+
+from os import PathLike
 
 import gymnasium
 
@@ -16,24 +19,33 @@ from hrl_comfort.tasks import SUBTASKS
 
 
 class TaskEnv(CellGym):
-    """A subtask by name as an environment of one cell; `choices` as in `hrl_comfort.load`."""
+    """A subtask by name as an environment of one cell; `run` and `choices` as in `hrl_comfort.load`."""
 
-    def __init__(self, task: str, render_mode: str | None = None, **choices: object) -> None:
+    def __init__(
+        self, task: str, render_mode: str | None = None, run: str | PathLike[str] | None = None, **choices: object
+    ) -> None:
         """Build the cell.
 
         Raises:
-          ConfigError: a choice is not allowed.
+          ConfigError: a choice is not allowed, or `run` is of another task.
           TypeError: an unknown keyword.
         """
-        super().__init__(environment_of(task, choices), render_mode)
+        super().__init__(environment_of(task, choices, run), render_mode)
 
 
 class TaskVectorEnv(CellVector):
-    """A subtask by name as a vector environment of `num_envs` cells in one batch; `choices` as of `TaskEnv`."""
+    """A subtask by name as a vector environment of `num_envs` cells in one batch; the rest is as of `TaskEnv`."""
 
-    def __init__(self, task: str, num_envs: int = 1, render_mode: str | None = None, **choices: object) -> None:
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        run: str | PathLike[str] | None = None,
+        **choices: object,
+    ) -> None:
         """Build the cells; raise as `TaskEnv` does, and ConfigError for a `num_envs` that is not allowed."""
-        super().__init__(environment_of(task, choices), num_envs, render_mode)
+        super().__init__(environment_of(task, choices, run), num_envs, render_mode)
 
 
 IDS = {task: f"hrl_comfort/{task.title().replace('_', '')}-v0" for task in SUBTASKS if task not in SORTING}

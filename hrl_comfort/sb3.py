@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,12 @@ from hrl_comfort.gym import IDS
 
 
 def make_vec_env(
-    env_id: str, n_envs: int = 1, seed: int | None = None, render_mode: str | None = None, **choices: object
+    env_id: str,
+    n_envs: int = 1,
+    seed: int | None = None,
+    render_mode: str | None = None,
+    run: str | PathLike[str] | None = None,
+    **choices: object,
 ) -> VecMonitor:
     """Return `n_envs` cells of `env_id` as a monitored `VecEnv`.
 
@@ -32,6 +38,7 @@ def make_vec_env(
       n_envs: number of cells, from 1 to 65536.
       seed: seed of the episodes of all cells; random by default.
       render_mode: `rgb_array` for pictures, or None.
+      run: as of `hrl_comfort.load`.
       choices: as of `hrl_comfort.load`.
 
     Raises:
@@ -43,7 +50,7 @@ def make_vec_env(
     one_of("env_id", name, tuple(tasks))
     if render_mode == "human":
         raise ConfigError("render_mode='human' shows one cell; choose rgb_array for a batch")
-    cells = CellVecEnv(Cells(environment_of(tasks[name], choices), n_envs, render_mode))
+    cells = CellVecEnv(Cells(environment_of(tasks[name], choices, run), n_envs, render_mode))
     if seed is not None:
         cells.seed(seed)
     return VecMonitor(cells)

@@ -18,6 +18,7 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.provenance import is_finished
+from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.trainer import train
 from tests.point_env import make_points, small_config
@@ -136,7 +137,7 @@ class Evil:
 
 def test_loading_a_policy_runs_nothing_that_is_in_it(tmp_path: Path) -> None:
     trap, file = tmp_path / "sprung", tmp_path / "policy.pt"
-    torch.save({"format": checkpoint.FORMAT, "networks": Evil(trap)}, file)
+    torch.save({"format": FORMAT, "networks": Evil(trap)}, file)
     with pytest.raises(ConfigError, match=r"policy\.pt: cut short or not a checkpoint"):
         checkpoint.load(file)
     assert not trap.exists()

@@ -27,6 +27,7 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import is_object, one_of
 from hrl_comfort.config.commands import CommandConfig
+from hrl_comfort.config.compose import warn_unfinished
 from hrl_comfort.config.overrides import override
 from hrl_comfort.studio.policies import as_chain, as_skills, with_controller, with_defaults
 
@@ -68,6 +69,7 @@ def check(config: CommandConfig) -> None:
     for key, value in policies(config):
         if value is not None and not _is_there(value):
             raise ConfigError(f"{key}={value!r} is not there; give {POLICIES}")
+        warn_unfinished(value)
     if (
         isinstance(config, TrainConfig | EvaluateConfig)
         and config.task.start != "ik"

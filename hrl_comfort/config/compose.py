@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import threading
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
-from functools import lru_cache
+from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -37,11 +39,15 @@ from hrl_comfort.config.overrides import (
     parse,
 )
 from hrl_comfort.config.stages import stages_of, with_budget
-from hrl_comfort.config.structured import freeze
+from hrl_comfort.config.structured import freeze, section
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
+from hrl_comfort.files.provenance import unfinished
+from hrl_comfort.files.relative_paths import resolved, same, stored
+from hrl_comfort.files.versions import of_this_version
 
+C = TypeVar("C", bound=CommandConfig)
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
 AS_TRAINED: dict[str, tuple[str, ...]] = {
     "evaluate": _ALL_BUT_ENGINE,
@@ -64,12 +70,21 @@ def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
     Raises:
       ConfigError: an unknown key or choice, or a value that is not allowed.
     """
+    return _frozen(ROOTS.get(root, CommandConfig), root, overrides)
+
+
+def compose_environment(root: str, overrides: Iterable[str] = ()) -> EnvConfig:
+    """Return the sections of an environment alone, as in `compose`, which raises the same errors."""
+    return _frozen(EnvConfig, root, overrides)
+
+
+def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
     with _ALONE:
         known = check_overrides(root, overrides)
         try:
             if root in AS_TRAINED:
                 known = [*_as_trained(known, AS_TRAINED[root]), *known]
-            return _settled(ROOTS[root], composed(root, known), known)
+            return _settled(cls, composed(root, known), known)
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(one_line(error)) from error
         except RecursionError:
@@ -111,11 +126,13 @@ def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
     return found
 
 
-def _settled(cls: type[CommandConfig], node: DictConfig, overrides: list[str]) -> CommandConfig:
+def _settled(cls: type[C], node: DictConfig, overrides: list[str]) -> C:
     """Return the configuration `cls` of a composed `node`, with its stages checked and their budget settled.
 
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
     """
+    if cls is EnvConfig:
+        node = OmegaConf.masked_copy(node, [field.name for field in dataclasses.fields(cls)])
     config = freeze(cls, node)
     if isinstance(config, EnvConfig):
         for group, section in NAMES.items():
@@ -138,8 +155,18 @@ def environment(config: EnvConfig) -> EnvConfig:
 
 
 def save_config(config: CommandConfig, path: str | Path) -> None:
-    """Write `config` as YAML; `load_config` reads an equal one."""
-    write_text(Path(path), yaml_of(config))
+    """Write `config` as YAML, its paths relative to the folder of `path`; `load_config` reads an equal one."""
+    write_text(Path(path), OmegaConf.to_yaml(OmegaConf.create(stored_config(config, Path(path).parent))))
+
+
+def stored_config(config: CommandConfig, folder: Path) -> dict[str, Any]:
+    """Return the values of `config` as a file in `folder` holds them (`files.relative_paths`)."""
+    return stored(dataclasses.asdict(config), folder)
+
+
+def is_same(config: CommandConfig, other: CommandConfig) -> bool:
+    """Return whether two configurations differ in no more than `output` and the spelling of paths."""
+    return type(config) is type(other) and same(dataclasses.asdict(config), dataclasses.asdict(other))
 
 
 def yaml_of(config: CommandConfig) -> str:
@@ -150,6 +177,9 @@ def yaml_of(config: CommandConfig) -> str:
 def load_config(path: str | Path) -> CommandConfig:
     """Return the configuration in `path`, a config.yaml or the run folder that contains it.
 
+    Its paths lead to the same files from any working directory, and its `output` is the folder of the file. Another
+    version may have written it (`files.versions`).
+
     Raises:
       ConfigError: no such file, or one that is damaged or has other keys.
     """
@@ -157,12 +187,10 @@ def load_config(path: str | Path) -> CommandConfig:
     if not file.is_file():
         raise ConfigError(f"{file} does not exist; a run folder holds a config.yaml")
     try:
-        loaded = OmegaConf.create(read_yaml(file)[0])
-        for cls in ROOTS.values():
-            if isinstance(loaded, DictConfig) and set(loaded) == {f.name for f in dataclasses.fields(cls)}:
-                return freeze(cls, loaded)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{file}: {one_line(error)}") from error
+        values = read_yaml(file)[1]
+        root = _root_of(values)
+        if root is not None:
+            return _of_file(ROOTS[root], root, values, file.parent, file)
     except ConfigError:
         raise
     except (YAMLError, OverflowError, ValueError) as error:  # the last two at numbers of thousands of digits
@@ -174,6 +202,63 @@ def load_config(path: str | Path) -> CommandConfig:
     raise ConfigError(f"{file} does not have the keys of a {', '.join(ROOTS)} configuration")
 
 
+def _root_of(values: Mapping[str, Any]) -> str | None:
+    """Return the root whose keys differ least from those of `values`; None if fewer than half are there."""
+    keys = {root: {field.name for field in dataclasses.fields(cls)} for root, cls in ROOTS.items()}
+    nearest = min(keys, key=lambda root: len(keys[root] ^ set(values)))
+    return nearest if 2 * len(keys[nearest] & set(values)) > len(keys[nearest]) else None
+
+
+def _of_file(cls: type[C], root: str, values: Mapping[str, Any], folder: Path, file: Path) -> C:
+    """Return the configuration `cls` of the `values` in a `file` of the run `folder`."""
+
+    @cache
+    def defaults() -> Mapping[str, Any]:
+        sections = {group: values.get(group) for group in NAMES}
+        named = {g: each.get(NAMES[g].split(".")[1]) for g, each in sections.items() if isinstance(each, Mapping)}
+        chosen = [override(group, name) for group, name in named.items() if name in choices(group)]
+        found = OmegaConf.to_container(composed(root, chosen), resolve=True)
+        assert isinstance(found, dict)
+        return {str(key): value for key, value in found.items()}
+
+    try:
+        return section(cls, of_this_version(cls, resolved(values, folder), defaults))
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from None
+
+
+def trained_environment(source: str) -> EnvConfig | None:
+    """Return the environment that the policy `source` was trained in; None if no run says so.
+
+    A run folder's config.yaml and its policy.pt hold the same. A policy file that is alone has its own; start states
+    and calibration files are where they were relative to it.
+
+    Raises:
+      ConfigError: config.yaml or the policy file is damaged, or has keys that are gone.
+    """
+    folder, path = run_folder(source), Path(source)
+    if folder is not None:
+        config = load_config(folder)
+        return environment(config) if isinstance(config, EnvConfig) else None
+    file = path / "policy.pt" if path.is_dir() else path
+    if file.suffix != ".pt" or not file.is_file():
+        return None
+    from hrl_comfort.files.state_file import load  # seconds, for torch
+
+    spec = load(file).get("spec")
+    values = spec.get("config") if isinstance(spec, Mapping) else None
+    if values is None:
+        return None
+    try:
+        values = json.loads(json.dumps(values))
+    except (TypeError, ValueError, RecursionError):
+        values = None
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"policy={str(file)!r} is damaged: its config is not a mapping of plain values")
+    home = file.parent.parent if file.parent.name == "checkpoints" else file.parent
+    return _of_file(EnvConfig, "train", values, home, file)
+
+
 def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
     """Return overrides that set `sections` as in the run of the given policy, the first that has a run.
 
@@ -183,16 +268,16 @@ def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
     given = {key: value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")}
     # The environment of a learned controller comes before those of its skills.
     sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta_controller")]
-    folder = next((found for source in sources if (found := run_folder(str(source)))), None)
-    if folder is None:
+    run = next((found for source in sources if (found := trained_environment(str(source)))), None)
+    if run is None:
         return []
-    run, trained = load_config(folder), []
-    for section in sections:
-        stated, group = set(), section.split(".")[0]
+    trained = []
+    for part in sections:
+        stated, group = set(), part.split(".")[0]
         if group in parsed:
             files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
-        for key, value in _fields(section, attrgetter(section)(run)):
+        for key, value in _fields(part, attrgetter(part)(run)):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))
     return trained
@@ -212,6 +297,13 @@ def run_folder(policy: str) -> Path | None:
     path = Path(policy)
     candidates = (path, path.parent, path.parent.parent) if path.is_file() else (path,)
     return next((folder for folder in candidates if (folder / "config.yaml").is_file()), None)
+
+
+def warn_unfinished(policy: str | None) -> None:
+    """Warn if the training that `policy` belongs to is not finished."""
+    folder = run_folder(policy) if policy else None
+    if folder is not None and (line := unfinished(folder)):
+        warnings.warn(line, stacklevel=3)
 
 
 def _evaluation_folder(policy: str | None, task: str, split: str) -> str:

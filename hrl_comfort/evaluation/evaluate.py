@@ -15,7 +15,7 @@ from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell, in_terminal, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.compose import compose, warn_unfinished
 from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.episode import COLUMNS
 from hrl_comfort.evaluation.rollout import Result, rollout
@@ -60,6 +60,7 @@ def evaluate_policy(policy: Source, choices: Mapping[str, object]) -> DataFrame:
       ConfigError: a choice is not allowed, or the policy does not fit.
     """
     named = {"policy": policy} if isinstance(policy, str) else {}
+    warn_unfinished(named.get("policy"))
     config = compose("evaluate", [override(key, value) for key, value in {**named, **choices}.items()])
     assert isinstance(config, EvaluateConfig)
     return rollout(config, policy).table

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, Typ
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
+from hrl_comfort.files.relative_paths import resolved
 
 MOST_BYTES = 10**6
 """Largest YAML file; those of a run are of some kB."""
@@ -74,7 +75,7 @@ class ComfortSection(TypedDict, total=False):
 
 @with_config(ConfigDict(extra="allow"))
 class RunConfig(TypedDict, total=False):
-    """Keys that reports need of a config.yaml, of other versions too; `load_config` reads one of this version alone."""
+    """Keys that reports need of a config.yaml; unlike `load_config`, they take one with keys that are gone."""
 
     robot: dict[str, Any]
     cell: CellSection
@@ -104,12 +105,14 @@ def read_json(path: Path, kind: type[T]) -> T:
 def read_config(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text of a config.yaml and its content, checked as far as `RunConfig` names it.
 
+    Paths in the content lead to the same files from any working directory.
+
     Raises:
       ConfigError: it is damaged.
     """
     text, content = read_yaml(path)
     try:
-        return text, dict(TypeAdapter(RunConfig).validate_python(content))
+        return text, dict(TypeAdapter(RunConfig).validate_python(resolved(content, path.parent)))
     except ValidationError as error:
         raise damaged(path, first_error(error)) from None
 

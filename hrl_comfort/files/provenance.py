@@ -41,6 +41,19 @@ def is_finished(folder: Path) -> bool:
     return (folder / "provenance.json").is_file() and read_provenance(folder).finished
 
 
+def unfinished(folder: Path) -> str | None:
+    """Return how far the training in a run folder is, in a line; None if it is finished, or says nothing of it.
+
+    Raises:
+      ConfigError: its provenance is damaged.
+    """
+    if not (folder / "provenance.json").is_file() or is_finished(folder):
+        return None
+    steps = [int(file.stem.removeprefix("step_")) for file in (folder / "checkpoints").glob("step_*.pt")]
+    reached = f": its policy has {max(steps):,} policy steps so far" if steps else ""
+    return f"the training in {folder} is not finished{reached}"
+
+
 def write_provenance(folder: Path, config: TrainingConfig, finished: bool, seconds: float, **progress: Any) -> None:
     """Write versions, commit, seeds, machine and progress (policy_steps, updates, …) of a training."""
     machine = {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()}

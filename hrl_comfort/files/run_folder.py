@@ -12,7 +12,7 @@ from pandas import DataFrame
 
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.files.documents import Summary, read_config, read_json
-from hrl_comfort.files.provenance import Provenance, read_provenance
+from hrl_comfort.files.provenance import Provenance, read_provenance, unfinished
 from hrl_comfort.files.tables import read_table
 
 ORDER = ("pick", "place", "return", "pick_place", "cycle")
@@ -36,6 +36,8 @@ class Run:
     config: dict[str, Any] = field(default_factory=dict)
     """Configuration of the evaluation, or else of the training; empty without a config.yaml."""
     provenance: Provenance | None = None
+    unfinished: str | None = None
+    """How far the training is; None if it is finished."""
     metrics: DataFrame | None = None
     minutes: float | None = None
     """Duration of the training."""
@@ -69,6 +71,7 @@ def read_run(folder: Path) -> Run:
         configs={name: text for name, (text, _) in configs.items()},
         config=list(configs.values())[-1][1] if configs else {},
         provenance=provenance,
+        unfinished=unfinished(folder),
         metrics=next((log for log in logs if log is not None), None),
         minutes=_minutes(folder, provenance),
         groups=read_json(summary, Summary).model_dump()["groups"] if summary.is_file() else None,

@@ -27,7 +27,9 @@ WIDEST = 10**6
 class ActorPolicy:
     """A trained actor behind its normaliser; acts with the mode of its distribution.
 
-    `spec` holds task, observation_dim, action_dim, hidden, normalise, and `environment`: a dict of plain values.
+    `spec` holds task, observation_dim, action_dim, hidden, normalise, `environment`, what the cell it acts in must
+    share, as a dict of plain values, and in files of version 0.2 `config`, the whole environment of its training as in
+    config.yaml, which `config.compose.trained_environment` reads.
     """
 
     def __init__(

@@ -50,8 +50,11 @@ class ObservationPolicy:
         given = np.asarray(observation, dtype=np.float32)
         batch = given.reshape(-1, given.shape[-1])
         if self.observation_dim not in (None, batch.shape[1]):
+            trained = Path(self.source).exists()
+            remedy = f"; hrl_comfort.load(run={self.source!r}) is the environment that gives them" if trained else ""
             raise ConfigError(
                 f"policy={self.source!r} takes observations of {self.observation_dim} numbers, not {batch.shape[1]}"
+                f"{remedy}"
             )
         action = np.asarray(self.function(batch), dtype=np.float64)
         width = action.shape[-1:] if self.action_dim is None else (self.action_dim,)

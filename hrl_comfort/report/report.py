@@ -7,6 +7,7 @@ needs no other file.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -156,6 +157,9 @@ def report(config: ReportConfig) -> Path:
     output = Path(config.output) if config.output else folder / "report.html"
     if not (folder.is_dir() and sweep_report(folder, output)):
         runs = find_runs(folder)
+        for run in runs:
+            if run.unfinished:
+                warnings.warn(run.unfinished, stacklevel=2)
         with output_file(output):
             _write_page(runs, folder.resolve().name, output, config)
         totals = {run.name: with_totals(run.groups or [], run.episodes) for run in runs}

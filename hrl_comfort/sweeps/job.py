@@ -14,7 +14,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
-from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.compose import compose, is_same, load_config
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
@@ -101,7 +101,7 @@ def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
     if not file.is_file():
         return Left.ALL
     there = load_config(file)
-    same = isinstance(there, type(config)) and replace(there, output=config.output) == config
+    same = is_same(there, config)
     if isinstance(config, EvaluateConfig):
         return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
     if not same:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.compose import compose, load_config, save_config
+from hrl_comfort.config.compose import compose, is_same, load_config, save_config
 from hrl_comfort.config.overrides import override
 from hrl_comfort.config.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
@@ -65,7 +65,7 @@ def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfi
         return asked
     there = load_config(folder / HIERARCHY)
     assert isinstance(there, HierarchyTrainConfig)
-    if asked.resume is None and replace(there, output=asked.output) != asked:
+    if asked.resume is None and not is_same(there, asked):
         raise ConfigError(f"output={folder} already holds another hierarchy; choose another, or say resume={folder}")
     return there
 

@@ -13,7 +13,7 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import save_config
+from hrl_comfort.config.compose import environment, save_config, stored_config
 from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.progress import progress, success_of
@@ -241,6 +241,7 @@ class Training:
                 "shield": self.config.safety.kind != "none",
                 "train_seed": self.config.train_seed,
             },
+            "config": stored_config(environment(self.config), self.folder),
         }
 
     def state_dict(self) -> dict[str, Any]:

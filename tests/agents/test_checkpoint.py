@@ -15,6 +15,7 @@ from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose
 from hrl_comfort.files.atomic import write_atomically
+from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.policies.actor import load_initial_policy, load_policy, policy_file, save_policy
 
 SPEC = {
@@ -94,7 +95,7 @@ def test_a_bad_file_is_refused_in_one_line_that_names_it(tmp_path, kind):
     elif kind == "foreign":
         torch.save({"weights": torch.zeros(3)}, path)
     elif kind == "pickle":
-        torch.save({"format": checkpoint.FORMAT, "path": tmp_path}, path)
+        torch.save({"format": FORMAT, "path": tmp_path}, path)
     elif kind == "name":  # of an entry, no longer UTF-8
         with ZipFile(path, "w") as archive:
             archive.writestr("é", b"")

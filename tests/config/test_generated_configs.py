@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hrl_comfort import humans
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config import comfort as allowed
-from hrl_comfort.config.compose import compose, environment, load_config, save_config
+from hrl_comfort.config.compose import compose, environment, is_same, load_config, save_config
 from hrl_comfort.config.overrides import ROOTS, groups, override
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS
@@ -80,7 +80,8 @@ def test_no_override_crashes_and_what_is_accepted_is_finite_and_loads_back(
         assert all(map(math.isfinite, numbers(dataclasses.asdict(config))))
         file = tmp_path_factory.getbasetemp() / "written.yaml"
         save_config(config, file)
-        assert load_config(file) == config
+        loaded = load_config(file)
+        assert is_same(loaded, config) and getattr(loaded, "output", None) == str(file.parent)
 
 
 WORLD = ("robot", "cell", "human", "comfort", "task", "reward")

@@ -21,6 +21,7 @@ from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.files.documents import read_json, read_yaml
+from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.files.sweep_record import planned
 from hrl_comfort.files.tables import GrowingTable, read_table
 from hrl_comfort.sim.starts import recorded
@@ -60,7 +61,7 @@ def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path: Path
     ],
 )
 def test_a_tensor_without_its_numbers_is_refused(tensor: torch.Tensor, tmp_path: Path) -> None:
-    torch.save({"format": checkpoint.FORMAT, "networks": [tensor]}, tmp_path / "policy.pt")
+    torch.save({"format": FORMAT, "networks": [tensor]}, tmp_path / "policy.pt")
     with pytest.raises(ConfigError, match="its networks 0 is not a dense tensor"):
         checkpoint.load(tmp_path / "policy.pt")
 
