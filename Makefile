@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
+LIGHT := .venv/.installed-demo
 
 # One thread a process: more of them on a busy machine are slower, not faster.
 export OMP_NUM_THREADS := 1
@@ -15,10 +16,13 @@ PAGE := $(WEB)/dist/page.js
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml
+# The demo takes the studio, in which its report says to watch it, and no tool of the tests.
+$(STAMP): EXTRAS := test,dev
+$(LIGHT): EXTRAS := studio
+$(STAMP) $(LIGHT): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test,dev]"
-	touch $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$(EXTRAS)]"
+	touch $@
 
 # The program of the page that `hrl-comfort studio export=` writes; needs Node.
 page: $(PAGE)
@@ -58,7 +62,7 @@ fuzz: setup
 	HRL_COMFORT_INPUTS=$(or $(INPUTS),11000) $(BIN)/python -m pytest -q tests/*/test_generated_*.py
 	$(BIN)/python -m tests.adversary 2000 300
 
-demo: setup
+demo: $(or $(wildcard $(STAMP)),$(LIGHT))
 	$(BIN)/hrl-comfort train hierarchy experiment=shielded agent.policy_steps=40000 output=runs/demo
 
 clean:

@@ -23,14 +23,15 @@ OPEN_S = 1.0
 
 
 class UdpStream:
-    """UDP datagrams to a port of this machine.
+    """UDP datagrams to a port of this machine; `host` is a name or address of IPv4, or an address of IPv6.
 
     Raises:
       ConfigError: the port cannot be opened; `name` says which one it is.
     """
 
     def __init__(self, host: str, port: int, name: str) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        host = host.removeprefix("[").removesuffix("]")
+        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
         except (OSError, OverflowError, TypeError, ValueError) as error:  # the last two at an invalid host name

@@ -92,15 +92,18 @@ def import_object(key: str, value: str) -> Any:
     """Return the Python object `package.module:name`; modules of the working directory come last.
 
     Raises:
-      ConfigError: there is no such module, it imports what is not installed, or it has no such name.
+      ConfigError: there is no such module, it fails on import, or it has no such name.
     """
     module, name = value.split(":")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     try:
         found = import_module(module)
-    except ImportError as error:
-        raise ConfigError(f"{key}={value!r} cannot be imported: {error}") from error
+    except ConfigError:
+        raise
+    except Exception as error:
+        reason = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        raise ConfigError(f"{key}={value!r} cannot be imported: {reason}") from error
     if not hasattr(found, name):
         raise ConfigError(f"{key}={value!r}: {found.__file__ or module} has no {name}")
     return getattr(found, name)

@@ -81,17 +81,15 @@ class Registers:
 
     def __init__(self, host: str, number: int) -> None:
         self._number = number
-        self._socket = _connect(host, RTDE_PORT)
+        self._socket = _rtde(host)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if self._ask(b"V", struct.pack(">H", 2)) != b"\x01":
-            raise ConnectionError(f"{host} does not know version 2 of RTDE")
         sizes = {"int": 2, "double": 6}
         names = [f"input_{kind}_register_{FIRST + k}" for kind, size in sizes.items() for k in range(size)]
-        granted = self._ask(b"I", ",".join(names).encode())
+        granted = _ask(self._socket, b"I", ",".join(names).encode())
         if granted[0] == 0 or b"IN_USE" in granted or b"NOT_FOUND" in granted:
             raise ConnectionError(f"{host} does not grant the registers from {FIRST} on: {granted[1:].decode()}")
         self._recipe = granted[:1]
-        if self._ask(b"S", b"") != b"\x01":
+        if _ask(self._socket, b"S", b"") != b"\x01":
             raise ConnectionError(f"{host} does not start RTDE")
         self._socket.settimeout(STALE_S)
 
@@ -105,24 +103,6 @@ class Registers:
     def close(self) -> None:
         """End the connection."""
         self._socket.close()
-
-    def _ask(self, kind: bytes, payload: bytes) -> bytes:
-        """Return the answer to a request, messages of other kinds left out."""
-        self._socket.sendall(_package(kind, payload))
-        while True:
-            size, answered = struct.unpack(">Hc", self._receive(3))
-            content = self._receive(size - 3)
-            if answered == kind:
-                return content
-
-    def _receive(self, size: int) -> bytes:
-        found = b""
-        while len(found) < size:
-            part = self._socket.recv(size - len(found))
-            if not part:
-                raise ConnectionError("the controller has closed RTDE")
-            found += part
-        return found
 
 
 class UrArm:
@@ -142,8 +122,11 @@ class UrArm:
             from rtde_receive import RTDEReceiveInterface
         except ImportError as error:
             raise ConfigError("connection=ur needs ur_rtde: pip install 'hrl-comfort[ur]'") from error
-        _connect(host, RTDE_PORT).close()  # in one line, where ur_rtde has many
-        self._receiver = RTDEReceiveInterface(host, 1 / PERIOD_S, VARIABLES)
+        _rtde(host).close()  # ur_rtde would wait for ever where nobody answers
+        try:
+            self._receiver = RTDEReceiveInterface(host, 1 / PERIOD_S, VARIABLES)
+        except RuntimeError as error:
+            raise ConnectionError(f"{host} does not send its state: {' '.join(str(error).split())}") from error
         self._stamp, self._since_s, self._playing = -1.0, time.monotonic(), False
         reading = self.read()
         if reading.trouble:
@@ -196,6 +179,39 @@ def _connect(host: str, port: int) -> socket.socket:
         return socket.create_connection((host, port), ANSWER_S)
     except OSError as error:
         raise ConnectionError(f"{host}:{port} does not answer ({error.strerror or error})") from error
+
+
+def _rtde(host: str) -> socket.socket:
+    """Return a connection that speaks version 2 of RTDE; raise ConnectionError where the controller does not."""
+    connection = _connect(host, RTDE_PORT)
+    if _ask(connection, b"V", struct.pack(">H", 2)) != b"\x01":
+        raise ConnectionError(f"{host} does not know version 2 of RTDE")
+    return connection
+
+
+def _ask(connection: socket.socket, kind: bytes, payload: bytes) -> bytes:
+    """Return the answer to a request, messages of other kinds left out."""
+    deadline = time.monotonic() + ANSWER_S
+    connection.sendall(_package(kind, payload))
+    while time.monotonic() < deadline:
+        size, answered = struct.unpack(">Hc", _receive(connection, 3))
+        content = _receive(connection, size - 3)
+        if answered == kind:
+            return content
+    raise ConnectionError(f"the controller has not answered by RTDE for {ANSWER_S:g} s")
+
+
+def _receive(connection: socket.socket, size: int) -> bytes:
+    found = b""
+    while len(found) < size:
+        try:
+            part = connection.recv(size - len(found))
+        except TimeoutError:
+            raise ConnectionError(f"the controller has not answered by RTDE for {ANSWER_S:g} s") from None
+        if not part:
+            raise ConnectionError("the controller has closed RTDE")
+        found += part
+    return found
 
 
 def _package(kind: bytes, payload: bytes) -> bytes:

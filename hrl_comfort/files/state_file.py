@@ -56,6 +56,7 @@ def _check_tensors(value: Any, place: str) -> None:
         for name, each in value.items() if isinstance(value, dict) else enumerate(value):
             _check_tensors(each, f"{place} {name}")
     elif isinstance(value, torch.Tensor):
-        dense = value.layout == torch.strided and value.device.type == "cpu" and not value.is_quantized
+        plain = not (value.is_quantized or value.is_nested)
+        dense = plain and value.layout == torch.strided and value.device.type == "cpu"
         if not dense or value.untyped_storage().nbytes() < value.nbytes:
             raise ValueError(f"{place} is not a dense tensor")

@@ -2,7 +2,8 @@
 
 The file is compiled by MuJoCo, and what an arm is made of is read from the compiled model: frames, axes, limits,
 masses, inertias and shapes. Each colliding shape becomes a capsule, so that contacts, distances and the shield mean
-the same for every arm, and contacts stay fast. Joints that are not named, such as those of fingers, are fixed.
+the same for every arm, and contacts stay fast; of a link without one, each visual shape. Joints that are not named,
+such as those of fingers, are fixed.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ THICKNESS = 0.9
 """Share of a mesh's vertices within the radius of its capsule."""
 SMALLEST_M = 1e-3
 """Smallest radius of a capsule."""
+FARTHEST_M = 0.5
+"""Farthest place of a first link that has no base."""
+ENDLESS = [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)]
+"""Shapes of floors."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class MjcfArm:
 
     name: str
     model: Callable[[], mujoco.MjModel]
-    """Compiles the file; what stands in the world beside the arm is left out."""
+    """Compiles the file; what stands in the world beside the arm, or carries its base, is left out."""
     joints: tuple[str, ...]
     """Names of the arm's hinges in the file."""
     tool: str
@@ -55,13 +60,13 @@ class MjcfArm:
     """Turn of the base about the vertical; limits of the first joint should leave no goal of the cell out."""
 
     def build(self) -> mjcf.RootElement:
-        """Return the arm: bodies `base` and a link a joint, of the joint's name; sites `tcp`.
+        """Return the arm: bodies `base` and a `JOINT_link` a joint; joints and servos of their names; site `tcp`.
 
         A servo has its full torque at an error of 2 degrees, and at least critical damping for the inertia at home.
         Passive damping and friction of the file are left out: the servo stands for the drive.
 
         Raises:
-          ConfigError: the file is not a serial arm with these joints and this site.
+          ConfigError: the file is not a serial arm with these joints and this site, or does not compile.
         """
         source = _Source(self)
         root = mjcf.RootElement(model="robot")
@@ -74,11 +79,11 @@ class MjcfArm:
         _add_capsules(body, "base", source.capsules(-1))
         for index, joint in enumerate(self.joints):
             position, turn = source.relative(index)
-            body = body.add("body", name=joint, pos=position, quat=turn, gravcomp=1)
+            body = body.add("body", name=f"{joint}_link", pos=position, quat=turn, gravcomp=1)
             body.add("joint", name=joint, range=source.limits(index), limited=True, **source.hinge(index))
             mass, centre, inertia = source.inertia(index)
             body.add("inertial", mass=mass, pos=centre, fullinertia=inertia)
-            _add_capsules(body, joint, source.capsules(index))
+            _add_capsules(body, f"{joint}_link", source.capsules(index))
         body.add("site", name="tcp", pos=source.tool[0], quat=source.tool[1], size=[0.005], group=4)
         self._exclude_overlaps(root)
         self._add_servos(root, source)
@@ -86,7 +91,7 @@ class MjcfArm:
 
     def _exclude_overlaps(self, root: mjcf.RootElement) -> None:
         """Exclude contacts between near links, and between links that overlap at home."""
-        bodies = ("base", *self.joints)
+        bodies = ("base", *(f"{joint}_link" for joint in self.joints))
         pairs = {(a, b) for a, b in combinations(range(len(bodies)), 2) if b - a <= NEIGHBOURS}
         model, data = self._at_home(root)
         for contact in data.contact:
@@ -117,37 +122,58 @@ class MjcfArm:
 
 
 class _Source:
-    """The compiled file with the arm's joints at 0; link -1 is the base, whose frame is the file's."""
+    """The compiled file with the arm's joints at 0; link -1 is the base, the body that carries the first link.
+
+    The base's frame has the directions of the file's.
+    """
 
     def __init__(self, arm: MjcfArm) -> None:
-        self._arm, self._model = arm, arm.model()
-        model = self._model
+        self._arm, self._said = arm, f"robot.name={arm.name!r}"
+        model = self._model = self._compiled()
+        for name in arm.joints:
+            if "/" in name:
+                raise ConfigError(
+                    f"{self._said}: joint {name!r} has a slash, which dm_control keeps; rename it in the file"
+                )
         self._joints = [self._find(mujoco.mjtObj.mjOBJ_JOINT, name) for name in arm.joints]
         for length in (arm.home_deg, arm.torque_nm, arm.speed_deg_s):
             if len(length) != len(arm.joints):
-                raise ConfigError(f"robot.name={arm.name!r}: {length} must have a number for each of {arm.joints}")
+                raise ConfigError(f"{self._said}: {length} must have a number for each of {arm.joints}")
         for joint, name in zip(self._joints, arm.joints, strict=True):
             if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
-                raise ConfigError(f"robot.name={arm.name!r}: joint {name!r} is not a hinge")
+                raise ConfigError(f"{self._said}: joint {name!r} is not a hinge")
         self._links = [int(model.jnt_bodyid[joint]) for joint in self._joints]
+        self._base = int(model.body_parentid[self._links[0]])
         self._data = mujoco.MjData(model)
         self._data.qpos[model.jnt_qposadr[self._joints]] = 0.0
         mujoco.mj_kinematics(model, self._data)
         mujoco.mj_comPos(model, self._data)
         self._owner = [self._owner_of(body) for body in range(model.nbody)]
+        away = float(np.linalg.norm(self._data.xpos[self._links[0]]))
+        if self._base == 0 and away > FARTHEST_M:
+            raise ConfigError(
+                f"{self._said}: joint {arm.joints[0]!r} is {away:.3g} m from the file's origin; "
+                "put its link into a body for the base"
+            )
         for index, link in enumerate(self._links):
             before = self._owner[model.body_parentid[link]]
             if before != index - 1 and not (index == 0 and before is None):
-                raise ConfigError(
-                    f"robot.name={arm.name!r}: joint {arm.joints[index]!r} does not follow the one before"
-                )
+                raise ConfigError(f"{self._said}: joint {arm.joints[index]!r} does not follow the one before")
         site = self._find(mujoco.mjtObj.mjOBJ_SITE, arm.tool)
         if self._owner[model.site_bodyid[site]] != len(self._links) - 1:
-            raise ConfigError(f"robot.name={arm.name!r}: site {arm.tool!r} is not on the last link")
+            raise ConfigError(f"{self._said}: site {arm.tool!r} is not on the last link")
         turn, origin = self._frame(len(self._links) - 1)
         found = self._data.site(site)
         self.tool = (found.xpos - origin) @ turn, _quaternion(turn.T @ found.xmat.reshape(3, 3))
         """Position and quaternion of the tool in the frame of the last link."""
+
+    def _compiled(self) -> mujoco.MjModel:
+        try:
+            return self._arm.model()
+        except ConfigError:
+            raise
+        except (ValueError, OSError, mujoco.FatalError) as error:
+            raise ConfigError(f"{self._said}: its file does not compile: {' '.join(str(error).split())}") from error
 
     def _find(self, kind: mujoco.mjtObj, name: str) -> int:
         found = mujoco.mj_name2id(self._model, kind, name)
@@ -155,24 +181,21 @@ class _Source:
             count = self._model.njnt if kind == mujoco.mjtObj.mjOBJ_JOINT else self._model.nsite
             names = ", ".join(str(mujoco.mj_id2name(self._model, kind, index)) for index in range(count))
             what = "joint" if kind == mujoco.mjtObj.mjOBJ_JOINT else "site"
-            raise ConfigError(f"robot.name={self._arm.name!r}: no {what} {name!r} in the file; it has {names}")
+            raise ConfigError(f"{self._said}: no {what} {name!r} in the file; it has {names}")
         return found
 
     def _owner_of(self, body: int) -> int | None:
         """Return the link that `body` is fixed to, -1 for the base, None for what is not of the arm."""
-        top = self._links[0]
-        while self._model.body_parentid[top]:
-            top = int(self._model.body_parentid[top])
-        while body not in self._links and body not in (0, top):
+        while body and body != self._base and body not in self._links:
             body = int(self._model.body_parentid[body])
         if body in self._links:
             return self._links.index(body)
-        return -1 if body == top else None
+        return -1 if body and body == self._base else None
 
     def _frame(self, index: int) -> tuple[Array, Array]:
         """Return rotation (3, 3) and origin (3,) m of a link."""
         if index < 0:
-            return np.eye(3), np.zeros(3)
+            return np.eye(3), self._data.xpos[self._base]
         return self._data.xmat[self._links[index]].reshape(3, 3), self._data.xpos[self._links[index]]
 
     def relative(self, index: int) -> tuple[Array, Array]:
@@ -209,16 +232,25 @@ class _Source:
         return float(mass.sum()), (centre - origin) @ turn, entries
 
     def capsules(self, index: int) -> list[tuple[Array, Array, float]]:
-        """Return start (3,), end (3,) and radius, m, of the capsules of a link's colliding shapes."""
-        turn, origin = self._frame(index)
+        """Return start (3,), end (3,) and radius, m, of the capsules of a link's colliding shapes, or else of all.
+
+        Raises:
+          ConfigError: a link that moves has none, and would pass through people.
+        """
+        model, (turn, origin) = self._model, self._frame(index)
+        shapes = [
+            geom for geom in range(model.ngeom)
+            if self._owner[model.geom_bodyid[geom]] == index and model.geom_type[geom] not in ENDLESS
+        ]  # fmt: skip
+        if not shapes and index >= 0:
+            joint = self._arm.joints[index]
+            raise ConfigError(f"{self._said}: the link of joint {joint!r} has no shape; people would pass through it")
         found = []
-        for geom in range(self._model.ngeom):
-            collides = self._model.geom_contype[geom] or self._model.geom_conaffinity[geom]
-            if collides and self._owner[self._model.geom_bodyid[geom]] == index:
-                start, end, radius = _capsule(self._model, geom)
-                at, axes = self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
-                ends = [(at + axes @ point - origin) @ turn for point in (start, end)]
-                found.append((ends[0], ends[1], radius))
+        for geom in [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]] or shapes:
+            start, end, radius = _capsule(model, geom)
+            at, axes = self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
+            ends = [(at + axes @ point - origin) @ turn for point in (start, end)]
+            found.append((ends[0], ends[1], radius))
         return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from time import perf_counter, sleep
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -134,12 +134,21 @@ def test_a_race_is_won_by_two_checks_in_a_row_and_lost_at_the_limit() -> None:
     assert over_after([0.0] * 8 + [0.95, 0.95]) == (20, True)
 
 
-def test_checks_are_not_timed() -> None:
-    clock = bench_train.Clock(lambda act: sleep(0.2) or 1.0, first=1, limit=99)
-    began = perf_counter()
+def test_checks_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+
+    def passing(seconds: float) -> float:
+        nonlocal now
+        now += seconds
+        return 1.0
+
+    monkeypatch.setattr(bench_train, "time", SimpleNamespace(perf_counter=lambda: now))
+    clock = bench_train.Clock(lambda act: passing(7.0), first=1, limit=99)
     clock.start()
-    assert [clock.done(np.asarray, steps) for steps in (2, 4)] == [False, True]
-    assert clock.seconds < perf_counter() - began - 0.4
+    for steps, done in ((2, False), (4, True)):
+        passing(0.5)
+        assert clock.done(np.asarray, steps) == done
+    assert clock.seconds == 1.0
 
 
 @pytest.mark.parametrize("name", list(bench_train.RACES))

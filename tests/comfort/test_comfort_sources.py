@@ -222,7 +222,7 @@ def test_datagrams_on_loopback_set_the_level() -> None:
 
 def until(source, level: float):
     """Read until the level arrives."""
-    for _ in range(200):
+    for _ in range(2000):
         now = source.advance(at(0.0, len(source.level)))
         if (now == level).all():
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import socket
 import threading
 import time
 from pathlib import Path
@@ -22,6 +23,7 @@ from tests.deploy.test_runner import REFERENCE, under_way
 from tests.deploy.test_streamer import scene
 
 pytest.importorskip("rtde_receive")
+from hrl_comfort.deploy import ur
 from hrl_comfort.deploy.ur import UrArm
 
 BRAKE = 5.0
@@ -107,6 +109,31 @@ def test_an_arm_that_is_left_stands_and_can_be_taken_again() -> None:
             robot.state(mode)
             with pytest.raises(ConnectionError, match=f"is not ready: {said}"):
                 UrArm(host(4), BRAKE)
+
+
+@pytest.mark.parametrize(
+    ("said", "what"),
+    [(b"", "has not answered by RTDE for 0.2 s"), (b"HTTP/1.1 400 Bad Request", "has not answered by RTDE"),
+     (b"\0\3x" * 9, "has not answered by RTDE"), (b"\0\4V\0", "does not know version 2")],
+)  # fmt: skip
+def test_a_port_that_accepts_and_answers_nothing_of_use_is_one_line(
+    said: bytes, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ur, "ANSWER_S", 0.2)
+
+    def answer() -> None:
+        connection = server.accept()[0]
+        connection.sendall(said)
+        held.append(connection)
+
+    held: list[socket.socket] = []
+    with socket.create_server((host(7), ur.RTDE_PORT)) as server:
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(ConnectionError, match=what):
+            UrArm(host(7), BRAKE)
+        thread.join()
+        held[0].close()
 
 
 def test_no_controller_is_one_line() -> None:

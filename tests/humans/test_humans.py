@@ -226,7 +226,7 @@ def test_recorded_interpolates_the_shorter_turn_and_holds_its_end(tmp_path: Path
         ("t,x,y,yaw\n0,0,0\n", "line 2.*four"),
         ("t,x,y,yaw\n0,0,zero,0\n", "line 2.*zero"),
         ("t,x,y,yaw\n0,0,0,0\n1,0,0,0\n1,0,0,0\n", "line 4"),
-        ("t,x,y,yaw\n0,1e300,0,0\n", "line 2 has x, y or yaw beyond"),
+        ("t,x,y,yaw\n0,1e300,0,0\n", "line 2 has a value beyond"),
     ],
 )
 def test_a_bad_motion_file_is_refused_and_its_line_named(tmp_path: Path, text: str, says: str) -> None:
@@ -289,16 +289,6 @@ def test_a_folder_of_recordings_gives_each_its_share_and_hands_of_a_csv_are_reac
     assert np.isnan(walk.limbs[0]).all()
     hand = body.SHOULDERS + body.UPPER_ARM_M * walk.limbs[1, 2:4] + body.FOREARM_M * walk.limbs[1, 4:]
     np.testing.assert_allclose(hand, [[0.4, 0.2, 1.2], [0.4, -0.2, 1.2]], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"), [("Frame Time: 0.04", "Frame Time: x"), ("RightHand", "RightToe"), ("Frames: 51", "Frames: 52")]
-)
-def test_a_damaged_bvh_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str) -> None:
-    file = tmp_path / "bad.bvh"
-    file.write_text((REPOSITORY / "tests" / "humans" / "reach.bvh").read_text().replace(old, new))
-    with pytest.raises(ConfigError, match=r"bad\.bvh' is not a BVH file of whole frames"):
-        humans.begin(human("recorded", file=str(file)), np.zeros((1, 2)))
 
 
 # ---- spawns ----------------------------------------------------------------------------------------------

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import socket
 import sys
-import time
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hrl_comfort import humans
+from hrl_comfort import humans, streams
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD, CheckedPoses, pose_source
@@ -85,16 +85,43 @@ def test_poses_come_by_udp() -> None:
         assert poses() == (0.4, -0.6, None)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not note when a datagram arrives")
-def test_a_pose_is_as_old_as_its_datagram_however_late_it_is_read() -> None:
+def test_poses_come_by_udp_of_ipv6() -> None:
+    source = pose_source("udp://[::1]:0")
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sender:
+        sender.sendto(b"0.1 0.2 0.3", ("::1", source._read.__self__.port))
+        assert source() == (0.1, 0.2, 0.3)
+
+
+class Waiting:
+    """A socket in which datagrams lie, with the system's notes on when they arrived."""
+
+    def __init__(self, *arrived_s: float | None) -> None:
+        kind = (socket.SOL_SOCKET, streams.SO_TIMESTAMPNS)
+        self.notes = [
+            [] if at is None else [(*kind, streams.TIMESPEC.pack(int(at), round(at % 1 * 1e9)))] for at in arrived_s
+        ]
+
+    def recvmsg(self, *_: int) -> tuple:
+        if not self.notes:
+            raise BlockingIOError
+        return b"0.1 0.2", self.notes.pop(0), 0, None
+
+
+def test_a_pose_is_as_old_as_its_datagram_however_late_it_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(time=lambda: 1000.5, monotonic=lambda: 50.0)
+    monkeypatch.setattr(streams, "time", clock)
     stream = UdpStream("127.0.0.1", 0, "human.file")
+    if sys.platform == "linux":
+        assert stream._socket.getsockopt(socket.SOL_SOCKET, streams.SO_TIMESTAMPNS)
     poses = CheckedPoses("udp", stream.read_stamped)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sent_s = time.monotonic()
-        sender.sendto(b"0.1 0.2", ("127.0.0.1", stream.port))
-    time.sleep(0.3)
+    # The third is said to arrive a second from now, as after the wall clock was set back; the last has no note.
+    for arrived_s, expected in ((1000.2, 49.7), (940.25, -10.25), (1001.5, 50.0), (None, 50.0)):
+        stream._socket = Waiting(arrived_s)
+        poses()
+        assert poses.arrived_s == pytest.approx(expected, abs=1e-6)
+    stream._socket = Waiting(1000.1, 1000.3)
     poses()
-    assert -0.001 < poses.arrived_s - sent_s < 0.2
+    assert poses.arrived_s == pytest.approx(49.8, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from hrl_comfort.scene.robots import robot_named
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.starts import inverse_kinematics
 
+LINK = "<geom type='capsule' fromto='0 0 0 0 0 .12' size='.03' mass='0.5'/>"
 AXES = ["001", "010", "001", "010", "001", "010", "001"]
 
 
@@ -28,8 +29,7 @@ def seven(kind: str = "hinge") -> str:
     """Return an MJCF file of an upright chain of seven joints on a base, beside a floor."""
     bodies = "".join(
         f"<body name='b{i}' pos='0 0 {0.15 if i else 0.1}'>"
-        f"<joint name='j{i}' axis='{' '.join(axis)}' range='-170 170' {f'type={kind!r}' if i == 6 else ''}/>"
-        "<geom type='capsule' fromto='0 0 0 0 0 .12' size='.03' mass='0.5'/>"
+        f"<joint name='j{i}' axis='{' '.join(axis)}' range='-170 170' {f'type={kind!r}' if i == 6 else ''}/>{LINK}"
         for i, axis in enumerate(AXES)
     )
     tool = "<site name='tool' pos='0 0 .1'/>"
@@ -39,9 +39,16 @@ def seven(kind: str = "hinge") -> str:
     )
 
 
+INERTIA = "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/>"
+
+
+def xml(text: str) -> partial[mujoco.MjModel]:
+    return partial(mujoco.MjModel.from_xml_string, text)
+
+
 SEVEN = MjcfArm(
     name="seven",
-    model=partial(mujoco.MjModel.from_xml_string, seven()),
+    model=xml(seven()),
     joints=tuple(f"j{i}" for i in range(7)),
     tool="tool",
     home_deg=(0.0, 30.0, 0.0, 60.0, 0.0, 60.0, 0.0),
@@ -180,7 +187,7 @@ def test_an_arm_of_another_file_starts_at_the_ball_and_at_home() -> None:
 
 def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monkeypatch: pytest.MonkeyPatch) -> None:
     # The ball of the cell bears -173 degrees; the joint turns by 166 degrees each way from where the base faces.
-    arm = replace(SEVEN, model=partial(mujoco.MjModel.from_xml_string, seven().replace("-170 170", "-166 166")))
+    arm = replace(SEVEN, model=xml(seven().replace("-170 170", "-166 166")))
     monkeypatch.setitem(sys.modules, "my_arm", type(sys)("my_arm"))
     monkeypatch.setattr(sys.modules["my_arm"], "MOUNTED", replace(arm, mount_deg=90.0), raising=False)
     config = environment("robot=my_arm:MOUNTED", "task=place", "human=none")
@@ -191,9 +198,63 @@ def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monk
     engine.close()
 
 
+def capsules_of(arm: MjcfArm) -> tuple[np.ndarray, ...]:
+    """Return places, directions and sizes of the built arm's capsules at home, and the place of its tool."""
+    model = mujoco.MjModel.from_xml_string(arm.build().to_xml_string())
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.radians(arm.home_deg)
+    mujoco.mj_kinematics(model, data)
+    return data.geom_xpos, data.geom_xmat, model.geom_size, data.site("tcp").xpos
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<body name='base'>", "<body name='base' pos='0.4 0.2 0.8'>"),
+        ("<body name='base'>", "<body name='table' pos='0.4 0 0.3'><geom type='box' size='1 1 .1'/>"
+                               "<body name='base' pos='0 0.2 0.5'><geom type='plane' size='0 0 1'/>"),
+        ("<geom type='capsule'", "<geom contype='0' conaffinity='0' type='capsule'"),
+        ("size='.03' mass='0.5'/>", "size='.03' mass='0.5'/><geom contype='0' conaffinity='0' size='.5' mass='0'/>"),
+    ],
+)  # fmt: skip
+def test_an_arm_is_the_same_wherever_its_base_stands_and_whatever_is_drawn(old: str, new: str) -> None:
+    file = seven().replace(old, new)
+    file = file.replace("</worldbody>", "</body>" * (file.count("<body") - file.count("</body>")) + "</worldbody>")
+    for one, other in zip(capsules_of(SEVEN), capsules_of(replace(SEVEN, model=xml(file))), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_joints_may_have_the_names_of_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = seven().replace("'j0'", "'base'").replace("'j1'", "'world'").replace("'j2'", "'floor'")
+    arm = replace(SEVEN, model=xml(file), joints=("base", "world", "floor", *SEVEN.joints[3:]))
+    monkeypatch.setitem(sys.modules, "my_arm", type(sys)("my_arm"))
+    monkeypatch.setattr(sys.modules["my_arm"], "ARM", arm, raising=False)
+    assert hrl_comfort.load("reach", robot="my_arm:ARM").reset().observation["joint_angles"].shape == (14,)
+
+
+@pytest.mark.parametrize(
+    "text", ["ARM = 1 +", "ARM = arm", "raise OSError('gone')", "import nothing_there", "ROBOT = 1"]
+)
+def test_a_module_of_an_arm_that_fails_on_import_gets_one_line(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"arm_{abs(hash(text))}"
+    (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=rf"robot\.name='{name}:ARM'.*(cannot be imported: .+|has no ARM)"):
+        robot_named(f"{name}:ARM")
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"model": partial(mujoco.MjModel.from_xml_path, "nowhere.xml")}, "its file does not compile: .*nowhere.xml"),
+        ({"model": xml("<mujoco><worldbody><joint/></worldbody>")}, "its file does not compile: XML"),
+        ({"model": xml(seven().replace("'j0'", "'arm/j0'")), "joints": ("arm/j0", *SEVEN.joints[1:])}, "has a slash"),
+        ({"model": xml(seven().replace(LINK, INERTIA))},
+         "the link of joint 'j0' has no shape; people would pass through it"),
+        ({"model": xml(seven().replace("body name='base'", "frame pos='0 0 .7'").replace("</body></w", "</frame></w"))},
+         "joint 'j0' is 0.8 m from the file's origin; put its link into a body"),
         ({"joints": ("j0", "elbow")}, "no joint 'elbow' in the file; it has j0, j1, j2, j3, j4, j5, j6"),
         ({"tool": "hand"}, "no site 'hand' in the file; it has tool"),
         ({"home_deg": (0.0,) * 6}, "must have a number for each of"),
@@ -202,9 +263,9 @@ def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monk
             {"joints": tuple(f"j{i}" for i in range(6)), **dict.fromkeys(("home_deg", "torque_nm", "speed_deg_s"), ())},
             "must have a number for each",
         ),
-        ({"model": partial(mujoco.MjModel.from_xml_string, seven("slide"))}, "joint 'j6' is not a hinge"),
+        ({"model": xml(seven("slide"))}, "joint 'j6' is not a hinge"),
     ],
-)
+)  # fmt: skip
 def test_a_file_that_is_no_such_arm_gets_one_line(changes: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=f"robot.name='seven': .*{message}"):
         replace(SEVEN, **changes).build()

@@ -165,7 +165,7 @@ def test_a_sweep_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None
             time.sleep(0.2)
         below = descendants(sweeping.pid)
         sweeping.kill()
-    end = time.monotonic() + 5
+    end = time.monotonic() + 60
     while any(map(alive, below)) and time.monotonic() < end:
         time.sleep(0.1)
     assert len(below) >= 5 and not [pid for pid in below if alive(pid)]

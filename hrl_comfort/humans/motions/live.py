@@ -8,13 +8,12 @@ import time
 import warnings
 from collections.abc import Callable, Iterable
 from functools import lru_cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
-from hrl_comfort.config.checks import FARTHEST
+from hrl_comfort.config.checks import FARTHEST, import_object, is_object
 from hrl_comfort.humans import body
 from hrl_comfort.humans.walk import Array, Stride, Surroundings, Walk
 from hrl_comfort.streams import LslStream, UdpStream
@@ -104,13 +103,9 @@ def pose_source(name: str | None) -> PoseSource:
         return CheckedPoses(name, UdpStream(found[1], int(found[2]), key).read_stamped)
     if name.startswith("lsl:"):
         return CheckedPoses(name, LslStream(name.removeprefix("lsl:"), (2, 3), APPEAR_S, key).read_stamped)
-    module, _, attribute = name.partition(":")
-    if not attribute:
+    if not is_object(name):
         raise ConfigError(f"human.file={name!r} is not a source of live poses; give {FORMS}")
-    try:
-        function = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"human.file={name!r} cannot be imported: {error}; give {FORMS}") from error
+    function = import_object("human.file", name)
     return CheckedPoses(name, lambda: [(function(), time.monotonic())])
 
 
