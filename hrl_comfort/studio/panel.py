@@ -10,12 +10,12 @@ import viser
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import by_viewer
 from hrl_comfort.studio.person import motion_config
 from hrl_comfort.studio.play import LivePlay, Watcher
-from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.session import Session, Step
 
 BY_HAND = "by hand"

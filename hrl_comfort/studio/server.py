@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.studio.curves import Curves
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera
 from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.play import LivePlay, Watcher
-from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.recorder import RecordControl
 from hrl_comfort.studio.replay import ReplayStudio
 from hrl_comfort.studio.session import Session, Step
@@ -48,7 +48,7 @@ class LiveStudio(Watcher):
         self.panel = Panel(self.page, self.play, self.loop)
         self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
         self.records = RecordControl(self.page, self.play, self.loop, self.panel.say, Path(config.output))
-        self.tuning = Tuning(self, config)
+        self.tuning = Tuning(self.page.gui, self.play, self.panel, self.rebuild, Path(config.output))
         self.play.watchers += [self.panel, self.curves, self.records, self]
         if config.record:
             self.loop.ask(self.records.toggle)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import viser.uplot
@@ -16,12 +16,11 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
+from hrl_comfort.studio.panel import Panel
+from hrl_comfort.studio.play import LivePlay
 from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
 from hrl_comfort.studio.tune.training import CURVES, Training
-
-if TYPE_CHECKING:
-    from hrl_comfort.studio.server import LiveStudio
 
 CELL = tuple(field.name for field in fields(EnvConfig))
 CONTROLLER = "meta_controller"
@@ -36,25 +35,29 @@ class Tuning:
     """Every parameter of the cell by hand, and a training of a policy for it.
 
     Args:
-      studio: whose cells are changed.
-      config: of the studio as it was started.
+      gui: of the page.
+      play: whose cells are changed; it calls for the change before each episode.
+      panel: shows the level, and asks the loop for changes.
+      rebuild: makes the cells anew with other sections of the configuration.
+      output: folder of trainings and overlays.
     """
 
-    def __init__(self, studio: LiveStudio, config: StudioConfig) -> None:
-        self._studio, self._output = studio, Path(config.output)
-        self.draft = Draft("studio", overrides_of("studio", studio.sessions[0].config))
+    def __init__(
+        self, gui: Any, play: LivePlay, panel: Panel, rebuild: Callable[[dict[str, Any]], None], output: Path
+    ) -> None:
+        self._panel, self._person, self._rebuild, self._output = panel, play.person, rebuild, output
+        self.draft = Draft("studio", overrides_of("studio", panel.session.config))
         self.learner = Draft("train", {"agent": "agent=quick"})
         self.training = Training(self._output)
         self._note = ""
         self._applied: dict[str, str] = {}
         self._tried = self.draft.config
-        gui = studio.page.gui
         with gui.add_folder("Parameters", expand_by_default=False):
             self._said = gui.add_markdown("Nothing has been changed.")
             Form(gui, self.draft, (*CELL, CONTROLLER), self._changed)
         with gui.add_folder("Train", expand_by_default=False):
             self._add_training(gui)
-        studio.play.renew = self._renew
+        play.renew = self._renew
         self._over = threading.Event()
         threading.Thread(target=self._show, name="studio training", daemon=True).start()
 
@@ -65,7 +68,7 @@ class Tuning:
 
     def _changed(self, error: ConfigError | None) -> None:
         """Apply what takes effect at once; the rest waits for the next episode."""
-        panel, person, config = self._studio.panel, self._studio.person, self.draft.config
+        panel, person, config = self._panel, self._person, self.draft.config
         assert isinstance(config, StudioConfig)
         if error is None:
             if config.human != person.human:
@@ -100,7 +103,7 @@ class Tuning:
         changed = dict(self.draft.changed)
         controlled = any(key.partition(".")[0] == CONTROLLER for key in self._due)  # a swapped policy has its own
         try:
-            self._studio.rebuild({name: getattr(config, name) for name in (*CELL, *([CONTROLLER] * controlled))})
+            self._rebuild({name: getattr(config, name) for name in (*CELL, *([CONTROLLER] * controlled))})
             self._applied = changed
         except ConfigError as refused:
             error = refused
@@ -153,7 +156,7 @@ class Tuning:
 
     def _watch(self) -> None:
         newest = self.training.newest()
-        self._studio.panel.ask(lambda: self._studio.panel.swap_to(newest))
+        self._panel.ask(lambda: self._panel.swap_to(newest))
 
     def _save(self) -> None:
         self._output.mkdir(parents=True, exist_ok=True)
