@@ -16,8 +16,9 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
-from hrl_comfort.studio.panel import Panel
+from hrl_comfort.studio.panel import PLAIN, Panel
 from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.text import Text, bold, code, warning
 from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
 from hrl_comfort.studio.tune.training import CURVES, Training
@@ -29,6 +30,7 @@ DRAWN = ("human.spawn", "human.keep_out", "human.held_out")
 """Keys of where a person begins."""
 OVERLAY = "overlay.yaml"
 POLL_S = 2.0
+UNCHANGED = "Nothing has been changed."
 
 
 class Tuning:
@@ -53,7 +55,7 @@ class Tuning:
         self._applied: dict[str, str] = {}
         self._tried = self.draft.config
         with gui.add_folder("Parameters", expand_by_default=False):
-            self._said = gui.add_markdown("Nothing has been changed.")
+            self._said = Text(gui, "note", UNCHANGED)
             Form(gui, self.draft, (*CELL, CONTROLLER), self._changed)
         with gui.add_folder("Train", expand_by_default=False):
             self._add_training(gui)
@@ -85,13 +87,13 @@ class Tuning:
 
     def _say(self, error: Exception | None = None) -> None:
         changed = " ".join(self.draft.changed.values())
-        said = [f"`hrl-comfort studio … {changed}`"] if changed else ["Nothing has been changed."]
+        said = [code(f"hrl-comfort studio … {changed}")] if changed else [UNCHANGED]
         now = [key for key in self._due if takes_effect_at_once(key)]
         later = [key for key in self._due if key not in now]
         said += [f"In force: {', '.join(now)}"] if now else []
-        said += [f"**At the next reset**: {', '.join(later)}"] if later else []
-        said += [f"⚠ {error}"] if error else []
-        self._said.content = "  \n".join(said)
+        said += [bold("At the next reset"), ", ".join(later)] if later else []
+        said += [warning(error)] if error else []
+        self._said.show(*said)
 
     def _renew(self) -> None:
         """Make the cells as the draft says, once; cells that cannot be made so stay as they are."""
@@ -110,7 +112,7 @@ class Tuning:
         self._say(error)
 
     def _add_training(self, gui: Any) -> None:
-        self._training_said = gui.add_markdown("")
+        self._training_said = Text(gui, "note")
         Form(gui, self.learner, LEARNER, self._say_training)
         sweep = gui.add_text(
             "sweep", "", hint="lists of any keys, as train_seed=0,1,2 agent.gamma=0.98,0.99; one job each"
@@ -122,7 +124,7 @@ class Tuning:
             "Watch newest checkpoint": self._watch,
             "Save overlay": self._save,
         }.items():
-            gui.add_button(label).on_click(lambda _, act=act: self._do(act))
+            gui.add_button(label, color=PLAIN).on_click(lambda _, act=act: self._do(act))
         self._chart = gui.add_uplot(
             data=tuple(np.zeros((CURVES + 1, 1))),
             series=(
@@ -161,15 +163,11 @@ class Tuning:
     def _save(self) -> None:
         self._output.mkdir(parents=True, exist_ok=True)
         write_text(self._output / OVERLAY, overlay(self._overrides()))
-        self._note = (
-            f"`{self._output / OVERLAY}` is written; copied to `conf/experiment/` it is a choice of `experiment=`"
-        )
+        self._note = f"{self._output / OVERLAY} is written; copied to conf/experiment/ it is a choice of experiment="
 
     def _say_training(self, error: Exception | None = None) -> None:
-        said = [self.training.status(), *([self._note] if self._note else []), *([f"⚠ {error}"] if error else [])]
-        content = "  \n".join(said)
-        if self._training_said.content != content:
-            self._training_said.content = content
+        notes = [each for each in (self._note, error and warning(error)) if each]
+        self._training_said.show(self.training.status(), *notes)
 
     def _show(self) -> None:
         """Draw the curve of a training that goes on, until the studio stops."""
@@ -179,7 +177,7 @@ class Tuning:
             curves = self.training.curves()
             if len(curves[0]):
                 self._chart.data = curves
-            if self.training.status() not in self._training_said.content:
+            if self.training.status() not in self._training_said.lines:
                 self._say_training()
 
 
