@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from hrl_comfort.config.keys import Key, keys_of
 from hrl_comfort.config.overrides import ROOTS, root_of
-from hrl_comfort.studio.tune.keys import Key, keys_of
 
 PAGE = Path(__file__).resolve().parent / "configuration.md"
 CONF = PAGE.parent.parent / "conf"

@@ -7,8 +7,8 @@ import os
 from typing import Any
 
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
+from hrl_comfort.config.keys import keys_of
 from hrl_comfort.config.overrides import groups
-from hrl_comfort.studio.tune.keys import keys_of
 
 
 def complete() -> None:

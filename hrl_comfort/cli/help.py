@@ -8,8 +8,8 @@ from itertools import groupby
 from omegaconf import DictConfig, OmegaConf
 
 from hrl_comfort.cli.commands import COMMANDS
+from hrl_comfort.config.keys import Key, keys_of
 from hrl_comfort.config.overrides import config_dir, groups
-from hrl_comfort.studio.tune.keys import Key, keys_of
 
 WIDTH = 80
 OPTIONS = {

@@ -1,22 +1,24 @@
-"""The panel of the page: run, person, comfort level and policy."""
+"""The panel of the page: what happens, comfort level, run, person and policy."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import viser
 
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
-from hrl_comfort.studio.page import by_viewer
-from hrl_comfort.studio.person import motion_config
+from hrl_comfort.studio.page import add_slider, by_viewer
+from hrl_comfort.studio.person import motion_config, observed_as
 from hrl_comfort.studio.play import LivePlay, Watcher
-from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.session import Session, Step
+from hrl_comfort.studio.text import Markup, Text, bold, columns, mark, warning
 
 BY_HAND = "by hand"
 MOTIONS = tuple(name for name in humans.MOTIONS if name not in ("live", "recorded"))
@@ -24,9 +26,16 @@ MOTIONS = tuple(name for name in humans.MOTIONS if name not in ("live", "recorde
 TOUCH = {"↑ ahead": "w", "↓ back": "s", "← left": "a", "right →": "d", "⟲ turn left": "q", "turn right ⟳": "e"}
 HOLD_HZ = 5.0
 STATUS_S = 0.2
-"""Time between two updates of the status line, s."""
+"""Time between two updates of the readout, s."""
+SLOWEST_M_S = 0.1
 STOPPED_SHARE = 0.005
-"""Share of the speed below which the status line calls the arm stopped; it is shown as 0 %."""
+"""Share of the speed below which the readout calls the arm stopped; it is shown as 0 %."""
+LOWEST, HIGHEST = "keep away, go slowly", "at ease"
+"""Meaning of the lowest and the highest comfort level."""
+NO_LEVEL = "These policies have no comfort level."
+HELP = Markup("Drag the person, or walk with <b>W A S D</b> and turn with <b>Q E</b>. Drag elsewhere to look around.")
+PLAIN: Any = "gray"
+"""Colour of the buttons that page.css draws plain."""
 
 
 class Panel(Watcher):
@@ -35,15 +44,18 @@ class Panel(Watcher):
     def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop) -> None:
         self._server, self._play, self._loop = server, play, loop
         self._outcome, self._message, self._drawn = "", "", 0.0
+        self.recording = False
+        """Whether the readout has the mark of a recording."""
         gui = server.gui
-        self._status = gui.add_markdown("")
+        self._readout = Text(gui, "readout")
+        self._add_comfort(gui)
         self._add_run(gui)
-        with gui.add_folder("Comfort"):
-            self._add_comfort(gui)
-        with gui.add_folder("Person"):
+        Text(gui, "help", HELP)
+        with gui.add_folder("Person", expand_by_default=False):
             self._add_person(gui)
         with gui.add_folder("Policy", expand_by_default=False):
             self._add_policy(gui)
+        self.rejoin()
         self.refresh(force=True)
 
     @property
@@ -51,8 +63,14 @@ class Panel(Watcher):
         """The first cell."""
         return self._play.sessions[0]
 
+    @property
+    def levels(self) -> int | None:
+        """Number of comfort levels, None where no policy acts on the level."""
+        read = any(session.observes_level for session in self._play.sessions)
+        return self.session.config.comfort.levels if read else None
+
     def ask(self, request: Callable[[], None]) -> None:
-        """Ask the loop for a change; what was said before is wiped, and the status is shown anew."""
+        """Ask the loop for a change; what was said before is wiped, and the readout is shown anew."""
 
         def done() -> None:
             self._message = ""
@@ -61,51 +79,81 @@ class Panel(Watcher):
 
         self._loop.ask(done)
 
+    def _add_comfort(self, gui: Any) -> None:
+        levels = (1, self.session.config.comfort.levels)
+        self._level = add_slider(
+            gui, "Comfort level", levels, 1, int(self.session.slider.value), lambda at: self.ask(lambda: self._hold(at))
+        )
+        self._ends = Text(gui, "ends")
+        self._source = gui.add_dropdown("level from", ("slider",))
+        self._source.on_update(by_viewer(lambda source: self.ask(lambda: self._take_source(source))))
+
     def _add_run(self, gui: Any) -> None:
         self._run = gui.add_button("Pause")
-        once, reset = gui.add_button("One decision"), gui.add_button("Reset")
-        speed = gui.add_slider("speed (×)", min=0.1, max=4.0, step=0.1, initial_value=self._loop.speed)
+        once, reset, self._repeat, self._again, self._free = (
+            gui.add_button(label, color=PLAIN, hint=hint)
+            for label, hint in (
+                ("One decision", None),
+                ("Reset", "begin the next episode"),
+                ("Same episode again", "the same cell, start of the arm and walk of the person"),
+                ("Same at level 10", "the same episode at the other end of the levels"),
+                ("Let the person go", None),
+            )
+        )
         self._run.on_click(lambda _: self.ask(lambda: self._loop.set_running(not self._loop.running)))
         once.on_click(lambda _: self.ask(self._loop.step))
         reset.on_click(lambda _: self.ask(self._play.reset))
-        speed.on_update(lambda event: self.ask(lambda: self._loop.set_speed(event.target.value)))
-
-    def _add_comfort(self, gui: Any) -> None:
-        comfort = self.session.config.comfort
-        self._level = gui.add_slider(
-            "level", min=1, max=comfort.levels, step=1, initial_value=int(self.session.slider.value)
+        self._repeat.on_click(lambda _: self.ask(self._play.repeat))
+        self._again.on_click(lambda _: self.ask(self._repeat_otherwise))
+        self._free.on_click(lambda _: self.ask(self._play.person.let_go))
+        add_slider(
+            gui, "speed (×)", (0.1, 4.0), 0.1, self._loop.speed, lambda at: self.ask(lambda: self._loop.set_speed(at))
         )
-        self._level.on_update(by_viewer(lambda level: self.ask(lambda: self._set_level(float(level)))))
-        self._source = gui.add_dropdown("level from", ("slider", comfort.source))
-        self._source.on_update(by_viewer(lambda source: self.ask(lambda: self._take_source(source))))
+
+    @property
+    def _other_level(self) -> int:
+        """The end of the levels that is farther from the level in force."""
+        levels = self.session.config.comfort.levels
+        return levels if float(self.session.state.level) <= (1 + levels) / 2 else 1
+
+    def _repeat_otherwise(self) -> None:
+        self.set_level(self._other_level)
+        self._play.repeat()
+
+    def rejoin(self) -> None:
+        """Show the options, levels, source and limits of sessions or policies that are new."""
+        comfort, person = self.session.config.comfort, self._play.person
+        source = comfort.source
+        self._level.max = comfort.levels
+        self._level.value = int(self.session.slider.value)
+        self._source.options = ("slider", source)
+        for control in (self._level, self._again):
+            control.visible = self.levels is not None
+        self._source.visible = self.levels is not None and source != "fixed"
+        self._ends.show(NO_LEVEL if self.levels is None else ends(self.levels))
+        self._speed.max = person.fastest_m_s
+        self._speed.value = person.speed_m_s
+        self._option.options = tuple(self.session.options)
         self._show_source()
 
     def _show_source(self) -> None:
-        source = self.session.config.comfort.source
-        self._source.options = ("slider", source)
-        self._source.value = "slider" if self.session.by_hand else source
-        self._source.visible = source != "fixed"
-
-    def rejoin(self) -> None:
-        """Show the options, levels and source of a session that is new."""
-        self._level.max = self.session.config.comfort.levels
-        self._level.value = int(self.session.slider.value)
-        self._option.options = tuple(self.session.options)
-        self._show_source()
+        self._source.value = "slider" if self.session.by_hand else self.session.config.comfort.source
 
     def set_level(self, level: float) -> None:
         """Set the level of every cell, and the slider; for requests."""
         self._level.value = round(level)
-        self._set_level(level)
+        self._hold(level)
 
-    def _set_level(self, level: float) -> None:
+    def _hold(self, level: float) -> None:
+        """Set the level of every cell by hand."""
         for session in self._play.sessions:
             session.set_level(level)
+        self._show_source()
 
     def _take_source(self, source: str) -> None:
         for session in self._play.sessions:
             if source == "slider":
-                session.set_level(self.session.slider.value)
+                session.set_level(float(self._level.value))
             else:
                 session.follow_source()
 
@@ -114,14 +162,15 @@ class Panel(Watcher):
         names = (BY_HAND, *dict.fromkeys((*MOTIONS, person.human.motion)))
         self._motion = gui.add_dropdown("motion", names, initial_value=person.motion)
         self._motion.on_update(by_viewer(self._take_motion))
-        speed = gui.add_slider("walks at most (m/s)", min=0.1, max=3.0, step=0.1, initial_value=person.speed_m_s)
-        speed.on_update(lambda event: self.ask(lambda: setattr(person, "speed_m_s", event.target.value)))
-        gui.add_markdown("Drag the person, or walk with **W A S D** and turn with **Q E**.")
+        self._speed = add_slider(
+            gui, "walks at most (m/s)", (SLOWEST_M_S, person.fastest_m_s), 0.1, person.speed_m_s,
+            lambda limit: self.ask(lambda: setattr(person, "speed_m_s", limit)),
+        )  # fmt: skip
         self._hands = gui.add_checkbox("hands", False, hint="show a handle at each hand, to drag it")
         self._hands.on_update(by_viewer(lambda held: self.ask(lambda: person.reach(CARRYING.copy() if held else None))))
         with gui.add_folder("Walk by touch", expand_by_default=False):
             for label, key in TOUCH.items():
-                gui.add_button(label).on_hold(
+                gui.add_button(label, color=PLAIN).on_hold(
                     lambda _, key=key: self._loop.ask(lambda: person.press(frozenset(key))), HOLD_HZ
                 )
 
@@ -130,7 +179,7 @@ class Panel(Watcher):
         if name == BY_HAND:
             self.ask(person.take)
         else:
-            chosen = human if name == human.motion else motion_config(name)
+            chosen = human if name == human.motion else observed_as(motion_config(name), person.human)
             self.ask(lambda: person.let_go(chosen))
 
     def _add_policy(self, gui: Any) -> None:
@@ -138,10 +187,12 @@ class Panel(Watcher):
             gui.add_text("policy" if len(self._play.sessions) == 1 else f"policy {index + 1}", policy_label(session))
             for index, session in enumerate(self._play.sessions)
         ]
-        swap = gui.add_button("Swap policy", hint="a run folder, a folder of pick, place and return, or expert")
+        swap = gui.add_button(
+            "Swap policy", color=PLAIN, hint="a run folder, a folder of pick, place and return, or expert"
+        )
         swap.on_click(lambda _: self.ask(self._swap))
         self._option = gui.add_dropdown("option", tuple(self.session.options), initial_value=self.session.option)
-        force = gui.add_button("Force option")
+        force = gui.add_button("Force option", color=PLAIN)
         force.on_click(lambda _: self.ask(lambda: self.session.force(self._option.value)))
 
     def swap_to(self, source: str) -> None:
@@ -161,16 +212,12 @@ class Panel(Watcher):
         self._swapped()
 
     def _swapped(self) -> None:
-        self._option.options = tuple(self.session.options)
         self._play.reset()
-
-    def began(self, cell: int, session: Session) -> None:
-        """See `play.Watcher`."""
-        self._outcome = ""
+        self.rejoin()
 
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`."""
-        if step.over:
+        if step.over and cell == 0:
             self._outcome = step.outcome
         self.refresh(force=step.over)
 
@@ -180,7 +227,7 @@ class Panel(Watcher):
         self.say(str(error) if known else f"{type(error).__name__}: {error}")
 
     def say(self, message: str) -> None:
-        """Show a message in the status and as a notification to every viewer."""
+        """Show a message in the readout and as a notification to every viewer."""
         self._message = " ".join(message.split())
         for client in self._server.get_clients().values():
             client.add_notification("Studio", self._message, color="red", auto_close_seconds=10)
@@ -192,39 +239,64 @@ class Panel(Watcher):
         if not force and now - self._drawn < STATUS_S:
             return
         self._drawn = now
-        self._status.content = self._lines()
-        label = "Pause" if self._loop.running else "Run"
-        if self._run.label != label:
-            self._run.label = label
-        if self._motion.value != self._play.person.motion:
-            self._motion.value = self._play.person.motion
-        held = self._play.person.hands is not None
-        if self._hands.value != held:
-            self._hands.value = held
+        person = self._play.person
+        self._readout.show(*self._lines())
+        for control, value in ((self._motion, person.motion), (self._hands, person.hands is not None)):
+            if control.value != value:
+                control.value = value
+        for button, label in (
+            (self._run, "Pause" if self._loop.running else "Run"),
+            (self._again, f"Same at level {self._other_level}"),
+        ):
+            if button.label != label:
+                button.label = label
+        if self._free.visible != person.taken:
+            self._free.visible = person.taken
         if not self.session.by_hand:  # else the slider leads, and must not be set back while it is moved
             self._level.value = round(float(self.session.state.level))
 
-    def _lines(self) -> str:
-        session, state = self.session, self.session.state
-        running = "running" if self._loop.running else "paused"
-        episode, seconds = session.engine.episodes.episode[0] + 1, int(state.steps) * CONTROL_STEP_S
-        contacts = sum(each.contacts for each in self._play.sessions)
-        lines = [
-            f"**{session.option}** · {running} · episode {episode}, {seconds:.1f} s",
-            f"level {float(state.level):g} · person {self._play.person.motion} · contacts {contacts}",
-        ]
-        if session.engine.episodes.drive is not None:
-            share, unsafe = float(state.share), sum(each.unsafe_contacts for each in self._play.sessions)
-            stopped = " · **the arm is stopped**" if bool(state.braking) or share < STOPPED_SHARE else ""
-            lines.append(f"speed passed {share:.0%}{stopped}")
-            lines.append(f"protective stops {int(state.protective_stops)} · unsafe contacts {unsafe}")
-        if self._loop.running and self._loop.rate < 0.99:
+    def _lines(self) -> list[str]:
+        sessions = self._play.sessions
+        lines: list[str] = [mark("recording")] if self.recording else []
+        names = [("", (bold(Path(policy_label(each)).name) for each in sessions))] if len(sessions) > 1 else []
+        lines.append(columns([*names, *readout(sessions, self._play.person.motion)], len(sessions)))
+        lines.append(self._outcome and bold(f"last episode: {self._outcome}"))
+        if not self._loop.running:
+            lines.append("paused")
+        elif self._loop.rate < 0.99:
             lines.append(f"slower than real time: {self._loop.rate:.0%}")
-        if self._outcome:
-            lines.append(f"**{self._outcome}**")
-        if self._message:
-            lines.append(f"⚠ {self._message}")
-        return "  \n".join(lines)
+        if any(bool(each.state.touching) for each in sessions):
+            lines.append(Markup('<span class="studio-contact">contact</span>'))
+        lines.append(self._message and warning(self._message))
+        return [line for line in lines if line]
+
+
+def ends(levels: int) -> Markup:
+    """Return what the lowest and the highest level mean."""
+    return Markup('<div class="ends"><span>1: {}</span><span>{}: {}</span></div>').format(LOWEST, levels, HIGHEST)
+
+
+def readout(sessions: Sequence[Session], motion: str) -> list[tuple[str, list[str]]]:
+    """Return the rows of the readout beside a person of this motion, a value a cell."""
+    rows: dict[str, list[str]] = {}
+    for session in sessions:
+        state, distance = session.state, session.distance_m
+        values = {
+            "stage": session.stage,
+            "distance": "nobody here" if distance is None else f"{distance:.2f} m",
+            "person": motion,
+            "time": f"{int(state.steps) * CONTROL_STEP_S:.1f} s",
+        }
+        if session.engine.episodes.drive is not None:
+            stopped = bool(state.braking) or float(state.share) < STOPPED_SHARE
+            values["speed passed"] = f"{float(state.share):.0%}" + (", stopped" if stopped else "")
+            values["protective stops"] = str(int(state.protective_stops))
+        values["touches"] = f"{session.contacts}, {session.unsafe_contacts} unsafe"
+        values["acts"] = f"policy {session.option}" if len(session.options) > 1 else "one policy"
+        values["episodes"] = f"{session.successes} done, {session.failures} failed"
+        for name, value in values.items():
+            rows.setdefault(name, []).append(value)
+    return list(rows.items())
 
 
 def policy_label(session: Session) -> str:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hrl_comfort import humans
-from hrl_comfort.config import HumanConfig
+from hrl_comfort.config import HumanConfig, SafetyConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.humans.walk import Array
@@ -25,6 +25,8 @@ HELD_S = 0.6
 FARTHEST_M = 2.5
 """Largest distance from the robot's base to which a person can be driven."""
 ARRIVED_M = 0.01
+FASTEST_M_S = 3.0
+"""Largest limit of the walk by hand, without a shield."""
 
 
 class Person:
@@ -33,7 +35,8 @@ class Person:
     Args:
       sessions: the cells.
       live: configuration of the motion `live`; its `speed_m_s` limits the walk.
-      human: configuration of the motion to which the person is let go.
+      human: configuration of the motion to which the person is let go; whether policies observe the person is as it
+        says, by hand too.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class Person:
         self._pressed_s = -np.inf
         self.taken = False
         self._leaving = False
+        self.speed_m_s = live.speed_m_s
         if human.motion == "live" and human.file is None:
             self.take()
 
@@ -58,14 +62,22 @@ class Person:
 
     @speed_m_s.setter
     def speed_m_s(self, limit: float) -> None:
-        self._live = replace(self._live, speed_m_s=limit)
-        if self.taken or self._leaving:
-            self._set_motion(self._live)
+        self._live = replace(self._live, speed_m_s=min(limit, self.fastest_m_s))
+        self._hold()
+
+    @property
+    def fastest_m_s(self) -> float:
+        """Largest limit of the walk by hand: what the shields assume of people, FASTEST_M_S without one."""
+        return min(fastest_m_s(session.config.safety) for session in self._sessions)
 
     def rejoin(self) -> None:
-        """Hold the person of a session that is new, where they are held in the others."""
+        """Hold the person of sessions that are new, where they are held in the others."""
+        self.speed_m_s = self._live.speed_m_s
+
+    def _hold(self) -> None:
+        """Give the motion by hand to a person who is held or walks to where they are let go."""
         if self.taken or self._leaving:
-            self._set_motion(self._live)
+            self._set_motion(observed_as(self._live, self.human))
 
     @property
     def motion(self) -> str:
@@ -77,7 +89,7 @@ class Person:
         if not self.taken:
             self.taken, self._leaving = True, False
             self._stop()
-            self._set_motion(self._live)
+            self._hold()
 
     def stay(self) -> None:
         """Stay where an episode begins, which is beside the arm; for a person by hand."""
@@ -96,13 +108,14 @@ class Person:
             self._set_motion(self.human)
         else:
             self._leaving = True
-            self._set_motion(self._live)
+            self._hold()
             self.update(0.0)
 
     def follow(self, human: HumanConfig) -> None:
         """Go on as `human` says, or once they are let go of."""
         if self.taken:
             self.human = human
+            self._hold()
         else:
             self.let_go(human)
 
@@ -173,6 +186,16 @@ class Person:
         for session in self._sessions:
             session.keep_person = self.taken or self._leaving
             session.set_motion(human)
+
+
+def fastest_m_s(safety: SafetyConfig) -> float:
+    """Return the largest speed at which a person by hand may walk, m/s."""
+    return FASTEST_M_S if safety.kind == "none" else min(FASTEST_M_S, safety.human_speed_m_s)
+
+
+def observed_as(human: HumanConfig, run: HumanConfig) -> HumanConfig:
+    """Return the motion `human`, of whom policies observe as much as of `run`."""
+    return replace(human, masked=run.masked, clipping=run.clipping)
 
 
 def motion_config(name: str) -> HumanConfig:

@@ -86,6 +86,13 @@ class LivePlay:
         self.person.stay()
         self.rejoin()
 
+    def repeat(self) -> None:
+        """Begin the same episode again in every cell; changes of the cell wait for the next one."""
+        for session in self.sessions:
+            session.repeat()
+        self.person.stay()
+        self.rejoin()
+
     def rejoin(self) -> None:
         """Show the states of the sessions, in which an episode has just begun."""
         self._hold = False

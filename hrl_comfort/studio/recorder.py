@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Container
+from collections.abc import Container
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +23,10 @@ from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.loop import Loop
+from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.session import ROW, Session, Step
+from hrl_comfort.studio.text import Text, code
 
 SPLIT = "live"
 """Value of the column `split` of a recorded episode."""
@@ -139,22 +141,20 @@ class RecordControl(Watcher):
       server: of the page.
       play: whose sessions are recorded.
       loop: of the play.
-      say: shows a message to every viewer.
+      panel: shows the mark of a recording.
       output: folder of the recordings.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, play: LivePlay, loop: Loop, say: Callable[[str], None], output: Path
-    ) -> None:
-        self._play, self._loop, self._say, self._output = play, loop, say, output
+    def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop, panel: Panel, output: Path) -> None:
+        self._play, self._panel, self._output = play, panel, output
         self.recorders: list[Recorder] = []
         """One a cell while it records, else none."""
         self.folders: list[Path] = []
         """Folders of the latest recording."""
         with server.gui.add_folder("Record", expand_by_default=False):
             self._button = server.gui.add_button("Record", color="red", hint=f"writes an evaluation under {output}")
-            self._text = server.gui.add_markdown("")
-        self._button.on_click(lambda _: loop.ask(self.toggle))
+            self._text = Text(server.gui, "note")
+        self._button.on_click(lambda _: panel.ask(self.toggle))
 
     def toggle(self) -> None:
         """Begin a recording with a new episode, or end it and write its folders; for requests.
@@ -167,7 +167,7 @@ class RecordControl(Watcher):
             self.recorders = []
             for session in self._play.sessions:
                 self.recorders.append(Recorder(session, self._output, {each.folder for each in self.recorders}))
-            self._button.label, self._text.content = "Stop recording", "recording …"
+            self._mark(True)
             return
         recorders = self.recorders
         self.write()
@@ -181,7 +181,7 @@ class RecordControl(Watcher):
           ConfigError: nothing was recorded.
         """
         recorders, self.recorders = self.recorders, []
-        self._button.label, self._text.content = "Record", ""
+        self._mark(False)
         if recorders:
             self.folders = [recorder.stop() for recorder in recorders]
 
@@ -205,5 +205,10 @@ class RecordControl(Watcher):
         self._tell("with video.mp4")
 
     def _tell(self, more: str) -> None:
-        lines = [f"`{folder}`" for folder in self.folders]
-        self._text.content = "  \n".join([*lines, *([more] if more else []), f"`hrl-comfort report {self.folders[0]}`"])
+        lines = [*map(code, self.folders), *([more] if more else [])]
+        self._text.show(*lines, code(f"hrl-comfort report {self.folders[0]}"))
+
+    def _mark(self, recording: bool) -> None:
+        self._panel.recording = recording
+        self._button.label = "Stop recording" if recording else "Record"
+        self._text.show()

@@ -13,7 +13,8 @@ from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.plots.clip import Array
 from hrl_comfort.plots.tape import Recording, Tape
 from hrl_comfort.studio.loop import Loop
-from hrl_comfort.studio.page import APART_M, Page, by_viewer, set_camera
+from hrl_comfort.studio.page import APART_M, Page, add_slider, set_camera
+from hrl_comfort.studio.text import Text, columns, warning
 from hrl_comfort.studio.view import CellView
 
 PIECE_S = 0.1
@@ -44,7 +45,7 @@ class ReplayStudio:
 
     def __init__(self, config: StudioConfig) -> None:
         self.tape = tape(Path(config.replay or ""))
-        self.page = Page(config.host, config.port)
+        self.page = Page(config.host, config.port, self.tape.run.name)
         self.views = [
             CellView(self.page, self.tape.scene, f"cell_{index}", (APART_M * index, 0.0, 0.0))
             for index in range(self.tape.cells)
@@ -55,14 +56,13 @@ class ReplayStudio:
         self.position_s, self._piece_s, self._drawn = 0.0, 0.0, 0.0
         self._titles = {each.title: each for each in self.tape.recordings}
         gui = self.page.gui
-        self._status = gui.add_markdown("")
+        self._status = Text(gui, "readout")
         self._run = gui.add_button("Pause")
-        self._time = gui.add_slider("time (s)", min=0.0, max=1.0, step=0.02, initial_value=0.0)
-        speed = gui.add_slider("speed (×)", min=0.1, max=4.0, step=0.1, initial_value=config.speed)
+        ask, set_speed = self.loop.ask, self.loop.set_speed
+        self._time = add_slider(gui, "time (s)", (0.0, 1.0), 0.02, 0.0, lambda at: ask(lambda: self._scrub(at)))
+        add_slider(gui, "speed (×)", (0.1, 4.0), 0.1, config.speed, lambda at: ask(lambda: set_speed(at)))
         chosen = gui.add_dropdown("episode", tuple(self._titles), initial_value=next(iter(self._titles)))
         self._run.on_click(lambda _: self.loop.ask(self._toggle))
-        self._time.on_update(by_viewer(lambda at: self.loop.ask(lambda: self._scrub(at))))
-        speed.on_update(lambda event: self.loop.ask(lambda: self.loop.set_speed(event.target.value)))
         chosen.on_update(lambda event: self.loop.ask(lambda: self.play(self._titles[event.target.value])))
         self.recording = self.tape.recordings[0]
         self.play(self.recording)
@@ -91,6 +91,8 @@ class ReplayStudio:
                 self._trail(f"/trail_{index}/person", person + np.array(view.offset_m), PERSON_RGB)
         for index, view in enumerate(self.views):
             view.set_visible(index < len(recording.takes))
+            if len(recording.takes) > 1 and index < len(recording.takes):
+                view.name(recording.takes[index].title)
         self.seek(0.0)
 
     def _trail(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
@@ -123,7 +125,7 @@ class ReplayStudio:
 
     def failed(self, error: Exception) -> None:
         """See `loop.Play`."""
-        self._status.content = f"⚠ {type(error).__name__}: {error}"
+        self._status.show(warning(f"{type(error).__name__}: {error}"))
 
     def _toggle(self) -> None:
         self.loop.set_running(not self.loop.running)
@@ -135,9 +137,13 @@ class ReplayStudio:
 
     def _refresh(self) -> None:
         self._drawn = time.monotonic()
-        lines = [f"**{self.tape.run.name}**, episode {self.recording.episode}, {self.position_s:.1f} s"]
-        lines += [f"{index + 1}: {take.title}" for index, take in enumerate(self.recording.takes)]
-        self._status.content = "  \n".join(lines)
+        rows = {
+            "run": self.tape.run.name,
+            "episode": str(self.recording.episode),
+            "time": f"{self.position_s:.1f} s",
+            **{str(index + 1): take.title for index, take in enumerate(self.recording.takes)},
+        }
+        self._status.show(columns([(name, [value]) for name, value in rows.items()], 1))
         self._run.label = "Pause" if self.loop.running else "Run"
         if self.loop.running:  # else the slider leads
             self._time.value = round(self.position_s, 2)

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.studio.curves import Curves
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera
-from hrl_comfort.studio.panel import Panel
+from hrl_comfort.studio.panel import Panel, policy_label
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.play import LivePlay, Watcher
-from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.recorder import RecordControl
 from hrl_comfort.studio.replay import ReplayStudio
 from hrl_comfort.studio.session import Session, Step
@@ -37,19 +37,21 @@ class LiveStudio(Watcher):
     """
 
     def __init__(self, config: StudioConfig) -> None:
-        configs = [config] if config.beside is None else [config, with_policy(replace(config), config.beside)]
-        self.sessions = [Session(each) for each in configs]
-        self.page = Page(config.host, config.port)
+        self.sessions = [Session(config), *beside(config)]
+        self.page = Page(config.host, config.port, ", ".join(map(policy_label, self.sessions)))
         self.views = [self._view(index) for index in range(len(self.sessions))]
-        self.person = Person(self.sessions, motion_config("live"), config.human)
+        by_hand = config.human.motion == "live" and config.human.file is None
+        live = config.human if by_hand else motion_config("live")
+        self.person = Person(self.sessions, live, config.human)
         self.play = LivePlay(self.sessions, self.views, self.person)
         self.loop = Loop(self.play, config.frames_per_s, config.speed)
         set_camera(self.page, len(self.sessions))
         self.panel = Panel(self.page, self.play, self.loop)
+        self.records = RecordControl(self.page, self.play, self.loop, self.panel, Path(config.output))
         self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
-        self.records = RecordControl(self.page, self.play, self.loop, self.panel.say, Path(config.output))
-        self.tuning = Tuning(self, config)
+        self.tuning = Tuning(self.page.gui, self.play, self.panel, self.rebuild, Path(config.output))
         self.play.watchers += [self.panel, self.curves, self.records, self]
+        self.play.rejoin()
         if config.record:
             self.loop.ask(self.records.toggle)
         self._drawn_s = 0.0
@@ -97,12 +99,33 @@ class LiveStudio(Watcher):
         for session in self.sessions:
             session.close()
 
+    def began(self, cell: int, session: Session) -> None:
+        """See `play.Watcher`."""
+        self.views[cell].begin_trail()
+        if len(self.views) > 1:
+            self.views[cell].name(policy_label(session))
+
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
+        self.views[cell].follow_tool(step.tool)
         self.views[cell].show_zone(session.walk.position[0], session.reach_m)
         if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
             self._drawn_s = session.seconds
             self.curves.draw()
+
+
+def beside(config: StudioConfig) -> list[Session]:
+    """Return the second cell, if one is asked for.
+
+    Raises:
+      ConfigError: its policy does not fit.
+    """
+    if config.beside is None:
+        return []
+    try:
+        return [Session(with_policy(config, config.beside))]
+    except ConfigError as error:
+        raise ConfigError(f"beside={config.beside!r} does not fit the cell: {error}") from None
 
 
 class Drag:
@@ -143,7 +166,7 @@ def studio(config: StudioConfig) -> None:
         export_page(config)
         return
     running = LiveStudio(config) if config.replay is None else ReplayStudio(config)
-    print(f"studio: {running.page.address}", flush=True)
+    print(running.page.announcement, flush=True)
     running.start()
     try:
         threading.Event().wait()

@@ -10,11 +10,13 @@ from torch import Tensor
 
 from hrl_comfort import humans
 from hrl_comfort.comfort.sources import Floats, Source
-from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
+from hrl_comfort.comfort.terms import human_distance
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ComfortConfig, ConfigError, HumanConfig, StudioConfig
 from hrl_comfort.config.compose import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
-from hrl_comfort.plots.clip import Clip
+from hrl_comfort.plots.clip import Array, Clip
+from hrl_comfort.policies.graph import inputs_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.signals import limbs_of
@@ -53,6 +55,12 @@ class Step:
     """The option run that ended with it, if one did."""
     over: bool
     """The episode ended with it."""
+
+    @property
+    def tool(self) -> Array:
+        """Places of the tool after each of its control steps, (K, 3) m."""
+        kept = self.result.valid[0].numpy()
+        return self.result.instants.tcp_pos.numpy()[: len(kept)][kept]
 
     @property
     def outcome(self) -> str:
@@ -96,6 +104,8 @@ class Session:
         """A new episode begins with the person where they are."""
         self.seconds, self.decisions, self.contacts, self.unsafe_contacts = 0.0, 0, 0, 0
         """Simulated time, decisions, contacts with the person and unsafe ones since the session began."""
+        self.successes, self.failures = 0, 0
+        """Episodes that ended with and without success since the session began."""
         self.over = False
         self.play(self.config)
 
@@ -125,6 +135,18 @@ class Session:
         return float(drive.reach(state.joint_target.numpy(), state.target_vel.numpy(), limbs)[0])
 
     @property
+    def distance_m(self) -> float | None:
+        """Horizontal distance from the tool to the person's axis, m; None without a person."""
+        there = float(self.state.human_pos[0, 0]) < FAR_AWAY_M / 2
+        return float(human_distance(self.state.tcp_pos, self.state.human_pos)) if there else None
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage in force."""
+        stages = self.engine.episodes.subtask.stages
+        return stages[int(self.state.stage) % len(stages)].name
+
+    @property
     def option(self) -> str:
         """Name of the option in force."""
         return self.executor.options[int(self.executor.option)].name
@@ -144,6 +166,15 @@ class Session:
         self.config = replace(
             self.config, policy=config.policy, policies=config.policies, meta_controller=config.meta_controller
         )
+        self.reset()
+        with torch.no_grad():
+            read = [inputs_of(option.policy, self.state) for option in self.executor.options]
+        self.observes_level = any("level" in names for names in read)
+        """Whether a policy acts on the comfort level."""
+
+    def repeat(self) -> None:
+        """Begin the same episode again, with the same draws for cell, arm and person."""
+        self.engine.episodes.episode -= 1
         self.reset()
 
     def reset(self) -> None:
@@ -185,6 +216,8 @@ class Session:
         runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
         self.over = bool(result.done | options.given_up)
         self.decisions += 1
+        self.successes += int(self.over and bool(result.success[0]))
+        self.failures += int(self.over and not bool(result.success[0]))
         self.contacts += int(result.state.touching & ~before.touching)
         self.unsafe_contacts += int(result.state.unsafe_contact & ~before.unsafe_contact)
         clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, episodes.walks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -26,6 +26,10 @@ Colour = tuple[float, ...]
 CONTACT_RGB, ZONE_RGB = (220, 40, 40), (224, 160, 32)
 HANDLE_M = 0.18
 """Length of the axes of a hand's handle."""
+TRAIL_RGB, TRAIL_STEPS = (230, 120, 30), 150
+"""Colour of the trail of the tool, and its length, control steps."""
+LABEL_M = 1.15
+"""Height of a cell's name over the robot's base."""
 ZONE_M = 0.25
 """From the person's axis to the side of the body."""
 _SHAPE = mujoco.mjtGeom
@@ -120,6 +124,11 @@ class CellView:
             opacity=0.4,
             visible=False,
         )
+        self._trail: deque[Array] = deque(maxlen=TRAIL_STEPS)
+        self._line = server.scene.add_line_segments(
+            f"/{name}/trail", np.zeros((0, 2, 3), dtype=np.float32), colors=TRAIL_RGB, line_width=2.5
+        )
+        self._label: viser.LabelHandle | None = None
         self._colours = [handle.color for handle in self.person]
         self._shown: dict[int, Array] = {}
 
@@ -175,6 +184,26 @@ class CellView:
         if self._zone.visible:
             self._zone.position = (*place, self._scene.floor_z + 4e-3)
             self._zone.scale = ZONE_M + reach_m
+
+    def name(self, text: str) -> None:
+        """Show a name over the cell."""
+        if self._label is None:
+            self._label = self._server.scene.add_label(
+                f"{self._root.name}/label", text, position=(0.0, 0.0, LABEL_M), anchor="bottom-center"
+            )
+        elif self._label.text != text:
+            self._label.text = text
+
+    def follow_tool(self, places: Array) -> None:
+        """Draw the trail of the tool on to `places` (K, 3) m."""
+        self._trail.extend(places)
+        if len(points := np.array(self._trail, dtype=np.float32)) > 1:
+            self._line.points = np.stack([points[:-1], points[1:]], axis=1)
+
+    def begin_trail(self) -> None:
+        """Begin the trail of the tool anew."""
+        self._trail.clear()
+        self._line.points = np.zeros((0, 2, 3), dtype=np.float32)
 
     def remove(self) -> None:
         """Take the cell off the page."""

@@ -9,12 +9,12 @@ import numpy as np
 
 from hrl_comfort.config import StudioConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.plots.clip import Frame
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.person import Person, motion_config
 from hrl_comfort.studio.play import HOLD_S, LivePlay
-from hrl_comfort.studio.policies import with_policy
 from hrl_comfort.studio.session import Session
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +11,11 @@ import torch
 
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.config.compose import compose
+from hrl_comfort.config.policies import with_policy
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
 from hrl_comfort.studio.person import HELD_S, Person, motion_config
-from hrl_comfort.studio.policies import options_in, with_defaults, with_policy
 from hrl_comfort.studio.session import Session
 
 SEEN: list[torch.Tensor] = []
@@ -201,18 +200,3 @@ def sorting_config() -> StudioConfig:
     config = compose("studio", ["task=sort", "task.balls=2", "meta_controller=scripted", "human=still", *policies])
     assert isinstance(config, StudioConfig)
     return config
-
-
-def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert with_defaults(["human=arc"]) == ["human=arc", "policy=expert"]
-    for name in ("pick", "place", "return"):
-        folder = tmp_path / "runs" / "demo" / name
-        folder.mkdir(parents=True)
-        (folder / "policy.pt").touch()
-    assert options_in(Path("runs/demo")) == ("pick", "place", "return")
-    assert with_defaults([]) == [
-        "policies.pick=runs/demo/pick", "policies.place=runs/demo/place", "policies.return=runs/demo/return",
-        "meta_controller.options=['pick','place','return']", "meta_controller=scripted", "task=cycle",
-    ]  # fmt: skip
-    assert with_defaults(["policy=random"]) == ["policy=random"]

@@ -96,11 +96,11 @@ class Training:
         if self._process is None or self.folder is None:
             return "no training yet"
         if self.running:
-            return f"`{self.folder}` is being trained"
+            return f"{self.folder} is being trained"
         if self._process.returncode == 0:
-            return f"`{self.folder}` is trained"
+            return f"{self.folder} is trained"
         said = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return f"`{self.folder}` has stopped: {said[-1] if said else self._process.returncode}"
+        return f"{self.folder} has stopped: {said[-1] if said else self._process.returncode}"
 
     def curves(self) -> tuple[NDArray[np.float64], ...]:
         """Return policy steps (T,) and success (T,) of the first CURVES jobs, NaN where there is none; T may be 0."""

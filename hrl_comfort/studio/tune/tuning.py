@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import viser.uplot
@@ -16,12 +16,12 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
+from hrl_comfort.studio.panel import PLAIN, Panel
+from hrl_comfort.studio.play import LivePlay
+from hrl_comfort.studio.text import Text, bold, code, warning
 from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.forms import Form
 from hrl_comfort.studio.tune.training import CURVES, Training
-
-if TYPE_CHECKING:
-    from hrl_comfort.studio.server import LiveStudio
 
 CELL = tuple(field.name for field in fields(EnvConfig))
 CONTROLLER = "meta_controller"
@@ -30,31 +30,36 @@ DRAWN = ("human.spawn", "human.keep_out", "human.held_out")
 """Keys of where a person begins."""
 OVERLAY = "overlay.yaml"
 POLL_S = 2.0
+UNCHANGED = "Nothing has been changed."
 
 
 class Tuning:
     """Every parameter of the cell by hand, and a training of a policy for it.
 
     Args:
-      studio: whose cells are changed.
-      config: of the studio as it was started.
+      gui: of the page.
+      play: whose cells are changed; it calls for the change before each episode.
+      panel: shows the level, and asks the loop for changes.
+      rebuild: makes the cells anew with other sections of the configuration.
+      output: folder of trainings and overlays.
     """
 
-    def __init__(self, studio: LiveStudio, config: StudioConfig) -> None:
-        self._studio, self._output = studio, Path(config.output)
-        self.draft = Draft("studio", overrides_of("studio", studio.sessions[0].config))
+    def __init__(
+        self, gui: Any, play: LivePlay, panel: Panel, rebuild: Callable[[dict[str, Any]], None], output: Path
+    ) -> None:
+        self._panel, self._person, self._rebuild, self._output = panel, play.person, rebuild, output
+        self.draft = Draft("studio", overrides_of("studio", panel.session.config))
         self.learner = Draft("train", {"agent": "agent=quick"})
         self.training = Training(self._output)
         self._note = ""
         self._applied: dict[str, str] = {}
         self._tried = self.draft.config
-        gui = studio.page.gui
         with gui.add_folder("Parameters", expand_by_default=False):
-            self._said = gui.add_markdown("Nothing has been changed.")
+            self._said = Text(gui, "note", UNCHANGED)
             Form(gui, self.draft, (*CELL, CONTROLLER), self._changed)
         with gui.add_folder("Train", expand_by_default=False):
             self._add_training(gui)
-        studio.play.renew = self._renew
+        play.renew = self._renew
         self._over = threading.Event()
         threading.Thread(target=self._show, name="studio training", daemon=True).start()
 
@@ -65,7 +70,7 @@ class Tuning:
 
     def _changed(self, error: ConfigError | None) -> None:
         """Apply what takes effect at once; the rest waits for the next episode."""
-        panel, person, config = self._studio.panel, self._studio.person, self.draft.config
+        panel, person, config = self._panel, self._person, self.draft.config
         assert isinstance(config, StudioConfig)
         if error is None:
             if config.human != person.human:
@@ -82,13 +87,13 @@ class Tuning:
 
     def _say(self, error: Exception | None = None) -> None:
         changed = " ".join(self.draft.changed.values())
-        said = [f"`hrl-comfort studio … {changed}`"] if changed else ["Nothing has been changed."]
+        said = [code(f"hrl-comfort studio … {changed}")] if changed else [UNCHANGED]
         now = [key for key in self._due if takes_effect_at_once(key)]
         later = [key for key in self._due if key not in now]
         said += [f"In force: {', '.join(now)}"] if now else []
-        said += [f"**At the next reset**: {', '.join(later)}"] if later else []
-        said += [f"⚠ {error}"] if error else []
-        self._said.content = "  \n".join(said)
+        said += [bold("At the next reset"), ", ".join(later)] if later else []
+        said += [warning(error)] if error else []
+        self._said.show(*said)
 
     def _renew(self) -> None:
         """Make the cells as the draft says, once; cells that cannot be made so stay as they are."""
@@ -100,14 +105,14 @@ class Tuning:
         changed = dict(self.draft.changed)
         controlled = any(key.partition(".")[0] == CONTROLLER for key in self._due)  # a swapped policy has its own
         try:
-            self._studio.rebuild({name: getattr(config, name) for name in (*CELL, *([CONTROLLER] * controlled))})
+            self._rebuild({name: getattr(config, name) for name in (*CELL, *([CONTROLLER] * controlled))})
             self._applied = changed
         except ConfigError as refused:
             error = refused
         self._say(error)
 
     def _add_training(self, gui: Any) -> None:
-        self._training_said = gui.add_markdown("")
+        self._training_said = Text(gui, "note")
         Form(gui, self.learner, LEARNER, self._say_training)
         sweep = gui.add_text(
             "sweep", "", hint="lists of any keys, as train_seed=0,1,2 agent.gamma=0.98,0.99; one job each"
@@ -119,7 +124,7 @@ class Tuning:
             "Watch newest checkpoint": self._watch,
             "Save overlay": self._save,
         }.items():
-            gui.add_button(label).on_click(lambda _, act=act: self._do(act))
+            gui.add_button(label, color=PLAIN).on_click(lambda _, act=act: self._do(act))
         self._chart = gui.add_uplot(
             data=tuple(np.zeros((CURVES + 1, 1))),
             series=(
@@ -153,20 +158,16 @@ class Tuning:
 
     def _watch(self) -> None:
         newest = self.training.newest()
-        self._studio.panel.ask(lambda: self._studio.panel.swap_to(newest))
+        self._panel.ask(lambda: self._panel.swap_to(newest))
 
     def _save(self) -> None:
         self._output.mkdir(parents=True, exist_ok=True)
         write_text(self._output / OVERLAY, overlay(self._overrides()))
-        self._note = (
-            f"`{self._output / OVERLAY}` is written; copied to `conf/experiment/` it is a choice of `experiment=`"
-        )
+        self._note = f"{self._output / OVERLAY} is written; copied to conf/experiment/ it is a choice of experiment="
 
     def _say_training(self, error: Exception | None = None) -> None:
-        said = [self.training.status(), *([self._note] if self._note else []), *([f"⚠ {error}"] if error else [])]
-        content = "  \n".join(said)
-        if self._training_said.content != content:
-            self._training_said.content = content
+        notes = [each for each in (self._note, error and warning(error)) if each]
+        self._training_said.show(self.training.status(), *notes)
 
     def _show(self) -> None:
         """Draw the curve of a training that goes on, until the studio stops."""
@@ -176,7 +177,7 @@ class Tuning:
             curves = self.training.curves()
             if len(curves[0]):
                 self._chart.data = curves
-            if self.training.status() not in self._training_said.content:
+            if self.training.status() not in self._training_said.lines:
                 self._say_training()
 
 

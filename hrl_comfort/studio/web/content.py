@@ -24,7 +24,7 @@ from hrl_comfort.policies.graph import PolicyGraph, inputs_of
 from hrl_comfort.policies.load import observed_by
 from hrl_comfort.scene import human
 from hrl_comfort.studio.clip import decision_clip
-from hrl_comfort.studio.person import FARTHEST_M
+from hrl_comfort.studio.person import FARTHEST_M, fastest_m_s, motion_config
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
@@ -181,7 +181,7 @@ def _person(config: StudioConfig) -> dict[str, Any]:
         "far": FAR_AWAY_M,
         "farthest": FARTHEST_M,
         "entrance": ENTRANCE_M,
-        "speed": 1.6,
+        "speed": min(motion_config("live").speed_m_s, fastest_m_s(config.safety)),
         "step_s": CONTROL_STEP_S,
         "full_swing": float(walk.FULL_SWING_RAD),
         "stride": walk.STRIDE_M,

@@ -33,6 +33,7 @@ def export_page(config: StudioConfig) -> Path:
     with output_file(output):
         made = content(config)
         parts = {
+            "card": (files("hrl_comfort.studio") / "card.css").read_text(encoding="utf-8"),
             "title": html.escape(made["title"]),
             "licences": html.escape(licences.read_text(encoding="utf-8")),
             "wasm": _packed(wasm.read_bytes()),

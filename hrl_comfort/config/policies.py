@@ -1,4 +1,4 @@
-"""Policies of the studio: what is played without arguments, and folders that stand for a whole chain."""
+"""Policies on the command line: defaults of `studio`, and folders that stand for a whole chain."""
 
 from __future__ import annotations
 
