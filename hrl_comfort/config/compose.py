@@ -234,7 +234,7 @@ def trained_environment(source: str) -> EnvConfig | None:
     and calibration files are where they were relative to it.
 
     Raises:
-      ConfigError: config.yaml or the policy file is damaged, or has keys that are gone.
+      ConfigError: what says so is damaged, or has keys that are gone.
     """
     folder, path = run_folder(source), Path(source)
     if folder is not None:
@@ -245,7 +245,10 @@ def trained_environment(source: str) -> EnvConfig | None:
         return None
     from hrl_comfort.files.state_file import load  # seconds, for torch
 
-    spec = load(file).get("spec")
+    try:
+        spec = load(file).get("spec")
+    except ConfigError:  # the policy's reader says what it is, with its key
+        return None
     values = spec.get("config") if isinstance(spec, Mapping) else None
     if values is None:
         return None
