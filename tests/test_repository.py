@@ -10,9 +10,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from hrl_comfort.config.compose import load_config
+from hrl_comfort.config.compose import load_config, trained_environment
 from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.sim.starts import recorded
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
@@ -43,6 +44,13 @@ def test_committed_results_are_few_and_small() -> None:
 @pytest.mark.parametrize("path", CONFIGS, ids=named)
 def test_every_committed_configuration_loads(path: Path) -> None:
     assert load_config(path).output == str(path.parent)
+
+
+@pytest.mark.parametrize("path", POLICIES, ids=named)
+def test_a_committed_skill_can_be_evaluated_alone(path: Path) -> None:
+    env = trained_environment(str(path.parent))
+    assert env is not None
+    assert env.task.start == "ik" or len(recorded(env.task.start, env.comfort.levels, joints=6)) == 2
 
 
 @pytest.mark.parametrize("path", POLICIES, ids=named)

@@ -130,8 +130,8 @@ def test_another_environment_than_that_of_the_run_is_refused_with_the_remedy(run
 def test_an_experiment_is_a_keyword() -> None:
     shielded = hrl_comfort.environment_of("place", {"experiment": "shielded"})
     assert (shielded.task.name, shielded.safety.kind, shielded.human.masked) == ("place", "ssm", True)
-    fine = hrl_comfort.environment_of("pick", {"experiment": "fine"})
-    assert fine == environment(compose("train", ["task=pick", "experiment=fine"]))
+    comfort = hrl_comfort.environment_of("pick", {"experiment": "comfort"})
+    assert comfort == environment(compose("train", ["task=pick", "experiment=comfort"]))
 
 
 def test_paths_of_a_run_are_relative_to_it(project: Path) -> None:
@@ -150,6 +150,12 @@ def test_a_run_is_evaluated_from_another_folder_after_it_was_moved(runs: Path) -
     assert read_config(runs / "place" / "eval" / "config.yaml")[1]["policy"] == str(runs / "place")
     starts, walk = runs / "pick" / "terminal_states.npz", runs.parent.parent / "walk.csv"
     assert (loaded.task.start, loaded.human.file) == (str(starts), str(walk))
+
+
+def test_a_run_behind_a_link_finds_its_files(runs: Path) -> None:
+    Path("latest").symlink_to(runs / "place")
+    start = hrl_comfort.environment_of(run="latest").task.start
+    assert Path(start).resolve() == (runs / "pick" / "terminal_states.npz").resolve()
 
 
 def test_a_run_from_before_paths_were_relative_to_it_is_read_from_anywhere(runs: Path) -> None:
