@@ -203,10 +203,17 @@ def load_config(path: str | Path) -> CommandConfig:
 
 
 def _root_of(values: Mapping[str, Any]) -> str | None:
-    """Return the root whose keys differ least from those of `values`; None if fewer than half are there."""
-    keys = {root: {field.name for field in dataclasses.fields(cls)} for root, cls in ROOTS.items()}
-    nearest = min(keys, key=lambda root: len(keys[root] ^ set(values)))
-    return nearest if 2 * len(keys[nearest] & set(values)) > len(keys[nearest]) else None
+    """Return the root whose keys differ least from those of `values`; None if most of them are missing."""
+    nearest = min(ROOTS, key=lambda root: len(_keys(ROOTS[root]) ^ set(values)))
+    return nearest if _has_most(ROOTS[nearest], values) else None
+
+
+def _has_most(cls: type[CommandConfig], values: Mapping[str, Any]) -> bool:
+    return 2 * len(_keys(cls) & set(values)) > len(_keys(cls))
+
+
+def _keys(cls: type[CommandConfig]) -> set[str]:
+    return {field.name for field in dataclasses.fields(cls)}
 
 
 def _of_file(cls: type[C], root: str, values: Mapping[str, Any], folder: Path, file: Path) -> C:
@@ -256,8 +263,8 @@ def trained_environment(source: str) -> EnvConfig | None:
         values = json.loads(json.dumps(values))
     except (TypeError, ValueError, RecursionError):
         values = None
-    if not isinstance(values, Mapping):
-        raise ConfigError(f"policy={str(file)!r} is damaged: its config is not a mapping of plain values")
+    if not isinstance(values, Mapping) or not _has_most(EnvConfig, values):
+        raise ConfigError(f"policy={str(file)!r} is damaged: its config is not that of an environment")
     home = file.parent.parent if file.parent.name == "checkpoints" else file.parent
     return _of_file(EnvConfig, "train", values, home, file)
 

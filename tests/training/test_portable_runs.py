@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 import yaml
 
 import hrl_comfort
@@ -220,6 +221,16 @@ def test_a_key_that_is_gone_is_one_line_unless_it_did_nothing(runs: Path, with_c
     with pytest.raises(ConfigError, match=f"reward.{key} is not a key of this version") as error:
         hrl_comfort.load(run=runs / "pick")
     assert str(runs / "pick") in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("config", [5, {}, {"task": {"name": "pick"}}, {"task": torch.zeros(3)}])
+def test_a_damaged_environment_in_a_policy_file_is_one_line(runs: Path, config: object) -> None:
+    (runs / "pick" / "config.yaml").unlink()
+    state = state_file.load(runs / "pick" / "policy.pt")
+    state["spec"]["config"] = config
+    state_file.save(runs / "pick" / "policy.pt", state)
+    with pytest.raises(ConfigError, match=r"policy.pt' is damaged: its config is not that of an environment$"):
+        trained_environment(str(runs / "pick"))
 
 
 def test_an_unfinished_training_says_so(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
