@@ -104,7 +104,7 @@ def test_a_person_dragged_to_the_arm_is_nearer_and_the_level_matters(shown: Show
         shown.page.mouse.move(*(np.array(start) + share * (np.array(end) - start)))
     until(lambda: shown.studio.person.taken, "the person is held")
     shown.page.mouse.up()
-    shown.page.get_by_text("person by hand").first.wait_for()
+    shown.page.get_by_role("button", name="Let the person go").wait_for()
     shown.click("Run")
     until(lambda: np.hypot(*shown.session.walk.position[0]) < far - 0.25, "the person comes nearer")
     shown.click("Pause")
@@ -124,7 +124,7 @@ def test_keys_walk_the_person_and_leave_the_camera(shown: Shown) -> None:
 
 
 def test_the_slider_sets_the_level_that_the_policy_sees(shown: Shown) -> None:
-    level = shown.page.get_by_role("slider").nth(1)
+    level = shown.page.get_by_role("slider").first
     level.focus()
     level.press("End")
     until(lambda: float(shown.session.state.level) == 10, "level 10")
