@@ -29,7 +29,7 @@ from hrl_comfort.config.checks import is_object, one_of
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.compose import warn_unfinished
 from hrl_comfort.config.overrides import override
-from hrl_comfort.config.policies import as_chain, as_skills, with_controller, with_defaults
+from hrl_comfort.config.policies import as_chain, as_skills, check_beside, with_controller, with_defaults
 
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
@@ -81,6 +81,7 @@ def check(config: CommandConfig) -> None:
     match config:
         case StudioConfig():
             _need_viser()
+            check_beside(config)
         case EvaluateConfig() if config.group_by:
             from hrl_comfort.evaluation.episode import COLUMNS  # numpy
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hrl_comfort.config import HierarchyTrainConfig, StudioConfig
-from hrl_comfort.config.compose import load_config
+from hrl_comfort.config import SORTING, ConfigError, HierarchyTrainConfig, StudioConfig
+from hrl_comfort.config.compose import load_config, trained_environment
 from hrl_comfort.config.overrides import override
 
 DEMO = Path("runs/demo")
@@ -66,6 +66,24 @@ def as_skills(overrides: Sequence[str]) -> list[str]:
     chain = options_in(Path(source)) == CYCLE
     skills = (override(f"policies.{name}", str(Path(source) / name) if chain else source) for name in CYCLE)
     return [*(line for line in overrides if not line.startswith("policy=")), *skills]
+
+
+def check_beside(config: StudioConfig) -> None:
+    """Raise ConfigError if the policy of the second cell was trained for another task than the cells have."""
+    if config.beside is None:
+        return
+    if options := options_in(Path(config.beside)):
+        trained = f"the chain {', '.join(options)}"
+        fits = config.task.name in (CHAIN["task"], *SORTING)
+    elif run := trained_environment(config.beside):
+        trained, fits = run.task.name, run.task.name == config.task.name
+    else:
+        return
+    if not fits:
+        raise ConfigError(
+            f"beside={config.beside!r} was trained for {trained}, and the cells have task={config.task.name}; "
+            "give a policy for that task"
+        )
 
 
 def _values(overrides: Sequence[str]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from hrl_comfort.studio.page import add_slider, by_viewer
 from hrl_comfort.studio.person import motion_config, observed_as
 from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.session import Session, Step
-from hrl_comfort.studio.text import Markup, Text, bold, columns, mark, warning
+from hrl_comfort.studio.text import Markup, Text, columns, mark, warning
 
 BY_HAND = "by hand"
 MOTIONS = tuple(name for name in humans.MOTIONS if name not in ("live", "recorded"))
@@ -43,7 +43,9 @@ class Panel(Watcher):
 
     def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop) -> None:
         self._server, self._play, self._loop = server, play, loop
-        self._outcome, self._message, self._drawn = "", "", 0.0
+        self._outcomes: dict[int, str] = {}
+        """How the last episode of each cell ended."""
+        self._message, self._drawn = "", 0.0
         self.recording = False
         """Whether the readout has the mark of a recording."""
         gui = server.gui
@@ -217,8 +219,8 @@ class Panel(Watcher):
 
     def stepped(self, cell: int, session: Session, step: Step) -> None:
         """See `play.Watcher`."""
-        if step.over and cell == 0:
-            self._outcome = step.outcome
+        if step.over:
+            self._outcomes[cell] = step.outcome
         self.refresh(force=step.over)
 
     def failed(self, error: Exception) -> None:
@@ -258,9 +260,12 @@ class Panel(Watcher):
     def _lines(self) -> list[str]:
         sessions = self._play.sessions
         lines: list[str] = [mark("recording")] if self.recording else []
-        names = [("", (bold(Path(policy_label(each)).name) for each in sessions))] if len(sessions) > 1 else []
-        lines.append(columns([*names, *readout(sessions, self._play.person.motion)], len(sessions)))
-        lines.append(self._outcome and bold(f"last episode: {self._outcome}"))
+        rows = readout(sessions, self._play.person.motion)
+        if len(sessions) > 1:
+            rows.insert(0, ("", [Path(policy_label(each)).name for each in sessions]))
+        if self._outcomes:
+            rows.append(("last episode", [self._outcomes.get(cell, "") for cell in range(len(sessions))]))
+        lines.append(columns(rows, len(sessions)))
         if not self._loop.running:
             lines.append("paused")
         elif self._loop.rate < 0.99:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.config.policies import options_in, with_defaults
+from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.compose import compose, save_config
+from hrl_comfort.config.policies import check_beside, options_in, with_defaults
 
 
 def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,3 +24,22 @@ def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, mo
         "meta_controller.options=['pick','place','return']", "meta_controller=scripted", "task=cycle",
     ]  # fmt: skip
     assert with_defaults(["policy=random"]) == ["policy=random"]
+
+
+def test_a_second_policy_of_another_task_is_refused_by_its_key(tmp_path: Path) -> None:
+    for name in ("pick", "place", "return"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "policy.pt").touch()
+        save_config(compose("train", [f"task={name}"]), tmp_path / name / "config.yaml")
+
+    def check(task: str, beside: str) -> None:
+        config = compose("studio", [f"task={task}", "policy=expert", f"beside='{beside}'"])
+        assert isinstance(config, StudioConfig)
+        check_beside(config)
+
+    for task, beside in {"pick": tmp_path / "pick", "cycle": tmp_path, "reach": "expert"}.items():
+        check(task, str(beside))
+    with pytest.raises(ConfigError, match=r"^beside='.*pick' was trained for pick, and the cells have task=cycle"):
+        check("cycle", str(tmp_path / "pick"))
+    with pytest.raises(ConfigError, match=r"^beside='.*' was trained for the chain pick, place, return, and the cells"):
+        check("pick", str(tmp_path))

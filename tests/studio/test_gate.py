@@ -25,14 +25,14 @@ def status(address: str, **headers: str) -> int:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    made = Page("127.0.0.1", 0)
+    made = Page("127.0.0.1", 0, "a <b>policy</b>")
     yield made
     made.stop()
 
 
 @pytest.fixture(scope="module")
 def public() -> Iterator[Page]:
-    made = Page("0.0.0.0", 0)
+    made = Page("0.0.0.0", 0, "a policy")
     yield made
     made.stop()
 
@@ -42,6 +42,33 @@ def test_on_loopback_the_page_needs_no_token_and_answers_no_other_site(page: Pag
     assert status(page.address, Origin=page.address) == 200
     assert status(page.address, Origin="https://elsewhere.example") == 403
     assert status(page.address, Host="elsewhere.example") == 403  # a name that was made to lead to this machine
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_request_of_another_site_moves_nobody_and_a_link_there_opens_the_page(page: Page, site: str) -> None:
+    pressed: list[frozenset[str]] = []
+    page.on_keys = pressed.append
+    other, keys = {"Sec-Fetch-Site": site}, f"{page.address}/studio/keys?held=w"
+    for dest in ("image", "script", "iframe", "document", "empty", "websocket"):
+        assert status(keys, **other, **{"Sec-Fetch-Dest": dest}) == 403
+        assert status(page.address, **other, **{"Sec-Fetch-Dest": dest}) == (200 if dest == "document" else 403)
+    assert status(keys, **other) == 403 and pressed == []
+    assert status(keys, **{"Sec-Fetch-Site": "same-origin"}) == 200 and pressed == [frozenset("w")]
+
+
+def test_the_page_is_titled_by_what_it_shows_and_that_is_text(page: Page) -> None:
+    with urllib.request.urlopen(page.address, timeout=20) as answer:
+        assert "<title>hrl-comfort: a &lt;b&gt;policy&lt;/b&gt;</title>" in answer.read().decode()
+
+
+def test_a_taken_port_is_said(page: Page) -> None:
+    other = Page("127.0.0.1", page.get_port(), "a policy")
+    try:
+        assert other.get_port() != page.get_port()
+        assert other.announcement == f"studio: {other.address} (port {page.get_port()} is taken)"
+        assert page.announcement == f"studio: {page.address}"
+    finally:
+        other.stop()
 
 
 def test_the_page_brings_the_walking_keys_and_takes_them(page: Page) -> None:

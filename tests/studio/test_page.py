@@ -46,6 +46,7 @@ def shown(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sh
     try:
         with opened(browser, studio.page.address) as (page, wrong):
             page.get_by_role("button", name="Pause", exact=True).wait_for()
+            assert page.title() == "hrl-comfort: potential_field"
             until(studio.page.get_clients, "the page is connected")
             yield Shown(studio, page, wrong)
     finally:
@@ -104,7 +105,7 @@ def test_a_person_dragged_to_the_arm_is_nearer_and_the_level_matters(shown: Show
         shown.page.mouse.move(*(np.array(start) + share * (np.array(end) - start)))
     until(lambda: shown.studio.person.taken, "the person is held")
     shown.page.mouse.up()
-    shown.page.get_by_text("person by hand").first.wait_for()
+    shown.page.get_by_role("button", name="Let the person go").wait_for()
     shown.click("Run")
     until(lambda: np.hypot(*shown.session.walk.position[0]) < far - 0.25, "the person comes nearer")
     shown.click("Pause")
@@ -124,7 +125,7 @@ def test_keys_walk_the_person_and_leave_the_camera(shown: Shown) -> None:
 
 
 def test_the_slider_sets_the_level_that_the_policy_sees(shown: Shown) -> None:
-    level = shown.page.get_by_role("slider").nth(1)
+    level = shown.page.get_by_role("slider").first
     level.focus()
     level.press("End")
     until(lambda: float(shown.session.state.level) == 10, "level 10")
@@ -133,11 +134,20 @@ def test_the_slider_sets_the_level_that_the_policy_sees(shown: Shown) -> None:
     assert shown.wrong == []
 
 
-def test_a_policy_that_is_not_there_is_said_and_the_page_stays(shown: Shown) -> None:
+def test_a_typed_level_that_is_too_high_is_shown_as_the_highest(shown: Shown) -> None:
+    label = "xpath=//label[contains(., 'Comfort level')]/following::input[not(@type='hidden')][1]"
+    shown.page.locator(label).fill("99")
+    until(lambda: float(shown.session.state.level) == 10, "level 10")
+    until(lambda: shown.page.locator(label).input_value() == "10", "it says 10")
+
+
+def test_a_policy_that_is_not_there_is_said_as_text_and_the_page_stays(shown: Shown) -> None:
+    hostile = "runs/<img src=x onerror='window.hit = 1'><iframe srcdoc=x></iframe>"
     shown.page.get_by_text("Policy", exact=True).dispatch_event("click")
-    shown.page.locator("input[value='potential_field']").fill("runs/nowhere")
+    shown.page.locator("input[value='potential_field']").fill(hostile)
     shown.click("Swap policy")
-    shown.page.get_by_text("runs/nowhere' is not there").first.wait_for()
+    shown.page.get_by_text('<iframe srcdoc=x></iframe>" is not there').first.wait_for()
+    assert shown.page.evaluate("window.hit === undefined && !document.querySelector('iframe, img[src=x]')")
     decisions = shown.session.decisions
     until(lambda: shown.session.decisions > decisions, "it goes on")
     assert shown.wrong == []

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, StudioConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.config.policies import with_policy
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
-from hrl_comfort.studio.person import HELD_S, Person, motion_config
+from hrl_comfort.studio.person import HELD_S, Person, motion_config, observed_as
 from hrl_comfort.studio.session import Session
 
 SEEN: list[torch.Tensor] = []
@@ -113,6 +113,74 @@ def test_hands_go_where_they_are_held_and_hang_before_the_person_is_let_go(sessi
         person.update(0.1)
         session.step()
     assert np.isnan(session.walk.limbs).all() and session.engine.episodes.config.human.motion == "still"
+
+
+def test_a_person_by_hand_is_hidden_from_the_policy_as_in_the_run(session: Session) -> None:
+    masked = replace(session.config.human, masked=True)
+    session.set_motion(masked)
+    session.reset()
+    person = Person([session], LIVE, masked)
+    hidden = torch.tensor([FAR_AWAY_M, 0.0], dtype=torch.float64)
+
+    def nobody_is_seen() -> bool:
+        session.step()
+        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.human_shown)
+
+    assert nobody_is_seen()
+    person.press(frozenset("d"))
+    person.update(0.1)
+    assert nobody_is_seen() and float(session.state.human_pos[0, 0]) < FAR_AWAY_M / 2
+    person.speed_m_s = 0.5
+    session.reset()
+    assert nobody_is_seen()
+    person.let_go()
+    assert nobody_is_seen()
+    person.let_go(observed_as(motion_config("patrol"), masked))
+    assert nobody_is_seen()
+    person.take()
+    person.follow(replace(masked, masked=False))  # the run's mask is taken off in the forms
+    session.step()
+    assert np.allclose(SEEN[-1][1:], session.walk.position[0])
+
+
+@pytest.mark.parametrize(("safety", "fastest"), [("safety=none", 3.0), ("safety=ssm", 1.6), ("safety=ssm", 1.2)])
+def test_nobody_walks_faster_by_hand_than_the_shield_assumes(safety: str, fastest: float) -> None:
+    session = Session(studio_config("robot.rating=collaborative", safety, f"safety.human_speed_m_s={fastest}"))
+    person = Person([session], LIVE, session.config.human)
+    assert person.fastest_m_s == fastest and person.speed_m_s == min(LIVE.speed_m_s, fastest)
+    person.speed_m_s = 9.0
+    person.drag(2.0, 2.0)
+    before = session.walk.position
+    session.step()
+    assert person.speed_m_s == fastest
+    assert np.linalg.norm(session.walk.position - before) == pytest.approx(0.1 * fastest)
+    session.close()
+
+
+def test_the_same_episode_has_the_same_cell_arm_and_walk_at_another_level() -> None:
+    session = Session(studio_config("policy=random", "human=random_walk"))
+
+    def played() -> list[np.ndarray]:
+        draw = session.engine.episodes.draw
+        begins = [np.array(each) for each in (draw.start, draw.balls, draw.spawn, session.state.joint_pos)]
+        return [*begins, *(session.step().clip.person[-1, :3] for _ in range(3))]
+
+    session.reset()
+    first = played()
+    session.set_level(9)
+    session.repeat()
+    assert float(session.state.level) == 9
+    for one, two in zip(first, played(), strict=True):
+        np.testing.assert_array_equal(one, two)
+    session.reset()
+    assert any(not np.array_equal(one, two) for one, two in zip(first, played(), strict=True))
+    session.close()
+
+
+def test_whether_a_policy_acts_on_the_level_is_known(session: Session) -> None:
+    assert session.observes_level
+    session.play(with_policy(session.config, "random"))
+    assert not session.observes_level
 
 
 def test_keys_walk_and_turn_until_they_are_let_go_of_or_fall_silent(session: Session) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,8 @@ def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
         until(lambda: studio.sessions[0].executor.retries == 3, "another number of retries")
         studio.tuning.draft.set("meta_controller.options", "[pick,place]")
         studio.loop.ask(studio.play.reset)
-        until(lambda: "meta_controller.options=['pick', 'place']" in studio.tuning._said.content, "refused")
+        refused = "meta_controller.options=['pick', 'place'] do the stages"
+        until(lambda: refused in unescape(" ".join(studio.tuning._said.lines)), "refused")
         assert studio.sessions[0].options == ["pick", "place", "return"]
     finally:
         studio.stop()

@@ -6,6 +6,7 @@ import base64
 import gzip
 import html
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
 
@@ -40,9 +41,8 @@ def export_page(config: StudioConfig) -> Path:
             "content": _packed(json.dumps(made, separators=(",", ":")).encode()),
             "program": program.read_text(encoding="utf-8").replace("</script", "<\\/script"),
         }
-        page = (here / "page.html").read_text(encoding="utf-8")
-        for name, value in parts.items():
-            page = page.replace(f"{{{{{name}}}}}", value, 1)
+        template = (here / "page.html").read_text(encoding="utf-8")
+        page = re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], template)  # at once: a title may have braces too
         write_atomically(output, lambda file: file.write(page.encode()))
     Console().print(f"{output}: {len(page) / 1e6:.1f} MB, opens in any browser", soft_wrap=True)
     return output

@@ -1,0 +1,115 @@
+"""The panel without a browser: what it shows is what is in force, in the words of the exported page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from hrl_comfort.config import ConfigError, StudioConfig
+from hrl_comfort.config.compose import compose
+
+pytest.importorskip("viser", reason="the extra [studio] is not installed")
+
+from hrl_comfort.humans.motions.live import HELD
+from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, readout
+from hrl_comfort.studio.server import LiveStudio
+from hrl_comfort.studio.text import mark
+
+PAGE = Path(__file__).parents[2] / "hrl_comfort" / "studio" / "web" / "page.html"
+Make = Callable[..., LiveStudio]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    """Make studios whose loops do not run."""
+    made: list[LiveStudio] = []
+
+    def studio(*words: str) -> LiveStudio:
+        HELD.pose = HELD.hands = None
+        config = compose("studio", ["task=pick", "human=still", "port=0", f"output={tmp_path}", *words])
+        assert isinstance(config, StudioConfig)
+        made.append(LiveStudio(config))
+        return made[-1]
+
+    yield studio
+    for each in made:
+        each.loop.running = False
+        each.start()
+        each.stop()
+
+
+def test_the_panel_has_the_words_of_the_exported_page(make: Make) -> None:
+    studio = make("policy=random", "robot.rating=collaborative")
+    page, rows = PAGE.read_text(encoding="utf-8"), dict(readout(studio.sessions, "still"))
+    assert set(re.findall(r"<dt.*?>(.*?)</dt>", page)) == rows.keys() - {"person"}
+    assert f"1: {LOWEST}" in page and NO_LEVEL in page
+    assert f"levels}}: {HIGHEST}" in (PAGE.parent / "src" / "controls.js").read_text(encoding="utf-8")
+
+
+def test_the_slider_leads_or_follows_and_the_source_says_which(make: Make) -> None:
+    panel = make("policy=expert", "comfort=conditioned").panel
+    assert panel._source.visible and panel._source.value == "random" and not panel.session.by_hand
+    panel.set_level(3)
+    assert panel._source.value == "slider" and panel._level.value == 3 and float(panel.session.state.level) == 3
+    panel._take_source("random")
+    assert not panel.session.by_hand
+    panel.session.reset()
+    panel.refresh(force=True)
+    assert panel._level.value == float(panel.session.state.level)
+
+
+def test_there_is_no_slider_where_no_policy_acts_on_the_level(make: Make) -> None:
+    panel = make("policy=random", "comfort=conditioned").panel
+    assert not panel._level.visible and not panel._again.visible and not panel._source.visible
+    assert panel._ends.lines == (NO_LEVEL,)
+    panel.swap_to("expert")
+    assert panel._level.visible and panel._again.visible and panel._source.visible
+
+
+def test_the_same_episode_is_begun_at_the_other_end_of_the_levels_in_one_click(make: Make) -> None:
+    panel = make("policy=expert").panel
+    episode = int(panel.session.engine.episodes.episode[0])
+    for level in (10, 1, 10):
+        assert panel._again.label == f"Same at level {level}"
+        panel._repeat_otherwise()
+        panel.refresh(force=True)
+        assert float(panel.session.state.level) == panel._level.value == level
+    assert int(panel.session.engine.episodes.episode[0]) == episode
+
+
+def test_a_recording_is_marked_until_it_ends(make: Make) -> None:
+    studio = make("policy=random")
+    studio.records.toggle()
+    studio.panel.refresh(force=True)
+    assert mark("recording") in studio.panel._readout.lines
+    studio.play.advance()
+    studio.records.write()
+    studio.panel.refresh(force=True)
+    assert mark("recording") not in studio.panel._readout.lines
+
+
+def test_cells_side_by_side_have_their_policies_names(make: Make) -> None:
+    studio = make("policy=random", "beside=expert")
+    assert [view._label and view._label.text for view in studio.views] == ["random", "expert"]
+    said = unescape(" ".join(studio.panel._readout.lines))
+    assert "random" in said and "expert" in said
+    assert make("policy=random").views[0]._label is None
+
+
+def test_the_tool_has_a_trail_that_begins_anew_with_an_episode(make: Make) -> None:
+    studio = make("policy=random")
+    studio.play.reset()
+    studio.play.advance()
+    line = studio.views[0]._line
+    assert line.points.shape == (4, 2, 3)  # five control steps
+    studio.play.reset()
+    assert len(line.points) == 0
+
+
+def test_a_second_policy_that_does_not_fit_is_named_as_such(make: Make) -> None:
+    with pytest.raises(ConfigError, match="beside='runs/nowhere' does not fit the cell: policy='runs/nowhere'"):
+        make("policy=random", "beside=runs/nowhere")
