@@ -26,10 +26,10 @@ from hrl_comfort.config import (
     TrainConfig,
 )
 from hrl_comfort.config.checks import is_object, one_of
+from hrl_comfort.config.command_line.policies import as_chain, as_skills, check_beside, with_controller, with_defaults
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.compose import warn_unfinished
 from hrl_comfort.config.overrides import override
-from hrl_comfort.config.policies import as_chain, as_skills, check_beside, with_controller, with_defaults
 
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),

@@ -13,8 +13,8 @@ from hrl_comfort.cli.commands import COMMANDS, VERBS
 from hrl_comfort.cli.completion import candidates
 from hrl_comfort.cli.help import WIDTH
 from hrl_comfort.cli.main import configuration, main
+from hrl_comfort.config.command_line.keys import keys_of
 from hrl_comfort.config.compose import compose, load_config
-from hrl_comfort.config.keys import keys_of
 
 
 @pytest.mark.parametrize("command", COMMANDS)
