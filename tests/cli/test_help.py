@@ -53,10 +53,11 @@ def test_a_dry_run_prints_the_configuration_that_a_run_would_write(tmp_path, cap
     monkeypatch.chdir(tmp_path)
     words = ["task=reach", "agent.gamma=0.5", "output=runs/reach"]
     assert main(["train", *words, "--dry-run"]) == 0
-    (tmp_path / "config.yaml").write_text(capsys.readouterr().out)
-    assert load_config(tmp_path / "config.yaml") == configuration("train", words)
-    assert not (tmp_path / "runs").exists()
     assert main(["train", "-m", "--dry-run"]) == 1
+    assert not (tmp_path / "runs").exists()
+    (tmp_path / "runs" / "reach").mkdir(parents=True)
+    (tmp_path / "runs" / "reach" / "config.yaml").write_text(capsys.readouterr().out)
+    assert load_config("runs/reach") == configuration("train", words)
 
 
 @pytest.mark.parametrize(
