@@ -9,18 +9,18 @@ import re
 import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
+import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -41,7 +41,6 @@ from hrl_comfort.config.overrides import (
 from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze, section
 from hrl_comfort.files.atomic import write_text
-from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import unfinished
 from hrl_comfort.files.relative_paths import resolved, same, stored
@@ -119,11 +118,20 @@ def _is_choice(asked: Override) -> bool:
 
 @lru_cache(maxsize=256)
 def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
-    version.setbase("1.3")
-    found = ConfigLoaderImpl(search_path()).load_configuration(root, list(known), RunMode.RUN, from_shell=False)
-    with open_dict(found):
-        del found["hydra"]
-    return found
+    with hydra_over_conf():
+        return hydra.compose(root, list(known))
+
+
+@contextmanager
+def hydra_over_conf() -> Iterator[GlobalHydra]:
+    """Yield Hydra's global state, initialised over `conf/`; afterwards it is that of the program around this one."""
+    state = GlobalHydra.instance()
+    outer, state.hydra = state.hydra, None
+    try:
+        hydra.initialize_config_dir(str(config_dir()), "hrl-comfort", version_base="1.3")
+        yield state
+    finally:
+        state.hydra = outer
 
 
 def _settled(cls: type[C], node: DictConfig, overrides: list[str]) -> C:

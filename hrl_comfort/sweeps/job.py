@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
@@ -59,7 +58,6 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     in_worker = launcher == "joblib" and hydra.launcher.n_jobs != 1
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
-    GlobalHydra.instance().clear()  # the job composes its own configuration
     try:
         config = compose(root_of(verb), words)
         assert isinstance(config, TrainingConfig | EvaluateConfig)
