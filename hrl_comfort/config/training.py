@@ -89,8 +89,8 @@ class HierarchyConfig:
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: Annotated[MetaControllerTrainConfig | None, BeforeValidator(lambda given: given or None)]
-    """A `train meta_controller` that runs after the options are trained, given by its overrides, for example
-    `['human=patrol']`; it trains a controller for `task=sort`. []: no such training."""
+    """Overrides for a `train meta_controller` that runs after the options are trained, for example `['human=patrol']`;
+    it trains a controller for `task=sort`. []: no such training."""
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,9 @@ from torch.utils.tensorboard import SummaryWriter
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.tables import GrowingTable
+from hrl_comfort.training.collector import OUTCOMES
 from hrl_comfort.training.wandb_board import WandbBoard
 
-OUTCOMES = (
-    *("success", "return", "steps", "contact", "unsafe_contact", "other_collision"),
-    *("shield_share_mean", "protective_stops"),
-)
 TIMING = ("policy_steps", "seconds", "policy_steps_per_s", "updates_per_s")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 import torch
 import torchrl
@@ -17,6 +17,7 @@ from hrl_comfort.config.compose import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
 from hrl_comfort.training.left import HIERARCHY, Left, left
+from hrl_comfort.training.loop import TrainingLoop
 
 C = TypeVar("C", bound=TrainingConfig)
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
@@ -28,17 +29,7 @@ MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeE
 """Errors of torch, TorchRL and this program when a state does not fit."""
 
 
-class Resumable(Protocol):
-    """A training that can continue bit for bit."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`."""
-
-    def run(self) -> None:
-        """Train to the end."""
-
-
-def train_in_folder(config: C, begin: Callable[[C, Path, bool], Resumable]) -> Path:
+def train_in_folder(config: C, begin: Callable[[C, Path, bool], TrainingLoop]) -> Path:
     """Train in the folder that `config` names, or go on there; `begin` takes folder and whether it resumes.
 
     Raises:
@@ -104,7 +95,7 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
     return replace(config, output=str(folder), resume=None)
 
 
-def go_on(training: Resumable, folder: Path) -> None:
+def go_on(training: TrainingLoop, folder: Path) -> None:
     """Continue `training` from the newest good checkpoint in `folder`.
 
     Raises:

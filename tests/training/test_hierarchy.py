@@ -78,9 +78,7 @@ def test_every_option_is_a_run_that_begins_where_the_one_before_it_ends(whole):
 def test_a_hierarchy_killed_several_times_and_told_to_stop_goes_on_bit_for_bit(whole, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     for name, at in (("pick_place", 20), ("pick_place", 100), ("return", 80), ("return", 20)):
-        with stopping(
-            Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.policy_steps >= t
-        ):
+        with stopping(Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.steps >= t):
             train_hierarchy(small(folder))
     with monkeypatch.context() as patch:
         step = Training.step
@@ -135,7 +133,7 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
     overrides = ("division=three", "hierarchy.refinement=[]", "agent.policy_steps=40", "agent.learning_starts=20",
                  *(f"hierarchy.shares.{name}=1" for name in ("pick", "place")), "task.max_episode_steps=20",
                  override("hierarchy.controller", controller))  # fmt: skip
-    with stopping(ControllerTraining, "step", lambda training: training.options >= 8):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 8):
         train_hierarchy(small(folder, *overrides))
     for _ in range(2):
         train_hierarchy(small(folder, *overrides))
