@@ -7,7 +7,9 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import Widths, between, choice, unique, within
 
-CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
+SORTERS = ("scripted", "cautious", "random")
+"""Controllers of `sort` that are not learned."""
+CONTROLLERS = ("none", *SORTERS, "learned")
 META_OBSERVATIONS = ("default", "proximity")
 
 

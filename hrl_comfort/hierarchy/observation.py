@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
+from hrl_comfort.config.checks import implemented
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import human, joint_error, nearness, tool
@@ -14,7 +16,7 @@ ROUND = len(CYCLE.stages)
 """Stages of one ball's round: pick, place, return."""
 OTHERS, BALL = 14, 9
 """Sizes of the parts of neither a ball nor the person, and of each ball."""
-PERSON = {"default": 4, "proximity": 1}
+PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1})
 """Size of the person's part, by `meta_controller_agent.observation`."""
 
 

@@ -17,19 +17,13 @@ from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy, observed_by
 from hrl_comfort.tasks import subtask
+from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
 
 Demonstrator = Callable[[], Tensor]
 """() -> actions (demonstrator_envs, A) in [-1, 1] for the first environments."""
 NextSkillValue = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
-
-
-OUTCOMES = (
-    *("success", "return", "steps", "contact", "unsafe_contact", "other_collision"),
-    *("shield_share_mean", "protective_stops"),
-)
-"""Columns of an episode, to which the terms of its reward come: reward/NAME."""
 
 
 class SkillCollector:

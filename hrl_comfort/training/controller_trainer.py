@@ -11,18 +11,15 @@ from torch import Tensor
 
 from hrl_comfort.config import MetaControllerTrainConfig
 from hrl_comfort.config.compose import environment
-from hrl_comfort.files.tables import GrowingTable
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.sort import sorting_options
-from hrl_comfort.training.loop import Collected, Outcome, TrainingLoop
+from hrl_comfort.training.logger import OptionsLog
+from hrl_comfort.training.loop import Collected, TrainingLoop
 from hrl_comfort.training.resume import train_in_folder
 
 METRICS = "meta_controller_metrics.csv"
-OUTCOMES = ("success", "placed", "return", "steps")
-"""Of an episode: success, balls placed, undiscounted return and control steps."""
-COLUMNS = ("options", "updates", "episodes", *OUTCOMES, "exploration", "loss")
 
 
 def train_meta_controller(config: MetaControllerTrainConfig) -> Path:
@@ -54,7 +51,7 @@ class OptionCollector:
         finished = []
         for row in torch.nonzero(after["done"].reshape(-1)).squeeze(-1).tolist():
             numbers = after["success"][row], state.placed[row].sum(), self._returns[row], state.steps[row]
-            finished.append(dict(zip(OUTCOMES, map(float, numbers), strict=True)))
+            finished.append(dict(zip(OptionsLog.OUTCOMES, map(float, numbers), strict=True)))
             self._returns[row] = 0.0
         return Collected(self.env.transitions(after), finished)
 
@@ -67,50 +64,6 @@ class OptionCollector:
         self.env.load_state_dict(state["env"])
         self.now = TensorDict(state["now"], batch_size=self.env.batch_size)
         self._returns = state["returns"]
-
-
-class OptionsLog:
-    """Rows of METRICS, each over the episodes and updates since the one before."""
-
-    def __init__(self, folder: Path) -> None:
-        self._table = GrowingTable(folder / METRICS, COLUMNS)
-        self._rows = 0
-        self._finished: list[Outcome] = []
-        self._losses: list[float] = []
-
-    def start(self, steps: int) -> None:
-        """Cut the file back to the rows that this log knows of."""
-        self._table.begin(self._rows)
-
-    def episode(self, outcome: Outcome) -> None:
-        """Count one finished episode."""
-        self._finished.append(outcome)
-
-    def update(self, terms: dict[str, float]) -> None:
-        """Count one update."""
-        self._losses.append(terms["loss"])
-
-    def write_row(self, options: int, updates: int, exploration: float) -> None:
-        """Write a row; without an episode or an update its means are empty."""
-        means = [_mean([outcome[name] for outcome in self._finished]) for name in OUTCOMES]
-        self._table.append([options, updates, len(self._finished), *means, exploration, _mean(self._losses)])
-        self._rows += 1
-        self._finished, self._losses = [], []
-
-    def close(self) -> None:
-        """Do nothing: the file is open during a row alone."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return all that is needed to continue in the middle of a row."""
-        return {"rows": self._rows, "finished": list(self._finished), "losses": list(self._losses)}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`; `start` then cuts the file back."""
-        self._rows, self._finished, self._losses = state["rows"], state["finished"], state["losses"]
-
-
-def _mean(values: list[float]) -> float | None:
-    return sum(values) / len(values) if values else None
 
 
 class ControllerTraining(TrainingLoop):
@@ -141,7 +94,7 @@ class ControllerTraining(TrainingLoop):
         spec = env.observation_spec
         width, count = spec["observation"].shape[-1], spec["action_mask"].shape[-1]
         learner = QLearner(agent, width, count, config.train_seed)
-        collector, log = OptionCollector(env), OptionsLog(folder)
+        collector, log = OptionCollector(env), OptionsLog(folder / METRICS)
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
         self._logged = 0
         """Options at the latest row."""

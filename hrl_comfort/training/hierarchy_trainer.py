@@ -6,10 +6,9 @@ Every part leaves a file by which a later call knows that it is done, so the sam
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -208,7 +207,7 @@ def _evaluation(
     env: EnvConfig,
     meta_controller: MetaControllerConfig,
     folder: Path,
-    policies: Mapping[str, str] = MappingProxyType({}),
+    policies: dict[str, str] | None = None,
     **asked: Any,
 ) -> EvaluateConfig:
     """Return an evaluation in `env` that goes to eval/ in `folder`: `asked`, and else that of no choices."""
@@ -217,7 +216,7 @@ def _evaluation(
         "policy": None, "checkpoints": "none", "split": "paper", "episode_seed": None, "levels": [], "group_by": [],
         "record": False, "realtime": False, "disturbance": "none", "terminal_states": None,
     }  # fmt: skip
-    own = {**plain, **asked, "policies": dict(policies), "output": str(folder / "eval")}
+    own = {**plain, **asked, "policies": policies or {}, "output": str(folder / "eval")}
     return EvaluateConfig(**sections, meta_controller=meta_controller, **own)
 
 

@@ -17,6 +17,7 @@ from hrl_comfort.config import TrainingConfig
 from hrl_comfort.config.compose import save_config
 from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.progress import progress, success_of
+from hrl_comfort.training.logger import RowLog
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 
 Outcome = dict[str, float]
@@ -33,18 +34,8 @@ class Collected:
     """Episodes that ended."""
 
 
-class Stateful(Protocol):
-    """A part of a training that can continue bit for bit."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything that a bit-for-bit continuation needs, as plain data."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`."""
-
-
-class Collector(Stateful, Protocol):
-    """Steps the environments of a training."""
+class Collector(Protocol):
+    """Steps the environments of a training; its state is plain data."""
 
     now: TensorDictBase
     """(N,): what the next actions are chosen by."""
@@ -52,9 +43,12 @@ class Collector(Stateful, Protocol):
     def step(self, action: Tensor) -> Collected:
         """Take actions (N, …), one in each environment."""
 
+    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
 
-class Learner(Stateful, Protocol):
-    """Chooses actions and learns from what follows."""
+
+class Learner(Protocol):
+    """Chooses actions and learns from what follows; its state is plain data."""
 
     updates: int
     """Number of updates so far."""
@@ -68,21 +62,8 @@ class Learner(Stateful, Protocol):
     def update(self) -> dict[str, float]:
         """Do one gradient step; return its terms by column."""
 
-
-class Log(Stateful, Protocol):
-    """Table of a training; each row averages over the time since the one before."""
-
-    def start(self, steps: int) -> None:
-        """Cut the table back to the rows that this log knows of; the training is at `steps`."""
-
-    def episode(self, outcome: Outcome) -> None:
-        """Count one finished episode."""
-
-    def update(self, terms: dict[str, float]) -> None:
-        """Count one update."""
-
-    def close(self) -> None:
-        """Close the files."""
+    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
 
 
 class TrainingLoop(ABC):
@@ -103,7 +84,7 @@ class TrainingLoop(ABC):
     """Whether the next actions are chosen before the updates that are due, or after them."""
 
     def __init__(
-        self, config: TrainingConfig, folder: Path, resumes: bool, learner: Learner, collector: Collector, log: Log,
+        self, config: TrainingConfig, folder: Path, resumes: bool, learner: Learner, collector: Collector, log: RowLog,
         total: int, title: str,
     ) -> None:  # fmt: skip
         self.config, self.folder, self.resumes, self.total, self.title = config, folder, resumes, total, title
