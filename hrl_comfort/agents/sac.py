@@ -170,8 +170,8 @@ class SAC:
         if config.learning_rate_end is None:
             return config.learning_rate
         total = (config.policy_steps - config.learning_starts) * config.updates_per_policy_step
-        share = min(1.0, (self.updates - self._stage_begin) / max(total, 1.0))
-        return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
+        phase = min(1.0, (self.updates - self._stage_begin) / max(total, 1.0))
+        return config.learning_rate + phase * (config.learning_rate_end - config.learning_rate)
 
     def _bc_loss(self, batch: TensorDict) -> Tensor | float:
         """Return the weighted `bc_loss` of the demonstrated transitions, per transition of the batch."""

@@ -89,7 +89,7 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
         known = check_overrides(root, overrides)
         try:
             run = _run_of(known) if root in AS_TRAINED else None
-            return _settled(cls, root, known if run is None else _with_sections(root, run, known))
+            return _validated(cls, root, known if run is None else _with_sections(root, run, known))
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(one_line(error)) from error
         except RecursionError:
@@ -140,7 +140,7 @@ def hydra_over_conf() -> Iterator[GlobalHydra]:
         state.hydra = outer
 
 
-def _settled(cls: type[C], root: str, overrides: list[str]) -> C:
+def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
     """Return the configuration `cls` of `root` with its stages checked and their budget settled.
 
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum. The overrides of
@@ -175,7 +175,7 @@ def _with_controller(config: HierarchyTrainConfig, words: Iterable[str]) -> Hier
     if not isinstance(words, ListConfig):
         raise ConfigError(f"hierarchy.controller={words!r} is not a list of overrides, such as ['human=patrol']")
     known = check_overrides(root, [*map(str, words), "output=controller"])
-    controller = _settled(MetaControllerTrainConfig, root, _with_sections(root, config, known))
+    controller = _validated(MetaControllerTrainConfig, root, _with_sections(root, config, known))
     return dataclasses.replace(config.hierarchy, controller=controller)
 
 

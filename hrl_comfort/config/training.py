@@ -74,7 +74,7 @@ class MetaControllerTrainConfig(TrainingConfig):
 class HierarchyConfig:
     """Budgets and steps of a hierarchy's trainings."""
 
-    shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
+    budget_fractions: dict[str, Annotated[float, within(0.001, 1000.0)]]
     """Budget of each option's training, as a multiple of `agent.policy_steps`. The curriculum stages of that training
     are lengthened or shortened in proportion."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
@@ -111,7 +111,7 @@ class HierarchyTrainConfig(TrainConfig):
             if value != default:
                 raise ConfigError(f"{key}={value}: train hierarchy sets it for each option; leave it out")
         for option in self.meta_controller.options:
-            if option not in self.hierarchy.shares:
-                raise ConfigError(f"hierarchy.shares has no {option}, an option of the division")
+            if option not in self.hierarchy.budget_fractions:
+                raise ConfigError(f"hierarchy.budget_fractions has no {option}, an option of the division")
         if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
             raise ConfigError("hierarchy.controller= sorts with pick, place and return: choose division=three")

@@ -1,6 +1,6 @@
 """Meta-controllers: pure functions that choose the next option from a `Decision`.
 
-Those of `sort` rely on the order of `sorting_options`: for each level a skill may be told, the one in force
+Those of `sort` rely on the order of `sorting_options`: for each level a skill may be given, the one in force
 first, a pick for each of B balls, place and return; then wait and retreat.
 """
 

@@ -50,9 +50,9 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
-    told = torch.stack([ease, leveled.double()], dim=-1)
+    level_given = torch.stack([ease, leveled.double()], dim=-1)
     seen = nearness(state) if layout == "proximity" else _position_and_facing(state)
-    return torch.cat([seen, tool(state), joint_error(state), stage, told, balls.flatten(1)], dim=-1).float()
+    return torch.cat([seen, tool(state), joint_error(state), stage, level_given, balls.flatten(1)], dim=-1).float()
 
 
 def _position_and_facing(state: State) -> Tensor:

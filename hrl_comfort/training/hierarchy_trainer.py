@@ -30,9 +30,9 @@ from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
-from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
+from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
 from hrl_comfort.training.trainer import train
 
 EPISODE_LENGTH = {"cycle": 3}
@@ -116,7 +116,7 @@ def option_config(config: HierarchyTrainConfig, name: str, folder: Path, start: 
     length = config.task.max_episode_steps * EPISODE_LENGTH.get(name, 1)
     task = replace(config.task, name=name, start=start, max_episode_steps=length)
     own = train_config(config, task=task, output=str(folder), resume=None)
-    return with_budget(own, max(1, round(config.agent.policy_steps * config.hierarchy.shares[name])))
+    return with_budget(own, max(1, round(config.agent.policy_steps * config.hierarchy.budget_fractions[name])))
 
 
 def refined_config(
@@ -128,7 +128,7 @@ def refined_config(
     agent = replace(option.agent, policy_steps=budget, next_skill=None if following is None else str(following))
     curriculum = replace(option.curriculum, stages=stages)
     again = replace(option, agent=agent, curriculum=curriculum, initial_policy=str(first))
-    return with_budget(again, max(len(stages), round(budget * config.hierarchy.shares[option.task.name])))
+    return with_budget(again, max(len(stages), round(budget * config.hierarchy.budget_fractions[option.task.name])))
 
 
 def controller_config(config: HierarchyTrainConfig, folder: Path) -> MetaControllerTrainConfig | None:
@@ -145,10 +145,10 @@ def controller_config(config: HierarchyTrainConfig, folder: Path) -> MetaControl
 
 def _train(config: TrainConfig | MetaControllerTrainConfig) -> None:
     """Train in the folder that `config` names, unless that is done; go on where it was stopped."""
-    rest = left(Path(config.output))
-    if rest is Left.REST:
+    state = run_state(Path(config.output))
+    if state is RunState.STOPPED:
         config = replace(config, resume=config.output)
-    if rest is not Left.NOTHING:
+    if state is not RunState.FINISHED:
         train(config) if isinstance(config, TrainConfig) else train_meta_controller(config)
 
 

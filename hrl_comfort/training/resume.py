@@ -16,8 +16,8 @@ from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConf
 from hrl_comfort.config.compose import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
-from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.loop import TrainingLoop
+from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
 
 C = TypeVar("C", bound=TrainingConfig)
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
@@ -41,7 +41,7 @@ def train_in_folder(config: C, begin: Callable[[C, Path, bool], TrainingLoop]) -
     with claim(folder, resumes):
         training = begin(stopped_config(folder, type(config)) if resumes else config, folder, resumes)
         if resumes:
-            go_on(training, folder)
+            load_checkpoint(training, folder)
         training.run()
     return folder
 
@@ -71,7 +71,7 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
 
 def _holds_run(folder: Path) -> bool:
     """Return whether a run is there that is finished, or can be resumed."""
-    if left(folder) is not Left.ALL:
+    if run_state(folder) is not RunState.NEW:
         return True
     policies = any((folder / name).exists() for name in ("policy.pt", "meta_controller.pt"))
     return policies and not (folder / "provenance.json").exists()
@@ -95,7 +95,7 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
     return replace(config, output=str(folder), resume=None)
 
 
-def go_on(training: TrainingLoop, folder: Path) -> None:
+def load_checkpoint(training: TrainingLoop, folder: Path) -> None:
     """Continue `training` from the newest good checkpoint in `folder`.
 
     Raises:
