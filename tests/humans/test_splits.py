@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import hrl_comfort
 from hrl_comfort import humans
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.envs.inputs import replayed
 from hrl_comfort.evaluation import ledger
-from hrl_comfort.evaluation.evaluate import evaluate, evaluate_policy
+from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.humans.evaluation import SHARES
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
@@ -97,7 +98,7 @@ def test_each_evaluation_on_test_is_in_the_ledger(tmp_path: Path, monkeypatch: p
         config = compose("evaluate", [*words, f"split={split}"])
         assert isinstance(config, EvaluateConfig)
         evaluate(config)
-    evaluate_policy("random", {"task": "reach", "episodes": 2, "split": "test"})
+    hrl_comfort.evaluate("random", "reach", 2, split="test")
     lines = pd.read_csv(tmp_path / "ledger.csv")
     assert list(lines.columns) == ledger.HEADER
     assert lines[["policy", "task", "episodes"]].values.tolist() == [["expert", "reach", 3], ["random", "reach", 2]]
