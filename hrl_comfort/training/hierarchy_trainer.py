@@ -12,7 +12,14 @@ from pathlib import Path
 from rich.console import Console
 
 from hrl_comfort.analysis.tables import of_groups
-from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import (
+    HIERARCHY,
+    ConfigError,
+    EvaluateConfig,
+    HierarchyTrainConfig,
+    MetaControllerTrainConfig,
+    TrainConfig,
+)
 from hrl_comfort.config.compose import compose, is_same, load_config, save_config
 from hrl_comfort.config.overrides import override
 from hrl_comfort.config.stages import stages_of, train_config, with_budget
@@ -21,7 +28,7 @@ from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
-from hrl_comfort.training.left import HIERARCHY, Left, left
+from hrl_comfort.training.left import Left, left
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import train
