@@ -226,10 +226,11 @@ def test_a_training_that_took_no_number_of_seconds_is_named(tmp_path: Path) -> N
 
 def test_the_report_of_a_controllers_training_shows_its_curves(tmp_path: Path) -> None:
     make_controller(tmp_path / "meta_controller", 2.0)
+    (tmp_path / "meta_controller" / "meta_controller.pt").touch()
     page = reported(tmp_path / "meta_controller").read_text(encoding="utf-8")
     assert "control steps of an episode, and mean return" in page
     assert "No learning curves" not in page and "precision in force" not in page
-    assert "policies.meta_controller=RUN" in page and "policy=RUN" not in page, "it would be refused"
+    assert "policies.meta_controller=" in page and "evaluate policy=" not in page, "it would be refused"
 
 
 def test_runs_beside_a_sweep_are_named(tmp_path: Path) -> None:
