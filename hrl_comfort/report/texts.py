@@ -11,6 +11,7 @@ from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import CONTROL_STEP_S, HIERARCHY
 from hrl_comfort.config.overrides import override
+from hrl_comfort.files.relative_paths import resolved
 from hrl_comfort.files.run_folder import Run
 
 TASK = "cycle"
@@ -53,11 +54,11 @@ def missing(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
     for run in trained:
         if run.metrics is None or len(run.metrics) < 2:
             found.append((f"{run.name}: no learning curve, no metrics.csv of two rows or more", ""))
-    if (folder / HIERARCHY).is_file() and TASK not in [run.name for run in trained]:
+    if trained and (folder / HIERARCHY).is_file() and TASK not in [run.name for run in trained]:
         policy = [override("policy", folder), *_levels(trained[0])] if all(map(_policy, trained)) else []
         subjects.append((f"{TASK}, the chain", folder / TASK, policy, folder.glob("*/checkpoints/step_*.pt")))
     for name, place, policy, checkpoints in subjects:
-        every = [each for each in runs if each.evaluation is not None and each.evaluation.parent == place]
+        every = [each for each in runs if each.evaluation and place in (each.evaluation.parent, _controller(each))]
         lacks = {part: all(getattr(each, part) is None for each in every) for part in PARTS}
         if lacks["groups"] or lacks["paths"]:
             files = "eval/summary.json and eval/episodes.csv" if lacks["groups"] else "eval/paths.csv"
@@ -72,12 +73,22 @@ def missing(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
 def _policy(run: Run) -> list[str]:
     """Return the overrides of an evaluation of a training; none where it has not written its policy."""
     if (run.folder / "meta_controller.pt").is_file():
-        named = {**(run.config.get("policies") or {}), "meta_controller": run.folder}
+        named = {**_policies(run), "meta_controller": run.folder}
         skills = [override(f"policies.{name}", source) for name, source in named.items()]
         return ["meta_controller=learned", *skills, override("output", run.folder / "eval_validation")]
     if not (run.folder / "policy.pt").is_file():
         return []
     return [override("policy", run.folder), *_levels(run)]
+
+
+def _policies(run: Run) -> dict[str, str]:
+    return resolved(run.config, run.evaluation or run.folder).get("policies") or {}
+
+
+def _controller(run: Run) -> Path | None:
+    """Return the run of the controller that an evaluation is of."""
+    found = _policies(run).get("meta_controller")
+    return Path(found) if found else None
 
 
 def _levels(run: Run) -> list[str]:

@@ -127,10 +127,8 @@ def test_checkpoints_of_the_chain_reach_the_report_and_its_commands_work_as_past
     shutil.copytree(whole, folder, ignore=shutil.ignore_patterns("report.html", "paths.csv"))
     shutil.rmtree(folder / "return" / "eval")
     assert main(["report", override("run", folder), "video=false"]) == 0
-    commands = [html.unescape(each) for each in re.findall("<code>(hrl-comfort .*?)</code>", page_of(folder))]
+    commands = commands_of(folder)
     assert len(commands) > 5
-    for command in commands:
-        assert main([*shlex.split(command)[1:], "--dry-run"]) == 0, command
     policy = override("policy", folder)
     (own,) = (each for each in commands if {"checkpoints=all", policy} <= set(shlex.split(each)))
     assert main([*shlex.split(own)[1:], "episodes=2", "levels=[1,10]"]) == 0
@@ -145,6 +143,14 @@ def test_checkpoints_of_the_chain_reach_the_report_and_its_commands_work_as_past
 
 def page_of(folder: Path) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def commands_of(folder: Path) -> list[str]:
+    """Return the commands in the report of a folder; each is taken as pasted."""
+    commands = [html.unescape(each) for each in re.findall("<code>(hrl-comfort .*?)</code>", page_of(folder))]
+    for command in commands:
+        assert main([*shlex.split(command)[1:], "--dry-run"]) == 0, command
+    return commands
 
 
 def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole, tmp_path):
@@ -174,6 +180,11 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
     assert load_config(folder / "controller").task.balls == 2
     for name in ("pick", "place", "return", "cycle", "sort_scripted", "sort_learned"):
         assert (folder / name / "eval" / "summary.json").is_file()
+    for page in (folder, folder / "controller"):
+        assert main(["report", override("run", page), "video=false"]) == 0
+    assert "policies.meta_controller" not in str(commands_of(folder)), "it is evaluated"
+    (alone,) = commands_of(folder / "controller")
+    assert override("policies.pick", folder / "pick") in shlex.split(alone)
 
 
 def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_path, capsys):
