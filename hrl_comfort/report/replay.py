@@ -78,7 +78,7 @@ def series(take: Take, rows: Sequence[int]) -> dict[str, NDArray[np.float64]]:
     found = {}
     distance = column(take.path, "human_distance_m")
     if (distance < FAR_AWAY_M / 2).all():
-        found["distance of tool and person (m)"] = np.minimum.reduceat(distance, rows)
+        found["horizontal distance to the person (m)"] = np.minimum.reduceat(distance, rows)
     speed = np.linalg.norm(np.diff(take.tool, axis=0, prepend=take.tool[:1]), axis=1) / CONTROL_STEP_S
     found["speed of the tool (m/s)"] = np.maximum.reduceat(speed, rows)
     if take.tape.run.config.get("safety", {}).get("kind", "none") != "none":
