@@ -51,6 +51,7 @@ KNOWN: dict[str, dict[str, str]] = {
     | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
     | dict.fromkeys(("steps", "policy_steps", "balls_placed", "protective_stops"), "int?")
     | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated"), "bool?"),
+    "checkpoints": {"task": "text?", "human": "text?", "split": "text?", "comfort_level": "int?"},
     "options": {"comfort_level": "int?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 
-from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
+from hrl_comfort.config import HIERARCHY, ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
 from hrl_comfort.config.compose import compose, is_same, load_config
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.atomic import overwrites
@@ -20,7 +20,7 @@ from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
+from hrl_comfort.training.run_state import RunState, run_state
 
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
