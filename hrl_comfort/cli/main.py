@@ -136,7 +136,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         execute(list(sys.argv[1:] if words is None else words))
     except ERRORS as error:
-        line = " ".join(str(error).split())
+        line = " ".join(str(error).split()) or "out of memory"
         if len(line) > LONGEST:
             line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
         print(f"hrl-comfort: {line}", file=sys.stderr)

@@ -85,7 +85,7 @@ def output_file(path: Path, *suffixes: str) -> Iterator[None]:
         lock = path.with_name(f".{path.name}.lock")
         try:
             found = [each for each in map(target_of, (path, *map(path.with_suffix, suffixes))) if each.exists()]
-            own = path.is_file() and SIGNATURE in path.read_bytes()[:1024]
+            own = path.is_file() and SIGNATURE in _beginning(path)
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:
             raise _unwritable(path, error) from error
@@ -99,6 +99,11 @@ def output_file(path: Path, *suffixes: str) -> Iterator[None]:
                 lock.unlink(missing_ok=True)
         finally:
             os.close(descriptor)
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(1024)
 
 
 @contextmanager

@@ -29,7 +29,7 @@ class KilledError(Exception):
     """A subprocess was killed by a signal."""
 
 
-ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
+ERRORS = (ConfigError, FloatingPointError, KilledError, MemoryError, OSError)
 """Errors that are reported by their message alone."""
 
 
