@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -133,3 +134,6 @@ def _lock(descriptor: int, path: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise ConfigError(f"{path} is in use by another process; choose another output") from None
+    except OSError as error:
+        said = f"{path}: its file system has no locks ({error.strerror}); let no other process write there"
+        warnings.warn(said, stacklevel=3)
