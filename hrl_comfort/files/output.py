@@ -43,6 +43,15 @@ def held_folder(folder: Path) -> Iterator[None]:
             os.close(descriptor)
 
 
+def in_use(folder: Path) -> bool:
+    """Return whether another process holds a folder."""
+    try:
+        with held_folder(folder):
+            return False
+    except ConfigError:
+        return True
+
+
 @contextmanager
 def output_folder(folder: Path, kind: type, *marks: str) -> Iterator[None]:
     """Hold `folder`, which must be the program's: new, empty, or with a configuration of `kind` in a file of `marks`.

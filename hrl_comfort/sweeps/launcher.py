@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import uuid
 from collections.abc import Callable
 from functools import partial
@@ -23,11 +24,12 @@ from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
 from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
-from hrl_comfort.files.output import INSIST
+from hrl_comfort.files.output import INSIST, in_use
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import Command, job
 from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent
 
+POLL_S = 1.0
 EXTRAS = {
     "hydra/launcher": {
         "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
@@ -50,6 +52,7 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
     if verb == "evaluate" and not outputs and _of_runs(checked):
         rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
+    os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's own 15 lets a busy machine starve the jobs
     version.setbase("1.3")
     hydra_app = Hydra.create_main_hydra2("hrl-comfort", search_path())
     command, batches, crash = uuid.uuid4().hex, None, ""
@@ -73,6 +76,8 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     finally:
         GlobalHydra.instance().clear()
     if batches is None:
+        if crash:
+            _wait(folder, command)
         _report_records(folder, command, crash)
         return
     results = [(each.overrides or (), each.return_value) for batch in batches for each in batch]
@@ -81,6 +86,13 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     failed = sum(result.error is not None for _, result in results)
     if failed:
         raise ConfigError(f"{failed} of {len(results)} jobs failed")
+
+
+def _wait(folder: Path, command: str) -> None:
+    """Wait for the jobs that still run on this machine: a launcher that raised has left them."""
+    for where, each in find_jobs(folder).items():
+        while each.command == command and each.state == "running" and in_use(where):
+            time.sleep(POLL_S)
 
 
 def _report_records(folder: Path, command: str, crash: str) -> None:
