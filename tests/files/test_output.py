@@ -15,6 +15,7 @@ from hrl_comfort.config.compose import compose, save_config
 from hrl_comfort.config.overrides import at_home
 from hrl_comfort.files.atomic import all_or_none, write_text
 from hrl_comfort.files.output import output_file, output_folder
+from hrl_comfort.files.run_folder import find_runs
 
 EVALUATE = ("evaluate", "policy=random", "episodes=1", "task=reach", "human=none")
 TRAIN = ("train", "task=reach", "agent.policy_steps=16", "agent.learning_starts=8", "agent.hidden=[4]")
@@ -226,3 +227,10 @@ def test_a_full_disk_leaves_the_evaluation_before(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("hrl_comfort.evaluation.rollout.write_json", full)
     assert main(words) == 1
     assert tree(tmp_path) == before
+
+
+def test_a_hidden_folder_is_no_run(tmp_path: Path) -> None:
+    for name in ("b", ".trash", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "episodes.csv").write_text("episode,success\n0,True\n")
+    assert [run.name for run in find_runs(tmp_path)] == ["a", "b"]
