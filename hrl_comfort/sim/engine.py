@@ -14,8 +14,8 @@ from hrl_comfort.scene.links import vary_links
 from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.sim.threads import Threads
 from hrl_comfort.tasks import State
+from hrl_comfort.threads import Threads
 
 Array = NDArray[np.float64]
 
