@@ -123,7 +123,7 @@ def find_runs(folder: Path) -> list[Run]:
         raise ConfigError(f"run={str(folder)!r} is not a folder")
     if is_run(folder):
         return read(folder)
-    inside = [path for path in folder.iterdir() if path.is_dir() and is_run(path)]
+    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and is_run(path)]
     if not inside:
         raise ConfigError(f"run={str(folder)!r} holds no run: neither config.yaml nor eval/episodes.csv is in it")
     place = {name: i for i, name in enumerate(ORDER)}

@@ -30,6 +30,10 @@ LOCAL_LAUNCHERS = ("basic", "joblib")
 """Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
 
 
+WORKERS = ("joblib", "submitit_local", "ray")
+"""Launchers that give up a sweep when one of their processes is killed: jobs run in subprocesses of those."""
+
+
 class OtherRunError(ConfigError):
     """The folder of a job holds a run of another sweep."""
 
@@ -57,7 +61,7 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     folder = Path(hydra.runtime.output_dir)
     overrides = tuple(str(line) for line in hydra.overrides.task)
     launcher, sweeper = (hydra.runtime.choices[f"hydra/{each}"] for each in ("launcher", "sweeper"))
-    in_worker = launcher == "joblib" and hydra.launcher.n_jobs != 1
+    in_worker = launcher in WORKERS and hydra.launcher.get("n_jobs") != 1
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
     try:
