@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.humans.retreat import begin_retreat
-from hrl_comfort.safety.separation import Encounter, Separation
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
 
@@ -32,18 +32,15 @@ def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray
 
 def stop_at_contact(
     scene: Scene, separation: Separation, angles: NDArray[np.float64], before: humans.Walk, walk: humans.Walk
-) -> tuple[humans.Walk, NDArray[np.float64], Encounter]:
+) -> humans.Walk:
     """Return `walk` with those who would walk into arms at `angles` (n, J) rad held at OVERLAP_M; they will leave.
 
-    Return their limbs (n, L, 7) and the encounters too. `before` and `walk` are the n people before and after a
-    control step.
+    `before` and `walk` are the n people before and after a control step.
     """
-    limbs = limbs_of(scene, walk)
-    now = separation.encounter(angles, limbs)
-    gap = now.apart.min(axis=0)
+    gap = separation.gap(angles, limbs_of(scene, walk))
     touched = np.flatnonzero(gap <= 0.0)
     if not len(touched):
-        return walk, limbs, now
+        return walk
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     room, gap = separation.gap(angles[touched], limbs_of(scene, stood)), gap[touched]
@@ -52,6 +49,4 @@ def stop_at_contact(
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
-    walk = walk.put(at, held)
-    limbs = limbs_of(scene, walk)
-    return walk, limbs, separation.encounter(angles, limbs)
+    return walk.put(at, held)
