@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +40,16 @@ class SetPoints:
     """(N,) whether the shield commanded the rated brake, or the set-points were taken back to the arm."""
     protective_stops: NDArray[np.int64]
     """(N,) how often in the episode it began to."""
+    human_beyond_bound: NDArray[np.int64]
+    """(N,) control steps of the episode in which a part of the person was faster than the shield assumes."""
 
     @classmethod
     def unshielded(cls, angles: Array, velocity: Array, steps: NDArray[np.int64]) -> SetPoints:
         """Return set-points that pass all that is asked for, `steps` (N,) control steps after the episode began."""
         n = len(steps)
         none = np.zeros(n, dtype=bool)
-        return cls(angles, velocity, np.ones(n), steps.astype(float), none, np.zeros(n, dtype=np.int64))
+        count = np.zeros(n, dtype=np.int64)
+        return cls(angles, velocity, np.ones(n), steps.astype(float), none, count, count)
 
     def ramp(self, before: Array, substeps: int) -> Array:
         """Return the targets (N, substeps, J) rad of the control step, from `before` (N, J) rad on."""
@@ -125,9 +128,9 @@ class Drive:
         measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
         error = before.angles - measured
         held = (np.abs(error) > self.following_rad).any(axis=1)
-        seen = self._seen(now, limbs)
         if self.shield is not None:
-            held = held | self.shield.swings(seen, self._motion(now.pose, now.pose, error, moving))
+            seen, motion = self._seen(now, limbs), self._motion(now.pose, error, moving)
+            held = held | self.shield.swings(seen, motion)
         back = held[:, None]
         begin = np.where(back, np.clip(measured, self._low, self._high), before.angles)
         velocity = np.where(back, 0.0, before.velocity)
@@ -137,8 +140,7 @@ class Drive:
         wanted = self._rating.follow(velocity, limited)
         braking = held
         if self.shield is not None:
-            motion = self._motion(pose, now.pose, begin - measured, moving)
-            wanted, passed = self.shield.step(seen, motion, velocity, wanted)
+            wanted, passed = self.shield.step(seen, motion, pose, velocity, wanted)
             braking = braking | (passed == 0.0)
         wanted = self._yielding(begin, velocity, wanted, now)
         kept = self._rating.keeps(self._low, self._high, begin, wanted)
@@ -148,9 +150,16 @@ class Drive:
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
         stops = before.protective_stops + (braking & ~before.braking)
         angles = np.clip(begin + wanted * CONTROL_STEP_S, self._low, self._high)
-        return begin, SetPoints(angles, wanted, share, before.share_sum + share, braking, stops)
+        share_sum, beyond = before.share_sum + share, before.human_beyond_bound
+        return begin, SetPoints(angles, wanted, share, share_sum, braking, stops, beyond)
 
-    def _motion(self, set_points: ArmPose, pose: ArmPose, error: Array, moving: Array) -> Motion:
+    def beside(self, points: SetPoints, moved: Array) -> SetPoints:
+        """Return the set-points of a control step in which a part of the person moves on by `moved` (N,) m."""
+        if self.shield is None:
+            return points
+        return replace(points, human_beyond_bound=points.human_beyond_bound + self.shield.beyond_bound(moved))
+
+    def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:
         """Return what the servos may make of an `error` (N, J) rad of arms at `pose` that move at (N, J) rad/s.
 
         A servo whose damping is `SERVO_LAG_S` times its stiffness drives a joint at error / SERVO_LAG_S at most. What
@@ -159,7 +168,7 @@ class Drive:
         late = moving * self._late_s
         more = error - np.minimum(np.maximum(error, np.minimum(late, 0.0)), np.maximum(late, 0.0))
         way = self.arm.speeds(pose, error) + self.arm.bending(error) / 2
-        return Motion(set_points, way, self.arm.speeds(pose, moving + more / SERVO_LAG_S))
+        return Motion(way, self.arm.speeds(pose, moving + more / SERVO_LAG_S))
 
     def _seen(self, now: Encounter, limbs: Array | None) -> Encounter:
         if limbs is None:

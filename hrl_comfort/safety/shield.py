@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
 from hrl_comfort.safety.geometry import ArmPose, norm
-from hrl_comfort.safety.rating import Rating
+from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 
@@ -43,10 +43,8 @@ class Memory:
 
 @dataclass(frozen=True)
 class Motion:
-    """Of the arms of N cells: what has been measured, and what their servos may make of their distance from set-points."""
+    """What the servos of N arms may make of their distance from their set-points."""
 
-    set_points: ArmPose
-    """The arms at their set-points."""
     way: Array
     """(C, N) m, how far each capsule is from where the set-points have it, at most."""
     speed: Array
@@ -104,17 +102,19 @@ class Shield:
         found: NDArray[np.bool_] = np.logical_not(np.logical_or(motion.speed <= self._config.safe_speed_m_s, ~near).all(axis=0))
         return found
 
-    def step(self, now: Encounter, motion: Motion, before: Array, wanted: Array) -> tuple[Array, Array]:
+    def step(
+        self, now: Encounter, motion: Motion, set_points: ArmPose, before: Array, wanted: Array
+    ) -> tuple[Array, Array]:
         """Return the velocity (N, J) rad/s that may be run in this control step, and the share (N,) passed.
 
-        `now` are the measured arms and the people, `before` (N, J) rad/s the velocity of the set-points, `wanted`
-        (N, J) what the rating would pass.
+        `now` are the measured arms and the people, `set_points` the arms there, `before` (N, J) rad/s their velocity,
+        `wanted` (N, J) what the rating would pass.
         """
         pace, trail = self._pace(now), self.memory.trail
         behind = np.maximum(motion.way, trail.max(axis=1) * self._behind_s)
         moving = np.maximum(motion.speed, trail[:, 1:].max(axis=1)) if trail.shape[1] > 1 else motion.speed
         brake = self._rating.brake(before)
-        slow, fast = self.arm.speeds(motion.set_points, brake), self.arm.speeds(motion.set_points, wanted)
+        slow, fast = self.arm.speeds(set_points, brake), self.arm.speeds(set_points, wanted)
 
         def largest(rows: Rows) -> Array:
             """Return the largest of SHARES that is safe in `rows`, 0 if none is."""
@@ -145,6 +145,10 @@ class Shield:
         """
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
+
+    def beyond_bound(self, moved: Array) -> NDArray[np.bool_]:
+        """Return (N,) whether people whose fastest part moves on by `moved` (N,) m in a control step break the bound."""
+        return moved > self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""

@@ -222,7 +222,7 @@ class Episodes:
         (N, K, NOISE), `balls` (N, B, 3) m.
         """
         assert self.drive is not None and self.state is not None
-        names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
+        names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops", "human_beyond_bound")
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
         for k in range(times.shape[1]):
@@ -230,10 +230,11 @@ class Episodes:
             measured = moving[:, : self._separation.arm.joints]
             now = self._separation.encounter(measured, limbs[-1])
             begin, point = self.drive.step(points[-1], asked, moving, now, self._tracker.shown)
-            points.append(point)
             walk = self._walk_on(walks[-1], times[:, k], noise[:, k])
-            walks.append(stop_at_contact(self.scene, self._separation, measured, walks[-1], walk))
-            limbs.append(limbs_of(self.scene, walks[-1]))
+            walk, poses, moved = stop_at_contact(self.scene, self._separation, now, walks[-1], walk)
+            points.append(self.drive.beside(point, moved))
+            walks.append(walk)
+            limbs.append(poses)
             self._tracker.see(times[:, k] + 1, self.draw.frames, walks[-1].position, limbs[-1])
             targets = self._servos.follow(point.ramp(begin, self.config.engine.substeps))
             yield self._controls(targets, limbs[-1], balls)
@@ -250,7 +251,8 @@ class Episodes:
         """
         assert self.state is not None
         readings = sensed.reshape(-1, self.config.engine.substeps, sensed.shape[-1])
-        moving = self._sensors.read_decision(readings, self._planned, self.state, rows)
+        beside = limbs_of(self.scene, self.walk)
+        moving = self._sensors.read_decision(readings, self._planned, self.state, beside, rows)
         limit = self.max_episode_steps(self.state.level)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state
@@ -295,7 +297,8 @@ class Episodes:
         for k in range(times.shape[1]):
             before, walk = walk, self._walk_on(walk, times[:, k], noise[:, k])
             if self._people_stop:
-                walk = stop_at_contact(self.scene, self._separation, angles[:, k], before, walk)
+                now = self._separation.encounter(angles[:, k], limbs_of(self.scene, before))
+                walk, *_ = stop_at_contact(self.scene, self._separation, now, before, walk)
             yield walk
 
     def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], noise: Array) -> humans.Walk:
