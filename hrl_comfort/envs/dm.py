@@ -44,8 +44,8 @@ class CellPhysics(Physics):
         model, data = self.model.ptr, self.data.ptr
         self.sensed: Array = np.zeros((nstep, self.model.nsensordata))
         self._after: Array = np.zeros((nstep, mujoco.mj_stateSize(model, STATE_SPEC)))
-        for index, control in enumerate(each for part in self._queue for each in part[0]):
-            mujoco.mj_setState(model, data, control, CONTROL_SPEC)
+        for index, given in enumerate(each for part in self._queue for each in part[0]):
+            mujoco.mj_setState(model, data, given, CONTROL_SPEC)
             mujoco.mj_step(model, data)
             self.sensed[index] = data.sensordata
             mujoco.mj_getState(model, data, self._after[index], STATE_SPEC)

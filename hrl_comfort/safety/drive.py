@@ -127,7 +127,7 @@ class Drive:
         """
         measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
         error = before.angles - measured
-        held = (np.abs(error) > self.following_rad).any(axis=1)
+        held = (np.abs(error) / self.following_rad).max(axis=1) > 1.0
         if self.shield is not None:
             seen, motion = self._seen(now, limbs), self._motion(now.pose, error, moving)
             held = held | self.shield.swings(seen, motion)
@@ -204,8 +204,9 @@ class Drive:
 def following_bound(rating: Rating, late_s: float) -> Array:
     """Return the largest following error (J,) rad of arms whose servos are late by `late_s`.
 
-    Universal Robots stop their arms protectively where a position deviates (codes C153 and C157), and publish no figure;
-    drives let it be set (CiA 402, object 6065h). This one is what a joint at its rated speed is behind.
+    Universal Robots stop an arm protectively where its position deviates (codes C153 and C157) and publish no figure;
+    drives let it be set (following error window, CiA 402, object 6065h). This is what a joint at its rated speed is
+    behind, and TRANSIENT_RAD.
     """
     return rating.speed_rad_s * late_s + TRANSIENT_RAD
 

@@ -71,7 +71,7 @@ class Shield:
         """The memory after each control step of a decision."""
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
-        """Forget the motion of `rows` (r,), whose people are at `limbs` (r, L, 7): they may come at the largest speed."""
+        """Forget the motion of `rows` (r,), whose people at `limbs` (r, L, 7) may move at the largest speed."""
         self.memory.seen[..., rows] = self._person.ends(limbs) + self._first
         self.memory.trail[..., rows] = 0.0
 
@@ -98,9 +98,9 @@ class Shield:
 
         No brake of the set-points hinders that: they must be taken back to the arm.
         """
-        near = now.apart <= motion.way + self._bound(self._settled_s, self._pace(now)) + self._config.margin_m
-        found: NDArray[np.bool_] = np.logical_not(np.logical_or(motion.speed <= self._config.safe_speed_m_s, ~near).all(axis=0))
-        return found
+        clear = now.apart > motion.way + self._bound(self._settled_s, self._pace(now)) + self._config.margin_m
+        calm: NDArray[np.bool_] = np.logical_or(motion.speed <= self._config.safe_speed_m_s, clear).all(axis=0)
+        return ~calm
 
     def step(
         self, now: Encounter, motion: Motion, set_points: ArmPose, before: Array, wanted: Array
@@ -147,7 +147,7 @@ class Shield:
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
     def beyond_bound(self, moved: Array) -> NDArray[np.bool_]:
-        """Return (N,) whether people whose fastest part moves on by `moved` (N,) m in a control step break the bound."""
+        """Return (N,) whether people whose fastest part moves by `moved` (N,) m in a control step break the bound."""
         return moved > self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
 
     def _pace(self, now: Encounter) -> Array:

@@ -169,9 +169,9 @@ class Episodes:
     def controls(self, action: Array, joints: Callable[[], Array]) -> Iterator[Array]:
         """Yield the controls (N, T, ncontrol) of the next T physics steps of a decision; action (N, A) in [-1, 1].
 
-        `joints` returns the joints (N, 2 J) as they are when it is called: angles, rad, velocities, rad/s. Joint targets
-        are ramped at up to `max_step_deg` a control step, all at once, or control step by control step as rating and
-        shield pass it beside the measured arm; the human walks on meanwhile.
+        `joints` returns the joints (N, 2 J) as they are when it is called: angles, rad, velocities, rad/s. Joint
+        targets are ramped at up to `max_step_deg` a control step, all at once, or control step by control step as
+        rating and shield pass it for the measured arm; the human walks on meanwhile.
 
         Raises:
           RuntimeError: a row has no episode yet.
@@ -222,7 +222,15 @@ class Episodes:
         (N, K, NOISE), `balls` (N, B, 3) m.
         """
         assert self.drive is not None and self.state is not None
-        names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops", "human_beyond_bound")
+        names = (
+            "joint_target",
+            "target_vel",
+            "share",
+            "share_sum",
+            "braking",
+            "protective_stops",
+            "human_beyond_bound",
+        )
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
         for k in range(times.shape[1]):

@@ -36,7 +36,8 @@ def stop_at_contact(
 ) -> tuple[humans.Walk, NDArray[np.float64], NDArray[np.float64]]:
     """Return `walk` with those who would walk into the arms held at OVERLAP_M, who will leave.
 
-    Return their limbs (n, L, 7) and how far (n,) m their fastest parts would have moved, too. `before` and `walk` are the n people before and after a control step, `now` the arms beside the people before it.
+    Return their limbs (n, L, 7), and how far (n,) m their fastest parts would have moved, too. `before` and `walk` are
+    the n people before and after a control step, `now` the arms beside the people before it.
     """
     limbs = limbs_of(scene, walk)
     person = separation.person.ends(limbs)

@@ -75,7 +75,11 @@ class Sensors:
         return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
 
     def read_decision(
-        self, readings: Array, planned: dict[str, NDArray[Any]], before: State, limbs: Array,
+        self,
+        readings: Array,
+        planned: dict[str, NDArray[Any]],
+        before: State,
+        limbs: Array,
         rows: NDArray[np.int64] | None,
     ) -> dict[str, Tensor]:
         """Return the fields (N * K, ...) of the decision that began in the state `before` (N rows).
@@ -113,8 +117,8 @@ class Sensors:
     def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> dict[str, Tensor]:
         """Return `touching`, `contact` and `unsafe_contact` (n * K,) of a decision, from all its physics steps.
 
-        `readings` (n * K, substeps, nsensor), people at `limbs` (n * K, L, 7), the state `before` (n rows) beside people
-        at `limbs_before` (n, L, 7).
+        `readings` (n * K, substeps, nsensor), people at `limbs` (n * K, L, 7), the state `before` (n rows) beside
+        people at `limbs_before` (n, L, 7).
         """
         n, old = len(before.steps), {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
         felt = readings[..., self._at["human"]].any(axis=-1)
@@ -132,8 +136,8 @@ class Sensors:
     ) -> Array:
         """Return the largest speed (n * K,) m/s at which an arm's capsule closed in on one of the person's at a touch.
 
-        Of the pairs that began to touch in a control step, -inf if none did. A reading belongs to the instant before the
-        physics resolves the contact; `felt` (n * K, substeps) says which of them have one. The other arguments are
+        Of the pairs that began to touch in a control step, -inf if none did. A reading belongs to the instant before
+        the physics resolves the contact; `felt` (n * K, substeps) says which of them have one. The other arguments are
         those of `_contacts`.
         """
         n, substeps = len(before.steps), felt.shape[1]

@@ -31,7 +31,7 @@ class State:
     share_sum: Tensor
     """(N,) sum of `share` over the control steps of the episode."""
     braking: Tensor
-    """(N,) bool, in the last control step the shield commanded the rated brake, or set-points were taken back to the arm
+    """(N,) bool, in the last control step the shield commanded the rated brake, or set-points were taken back to an arm
     that did not follow them."""
     protective_stops: Tensor
     """(N,) int64, how often in the episode `braking` began."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -96,12 +97,14 @@ def outside(engine: Engine, before: State, after: State, valid: NDArray[np.bool_
         for name in ("joint_target", "target_vel")
     )
     change = np.abs(np.diff(velocity, axis=1)) / CONTROL_STEP_S
+    # Set-points that are taken back to the arm stop at once.
+    kept = np.abs(np.diff(angles, axis=1) - velocity[:, 1:] * CONTROL_STEP_S).max(axis=-1) < 1e-9
     low, high = scene.joint_range.T
     joints = angles.shape[-1]
     now, rate = angles[:, :-1].reshape(-1, joints), velocity[:, 1:].reshape(-1, joints)
     speed = arm.speeds(arm.pose(now), rate).max(axis=0).reshape(valid.shape)
     bad = (np.abs(velocity[:, 1:]) > np.radians(rated.speed_deg_s) * (1 + 1e-9)).any(axis=-1)
-    bad |= (change > np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).any(axis=-1)
+    bad |= (change > np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).any(axis=-1) & kept
     bad |= ((angles[:, 1:] < low) | (angles[:, 1:] > high)).any(axis=-1)
     bad |= speed > rated.tool_speed_m_s * (1 + 1e-9)
     return int((bad & valid).sum())
@@ -114,15 +117,15 @@ def run(motion: str, policy: str, way: str, steps: int, seed: int, recordings: s
     said = [f"task={task}", f"human={motion}", *MOTIONS[motion], *file, *WORLD, *levels, *WAYS[way]]
     env = environment(compose("train", said))
     engine, speeds = Engine(env, rows, seed), [0.0]
-    separation = engine.episodes._separation
-    measured = separation.closing_speed
+    sensors = engine.episodes._sensors
+    measured = sensors.approach
 
-    def closing_speed(angles: Array, velocity: Array, limbs: Array) -> Array:
-        found = measured(angles, velocity, limbs)
+    def approach(*given: Any) -> Array:
+        found = measured(*given)
         speeds.append(float(found.max()))
         return found
 
-    separation.closing_speed = closing_speed  # type: ignore[method-assign]
+    sensors.approach = approach  # type: ignore[method-assign]
     act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
     state, found = engine.reset(), Count()
     while found.steps < steps:

@@ -1,4 +1,4 @@
-"""Unsafe contacts under policies that persist: `python -m tests.safety.persistent CSV STEPS`.
+"""Unsafe contacts under policies that persist: `python -m tests.safety.persistent CSV STEPS [POLICY …]`.
 
 The table has a row a task, motion of people, bound and policy, each of STEPS control steps behind the shield; rows that
 are there are left alone, so that the command goes on where it was stopped.
@@ -34,8 +34,8 @@ class Policy:
 
     Args:
       kind: `held`: each joint stands or moves at full speed one way for 3 to 40 decisions; `square`: the same, turned
-        round every 1 to 4 decisions, about the servos' period; `chatter`: turned round at random; `press`: straight down
-        at the tool, and aside, for 10 to 100 decisions.
+        round every 1 to 4 decisions, about the servos' period; `chatter`: turned round at random; `press`: the tool
+        straight down, and aside, for 10 to 100 decisions.
       rows: number of arms.
       seed: of what is drawn.
       arm: its geometry.
@@ -65,7 +65,7 @@ class Policy:
         return self._held
 
     def _down(self, angles: Array) -> Array:
-        """Return the actions (N, J) whose largest entry is 1 that take the tool straight down at `angles` (N, J) rad."""
+        """Return the actions (N, J), the largest entry 1, that take the tool straight down at `angles` (N, J) rad."""
         pose = self._arm.pose(angles)
         offset = self._arm.tool(angles).T[:, None] - pose.anchor
         lift = pose.axis[0] * offset[1] - pose.axis[1] * offset[0]
@@ -146,12 +146,12 @@ def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, r
     return found
 
 
-def main(path: Path, steps: int) -> None:
-    """Add the rows that the table has not got."""
+def main(path: Path, steps: int, policies: list[str]) -> None:
+    """Add the rows that the table has not got, of some policies."""
     columns = [*CELL, *(name for name in vars(Count()) if name != "unsafe")]
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
     there = {tuple(row[name] for name in CELL) for row in rows}
-    for cell in product(TASKS, PEOPLE, BOUNDS, POLICIES):
+    for cell in product(TASKS, PEOPLE, BOUNDS, policies):
         if cell in there:
             continue
         found = run(*cell, steps, 0, ROWS)
@@ -162,4 +162,4 @@ def main(path: Path, steps: int) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:] or list(POLICIES))
