@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.scene.servos import SERVO_LAG_S
 
 MOST_LOST = 2
 """Largest number of frames of the person's tracker that are lost in a row."""
+WALKING = ("approach", "patrol", "worker", "reactive", "adversary")
+"""Motions of people who walk at up to `human.speed_m_s`. Whoever is faster, of any motion, is counted in the column
+`human_beyond_bound`."""
 LARGEST_NOISE = 3.0
 """Standard deviations at which the noise of sensors is cut off."""
 
@@ -28,8 +31,19 @@ def check_allowances(config: EnvConfig) -> None:
     short = [f"safety.{key}={value:.4g}" for key, value in needed.items() if getattr(safety, key) < value - 1e-9]
     if given.tracker and safety.bound == "observed":
         short.append("safety.bound=worst")
+    told = max((person.speed_m_s for person in people_of(config.human) if person.motion in WALKING), default=0.0)
+    if told > safety.human_speed_m_s:
+        raise ConfigError(
+            f"human.speed_m_s={told:g} is more than the shield assumes of people; give safety.human_speed_m_s={told:g}, "
+            f"or human.speed_m_s={safety.human_speed_m_s:g} at most"
+        )
     if short:
         raise ConfigError(f"randomise={given} exceeds what the shield allows for; give at least {' '.join(short)}")
+
+
+def people_of(human: HumanConfig) -> list[HumanConfig]:
+    """Return the configuration of each motion of a mixture, or `human` itself."""
+    return human.people if human.mixture else [human]
 
 
 def largest_lateness(config: EnvConfig) -> float:

@@ -161,6 +161,18 @@ class Episodes:
                 return self.draw.start[rows, :moving]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
+    def stand(self, walk: humans.Walk) -> None:
+        """Let the episodes that have just begun, of all rows, begin with the people of `walk` (N) instead."""
+        assert self.state is not None
+        rows, limbs = np.arange(self.rows), limbs_of(self.scene, walk)
+        places = self._tracker.begin(rows, self.values(), self.draw.frames, walk.position, limbs)
+        if self.drive is not None:
+            self.drive.begin(rows, limbs)
+        self.walk, seen = walk, humans.seen_position(self.config.human, places, self.sampler.spawns)
+        fields = {"human_pos": walk.position, "human_yaw": walk.yaw, "human_seen": seen}
+        fields["human_shown"] = (seen == places).all(axis=1)
+        self.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in fields.items()})
+
     def rewind(self) -> None:
         """Restart each row from its first episode, which is to begin before the next decision."""
         self.episode[:] = -1

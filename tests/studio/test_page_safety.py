@@ -90,8 +90,8 @@ def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bou
     rows = rows_of(**{name: value[:, None] for name, value in fields.items()}, trail=trail[..., None])
     wanted = {
         "drive": {
-            "begin": begin, "joint_target": after.angles, "target_vel": after.velocity, "share": after.share, "reach": reach,
-            "braking": after.braking, "trail": drive.shield.memory.trail.transpose(2, 0, 1),
+            "begin": begin, "joint_target": after.angles, "target_vel": after.velocity, "share": after.share,
+            "reach": reach, "braking": after.braking, "trail": drive.shield.memory.trail.transpose(2, 0, 1),
         },
         "gap": {"gap": gap},
         "walked": {"share": share_walked(room, gap)},

@@ -65,7 +65,14 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
     rest = np.zeros((len(arm.radius), 1, 1)) if shield is None else np.zeros_like(shield.memory.trail)
     beside = {"joint_pos": angles, "limbs": limbs}
     moving = {**beside, "joint_vel": still}
-    motion = {**moving, "joint_target": angles, "target_vel": still, "asked": still, "limbs_before": limbs, "trail": rest}
+    motion = {
+        **moving,
+        "joint_target": angles,
+        "target_vel": still,
+        "asked": still,
+        "limbs_before": limbs,
+        "trail": rest,
+    }
     return {
         "drive": None if drive is None else recorded(driven, motion),
         "gap": recorded(lambda joint_pos, limbs: {"gap": separation.gap(joint_pos, limbs)}, beside),
