@@ -34,8 +34,8 @@ def check_allowances(config: EnvConfig) -> None:
     told = max((person.speed_m_s for person in people_of(config.human) if person.motion in WALKING), default=0.0)
     if told > safety.human_speed_m_s:
         raise ConfigError(
-            f"human.speed_m_s={told:g} is more than the shield assumes of people; give safety.human_speed_m_s={told:g}, "
-            f"or human.speed_m_s={safety.human_speed_m_s:g} at most"
+            f"human.speed_m_s={told:g} is more than the shield assumes; give safety.human_speed_m_s={told:g}, or "
+            f"human.speed_m_s={safety.human_speed_m_s:g} at most"
         )
     if short:
         raise ConfigError(f"randomise={given} exceeds what the shield allows for; give at least {' '.join(short)}")
