@@ -152,3 +152,12 @@ def test_the_simulated_arm_follows() -> None:
     for _ in range(200):
         arm.send(scene().home + 0.05)
     assert np.abs(arm.read().angles - scene().home - 0.05).max() < 2e-3
+
+
+def test_an_arm_that_is_held_is_stopped_before_a_joint_is_far_from_its_set_point() -> None:
+    stream, log = streamer("held", 5)
+    push(stream, 100)
+    assert stream.stopped.startswith("following error: joint ")
+    rows = np.frombuffer(log.getvalue()).reshape(-1, len(COLUMNS) + 12)
+    error = np.abs(rows[:, len(COLUMNS) : len(COLUMNS) + 6] - rows[:, len(COLUMNS) + 6 :])
+    assert (error / limits().following).max() < 2.0

@@ -8,6 +8,7 @@ files.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from hrl_comfort.policies.load import make_policy
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
+from tests.safety import persistent
 
 Array = NDArray[np.float64]
 ROWS = 64
@@ -44,9 +46,10 @@ POLICIES = {
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
     "shielded_pick": (f"{BEHIND}/pick", "pick", *MASKED), "shielded_place": (f"{BEHIND}/place", "place", *MASKED),
     "shielded_return": (f"{BEHIND}/return", "return", *MASKED),
+    **dict.fromkeys(persistent.POLICIES, ("persistent", "shift")),
     "comfort": ("runs/reference/comfort/seed0/pick_place_10cm", "pick_place", *LEVEL),
 }  # fmt: skip
-"""Name -> `policy=`, task and overrides."""
+"""Name -> `policy=`, or `persistent` for one of `tests.safety.persistent`, task and overrides."""
 WAYS = {
     "observed": ("safety=ssm", "safety.bound=observed"), "worst": ("safety=ssm", "safety.bound=worst"),
     "none": ("safety=none",),
@@ -126,16 +129,21 @@ def run(motion: str, policy: str, way: str, steps: int, seed: int, recordings: s
         return found
 
     sensors.approach = approach  # type: ignore[method-assign]
-    act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
+    act: Callable[[State], Any]
+    if source == "persistent":
+        act = persistent.Policy(policy, rows, seed, engine.episodes._separation.arm)
+    else:
+        act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
     state, found = engine.reset(), Count()
     while found.steps < steps:
-        result = engine.step(act(state).numpy())
+        result = engine.step(np.asarray(act(state)))
         found.steps += int(result.valid.sum())
         found.outside_rating += outside(engine, state, result.instants, result.valid.numpy())
         after = result.state
         found.episodes += int(result.done.sum())
         found.contacts += int((after.contact & ~state.contact).sum())
-        found.unsafe_contacts += int((after.unsafe_contact & ~state.unsafe_contact).sum())
+        unsafe = result.instants.unsafe_contact.view(rows, -1) & result.valid
+        found.unsafe_contacts += int((unsafe.any(dim=1) & ~state.unsafe_contact).sum())
         found.protective_stops += int((after.protective_stops - state.protective_stops).sum())
         state = engine.reset(np.flatnonzero(result.done.numpy()))
     engine.close()

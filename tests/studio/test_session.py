@@ -15,6 +15,7 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
+from hrl_comfort.sim.signals import limbs_of
 from hrl_comfort.studio.person import HELD_S, Person, motion_config
 from hrl_comfort.studio.policies import options_in, with_defaults, with_policy
 from hrl_comfort.studio.session import Session
@@ -216,3 +217,18 @@ def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, mo
         "meta_controller.options=['pick','place','return']", "meta_controller=scripted", "task=cycle",
     ]  # fmt: skip
     assert with_defaults(["policy=random"]) == ["policy=random"]
+
+
+def test_tracker_and_shield_begin_with_the_person_who_is_kept() -> None:
+    safe = ("robot.rating=collaborative", "safety=ssm", "safety.bound=worst", "task.terminate_on=unsafe_contact")
+    seen = ("randomise.person_rate_hz=[10,10]", "safety.delay_s=0.1")
+    session = Session(studio_config(*safe, *seen, "human=random_walk"))
+    session.keep_person = True
+    session.step()
+    session.reset()
+    episodes, limbs = session.engine.episodes, limbs_of(session.engine.scene, session.walk)
+    assert episodes._tracker.shown == pytest.approx(limbs)
+    drive = episodes.drive
+    assert drive is not None and drive.shield is not None
+    assert drive.shield.memory.seen[:2] == pytest.approx(drive.shield._person.ends(limbs)[:2])
+    session.close()
