@@ -117,7 +117,8 @@ COMFORT = TRAINED.comfort
 SIZES = {
     "joint_pos": (6,), "joint_vel": (6,), "joint_target": (6,), "joint_home": (6,), "points": (2, 3),
     "human_pos": (2,), "human_seen": (2,), "human_yaw": (), "grasp_tolerance": (), "place_tolerance": (),
-    "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (), "arm_distance": (),
+    "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (), "human_beyond_bound": (),
+    "arm_distance": (),
     "level": (), "balls": (1, 3),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from hrl_comfort.comfort.sources import Live
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.deploy.links import Link
-from hrl_comfort.deploy.predictor import Predictor
+from hrl_comfort.deploy.predictor import SPLINE_S, Predictor
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.scene.workcell import CONTROL_SPEC
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.engine import Engine, physics_of
 from hrl_comfort.sim.signals import COLLISIONS
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -57,7 +57,10 @@ class RobotEngine(Engine):
         config = replace(config, engine=replace(config.engine, substeps=1))
         if config.human.motion == "live":
             config = replace(config, human=replace(config.human, speed_m_s=AT_ONCE_M_S))
-        super().__init__(config, 1, 0, entries, measure_arm=True)
+        self._safety = config.safety
+        # The streamer's spline follows the plan half a control step later.
+        late = replace(config.safety, latency_s=config.safety.latency_s + SPLINE_S)
+        super().__init__(replace(config, safety=late), 1, 0, entries, measure_arm=True)
         self.episodes.planned_steps = 1
         self._entries = entries
         self._twin = mujoco.MjData(self.scene.model)
@@ -124,8 +127,7 @@ class RobotEngine(Engine):
         return self.episodes.state
 
     def _begin(self, index: int) -> State:
-        safety = self.episodes.config.safety
-        self._predictor = Predictor(safety.lag_s, safety.latency_s, self.link.report.point)
+        self._predictor = Predictor(self._safety.lag_s, self._safety.latency_s, self.link.report.point)
         return super().reset(np.zeros(1, dtype=np.int64), self._entries.part(index, index + 1))
 
     def _approach(self, start: Array) -> None:
@@ -135,6 +137,7 @@ class RobotEngine(Engine):
         state = self.episodes.state
         here = self.link.report.reading
         measured = {"joint_pos": here.angles, "joint_vel": here.velocity}
+        self.physics[:] = physics_of(np.concatenate([here.angles, here.velocity])[None])
         self.episodes.state = state.with_(**{k: torch.from_numpy(v[None].copy()) for k, v in measured.items()})
         self._follow()
         left_steps = round(PATIENCE_S / CONTROL_STEP_S)

@@ -36,7 +36,6 @@ from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 
 LOG = "setpoints.parquet"
@@ -63,7 +62,7 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
     output = Path(config.output)
     with output_folder(output, DeployConfig, "config.yaml"):
         scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
-        limits = Limits(rating_of(config.robot), ArmGeometry(scene), *scene.joint_range.T)
+        limits = Limits.of(config, scene)
         simulated = partial(SimulatedArm, scene.model, scene.home)
         with interruption() as interrupted:
             rehearse(config, Lockstep(simulated, limits, Path(os.devnull)), interrupted)

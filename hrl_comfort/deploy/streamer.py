@@ -14,10 +14,12 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config import CONTROL_STEP_S, DeployConfig, EnvConfig
 from hrl_comfort.deploy.arms import PERIOD_S, Arm, Reading
+from hrl_comfort.safety.drive import following_bound, rating_of
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.safety.rating import Rating
+from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 TICKS = round(CONTROL_STEP_S / PERIOD_S)
@@ -40,6 +42,15 @@ class Limits:
     low: Array
     high: Array
     """(J,) rad, range of the joints."""
+    following: Array
+    """(J,) rad, largest distance of the measured joints from the set-points."""
+
+    @classmethod
+    def of(cls, config: EnvConfig | DeployConfig, scene: Scene) -> Limits:
+        """Return the limits of the arm of `config`, whose servos are as late as the shield allows for."""
+        rating = rating_of(config.robot)
+        following = following_bound(rating, config.safety.lag_s + config.safety.latency_s)
+        return cls(rating, ArmGeometry(scene), *scene.joint_range.T, following)
 
     def broken(self, before: Array, velocity: Array, angles: Array) -> str:
         """Return which limit the set-point `angles` (J,) breaks after `before` (J,) rad; empty for none.
@@ -131,6 +142,7 @@ class Streamer:
             self._reading = self.arm.read()
             if self._reading.trouble:
                 self.stop(self._reading.trouble)
+            self._check_following()
         except ConnectionError as error:
             self.stop(f"lost connection: {error}")
         code = -2 if self.stopped else self._planned
@@ -146,6 +158,14 @@ class Streamer:
         """Stop the arm where the set-point `angles` (J,) rad, the next one, would break a limit."""
         if broken := self._limits.broken(self._sent, self._speed, angles):
             self.stop(f"limit: the next set-point has {broken}")
+
+    def _check_following(self) -> None:
+        """Stop the arm where a joint is too far from its set-point: something holds it, or it does not follow."""
+        share = np.abs(self._sent - self._reading.angles) / self._limits.following
+        if not (share <= 1).all():  # NaN too
+            joint = int(np.argmax(share))
+            degrees = np.degrees(self._sent - self._reading.angles)[joint]
+            self.stop(f"following error: joint {joint} is {degrees:.3g} degrees from its set-point")
 
     def stop(self, why: str) -> None:
         """Bring the set-points to rest by the rated brake and hold them there; the first reason counts."""

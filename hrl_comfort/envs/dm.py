@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
+from collections.abc import Iterator
 from typing import Any
 
 import glfw
@@ -29,24 +30,29 @@ STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
 class CellPhysics(Physics):
     """Physics that runs a queue of controls, one a substep, and records the sensors at each."""
 
-    def queue(self, controls: Array) -> None:
-        """Set the controls (substeps, ncontrol) of the next decision."""
+    def queue(self, controls: Iterator[Array]) -> None:
+        """Set the controls of the next decision, parts of (1, T, ncontrol), which are made when they are due."""
         self._queue = controls
-        self.sensed: Array = np.zeros((len(controls), self.model.nsensordata))
-        self._after: Array = np.zeros((len(controls), mujoco.mj_stateSize(self.model.ptr, STATE_SPEC)))
+
+    @property
+    def joints(self) -> Array:
+        """(1, 2 J) angles, rad, and velocities, rad/s."""
+        return np.concatenate([self.data.qpos, self.data.qvel])[None]
 
     def step(self, nstep: int = 1) -> None:
         """Advance `nstep` substeps along the queue; dm_control calls this once a decision."""
         model, data = self.model.ptr, self.data.ptr
-        for index in range(nstep):
-            mujoco.mj_setState(model, data, self._queue[index], CONTROL_SPEC)
+        self.sensed: Array = np.zeros((nstep, self.model.nsensordata))
+        self._after: Array = np.zeros((nstep, mujoco.mj_stateSize(model, STATE_SPEC)))
+        for index, given in enumerate(each for part in self._queue for each in part[0]):
+            mujoco.mj_setState(model, data, given, CONTROL_SPEC)
             mujoco.mj_step(model, data)
             self.sensed[index] = data.sensordata
             mujoco.mj_getState(model, data, self._after[index], STATE_SPEC)
 
     def back_to(self, substep: int) -> None:
         """Restore the state after `substep` of the queue, where the decision ended."""
-        if substep < len(self._queue) - 1:
+        if substep < len(self._after) - 1:
             mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
             mujoco.mj_forward(self.model.ptr, self.data.ptr)
 
@@ -114,7 +120,8 @@ class CellTask(control.Task):
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
         """Queue the controls of the decision; raise ValueError unless `action` is (A,) finite numbers."""
-        physics.queue(self.episodes.apply_action(checked_action(action, (self.episodes.action_dim,))[None])[0])
+        checked = checked_action(action, (self.episodes.action_dim,))[None]
+        physics.queue(self.episodes.controls(checked, lambda: physics.joints))
 
     def after_step(self, physics: CellPhysics) -> None:
         """Compute the result of the decision."""

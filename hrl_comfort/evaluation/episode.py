@@ -38,6 +38,7 @@ class Episode:
     comfort_level_mean: float | None
     shield_share_mean: float | None
     protective_stops: int | None
+    human_beyond_bound: int | None
     measures: dict[str, float | None]
     """By the names of RATES and of `comfort.trajectory.MEASURES`; each is a column of its own."""
     max_episode_steps: int

@@ -265,6 +265,7 @@ class EpisodeRecorder:
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
             protective_stops=int(state.protective_stops[row]) if shielded else None,
+            human_beyond_bound=int(state.human_beyond_bound[row]) if shielded else None,
             measures={},
             max_episode_steps=self._limit(row, step),
         )

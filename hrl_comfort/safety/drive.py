@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
-from hrl_comfort.safety.allowances import check_allowances
-from hrl_comfort.safety.geometry import gaps
+from hrl_comfort.safety.allowances import check_allowances, largest_lateness
+from hrl_comfort.safety.geometry import ArmPose, gaps
 from hrl_comfort.safety.rating import Rating
-from hrl_comfort.safety.rows import Rows, in_rows
+from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
-from hrl_comfort.safety.shield import Shield
+from hrl_comfort.safety.shield import Motion, Shield
 from hrl_comfort.scene.ratings import RATINGS
+from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
+TRANSIENT_RAD = 0.05
+"""Following error that the rated accelerations may add to what the servos' lateness makes of the rated speeds."""
 
 
 @dataclass(frozen=True)
@@ -34,23 +37,24 @@ class SetPoints:
     share_sum: Array
     """(N,) its sum over the episode."""
     braking: NDArray[np.bool_]
-    """(N,) whether the shield commanded the rated brake."""
+    """(N,) whether the shield commanded the rated brake, or the set-points were taken back to the arm."""
     protective_stops: NDArray[np.int64]
     """(N,) how often in the episode it began to."""
+    human_beyond_bound: NDArray[np.int64]
+    """(N,) control steps of the episode in which a part of the person was faster than the shield assumes."""
 
     @classmethod
     def unshielded(cls, angles: Array, velocity: Array, steps: NDArray[np.int64]) -> SetPoints:
         """Return set-points that pass all that is asked for, `steps` (N,) control steps after the episode began."""
         n = len(steps)
         none = np.zeros(n, dtype=bool)
-        return cls(angles, velocity, np.ones(n), steps.astype(float), none, np.zeros(n, dtype=np.int64))
+        count = np.zeros(n, dtype=np.int64)
+        return cls(angles, velocity, np.ones(n), steps.astype(float), none, count, count)
 
     def ramp(self, before: Array, substeps: int) -> Array:
-        """Return the targets (N, K * substeps, J) rad of K set-points of N arms each, from `before` (N, J) rad on."""
-        ends = self.angles.reshape(len(before), -1, 1, before.shape[1])
-        starts = np.concatenate([before[:, None, None], ends[:, :-1]], axis=1)
+        """Return the targets (N, substeps, J) rad of the control step, from `before` (N, J) rad on."""
         share = np.arange(1, substeps + 1)[:, None] / substeps
-        return np.asarray((starts + share * (ends - starts)).reshape(len(before), -1, before.shape[1]))
+        return np.asarray(before[:, None] + share * (self.angles - before)[:, None])
 
     @classmethod
     def along(cls, steps: list[SetPoints]) -> SetPoints:
@@ -60,15 +64,31 @@ class SetPoints:
 
 
 class Drive:
-    """Set-points of N arms, one control step at a time."""
+    """Set-points of N arms, one control step at a time.
 
-    def __init__(self, scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> None:
-        self._rating = rating_of(config.robot)
+    Where the arm does not follow them, they stop and are taken back to it, as in a controller's protective stop: a
+    servo that is released from farther away would fling the arm.
+
+    Args:
+      scene: with the arm.
+      separation: of arm and person.
+      config: of the cell.
+      rows: number N of arms.
+      within: how something is computed in some rows alone.
+    """
+
+    def __init__(
+        self, scene: Scene, separation: Separation, config: EnvConfig, rows: int, within: InRows = in_rows
+    ) -> None:
+        self._rating, self._in_rows = rating_of(config.robot), within
         self.arm, self._separation = separation.arm, separation
         self._low, self._high = scene.joint_range.T
+        self._late_s = largest_lateness(config)
+        self.following_rad = following_bound(self._rating, self._late_s)
+        """(J,) rad, largest following error of each joint as a control step begins."""
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
-            self.shield = Shield(separation, self._rating, config.safety, rows)
+            self.shield = Shield(separation, self._rating, config.safety, rows, within)
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
@@ -96,28 +116,59 @@ class Drive:
         if self.shield is not None:
             self.shield.end_decision(last)
 
-    def step(self, before: SetPoints, asked: Array, now: Encounter, limbs: Array | None = None) -> SetPoints:
-        """Return the set-points of the next control step.
+    def step(
+        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, limbs: Array | None = None
+    ) -> tuple[Array, SetPoints]:
+        """Return where the set-points of the next control step begin (N, J) rad, and they at its end.
 
-        `asked` (N, J) rad/s is the motion that the policy wants, `now` the arms at the set-points
-        `before` beside the people. The shield sees the people at `limbs` (N, L, 7) instead, if given.
+        `asked` (N, J) rad/s is the motion that the policy wants, `joints` (N, 2 J) the measured angles, rad, and
+        velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
+        instead, if given.
         """
-        angles, velocity = before.angles, before.velocity
-        limited = self._rating.limited(self.arm, now.pose, asked)
-        limited = self._rating.within(self._low, self._high, angles, limited)
-        wanted = self._rating.follow(velocity, limited)
-        braking = np.zeros(len(wanted), dtype=bool)
+        measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
+        error = before.angles - measured
+        held = (np.abs(error) / self.following_rad).max(axis=1) > 1.0
         if self.shield is not None:
-            wanted, passed = self.shield.step(self._seen(now, limbs), velocity, wanted)
-            braking = passed == 0.0
-        wanted = self._yielding(angles, velocity, wanted, now)
-        kept = self._rating.keeps(self._low, self._high, angles, wanted)
+            seen, motion = self._seen(now, limbs), self._motion(now.pose, error, moving)
+            held = held | self.shield.swings(seen, motion)
+        back = held[:, None]
+        begin = np.where(back, np.clip(measured, self._low, self._high), before.angles)
+        velocity = np.where(back, 0.0, before.velocity)
+        pose = self.arm.pose(begin)
+        limited = self._rating.limited(self.arm, pose, asked)
+        limited = self._rating.within(self._low, self._high, begin, limited)
+        wanted = self._rating.follow(velocity, limited)
+        braking = held
+        if self.shield is not None:
+            wanted, passed = self.shield.step(seen, motion, pose, velocity, wanted)
+            braking = braking | (passed == 0.0)
+        wanted = self._yielding(begin, velocity, wanted, now)
+        kept = self._rating.keeps(self._low, self._high, begin, wanted)
         wanted = np.where(kept[:, None], wanted, self._rating.brake(velocity))
+        wanted = np.where(back, 0.0, wanted)
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
         stops = before.protective_stops + (braking & ~before.braking)
-        angles = np.clip(angles + wanted * CONTROL_STEP_S, self._low, self._high)
-        return SetPoints(angles, wanted, share, before.share_sum + share, braking, stops)
+        angles = np.clip(begin + wanted * CONTROL_STEP_S, self._low, self._high)
+        share_sum, beyond = before.share_sum + share, before.human_beyond_bound
+        return begin, SetPoints(angles, wanted, share, share_sum, braking, stops, beyond)
+
+    def beside(self, points: SetPoints, moved: Array) -> SetPoints:
+        """Return the set-points of a control step in which a part of the person moves on by `moved` (N,) m."""
+        if self.shield is None:
+            return points
+        return replace(points, human_beyond_bound=points.human_beyond_bound + self.shield.beyond_bound(moved))
+
+    def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:
+        """Return what the servos may make of an `error` (N, J) rad of arms at `pose` that move at (N, J) rad/s.
+
+        A servo whose damping is `SERVO_LAG_S` times its stiffness drives a joint at error / SERVO_LAG_S at most. What
+        lateness explains of the error, between 0 and its time times the joint's velocity, is no drive.
+        """
+        late = moving * self._late_s
+        more = error - np.minimum(np.maximum(error, np.minimum(late, 0.0)), np.maximum(late, 0.0))
+        way = self.arm.speeds(pose, error) + self.arm.bending(error) / 2
+        return Motion(way, self.arm.speeds(pose, moving + more / SERVO_LAG_S))
 
     def _seen(self, now: Encounter, limbs: Array | None) -> Encounter:
         if limbs is None:
@@ -130,14 +181,15 @@ class Drive:
 
         An arm that presses on is pushed away from its set-points, and hits again as it springs back.
         """
-        gap = now.apart.min(axis=0)
 
         def yielding(rows: Rows) -> Array:
-            pose = self.arm.pose(angles[rows] + wanted[rows] * CONTROL_STEP_S)
-            after = gaps(self.arm, pose.ends, self._separation.person, now.person[..., rows]).min(axis=0)
-            return np.where((after < gap[rows])[:, None], self._rating.brake(before[rows]), wanted[rows])
+            here, there = (
+                gaps(self.arm, self.arm.pose(at).ends, self._separation.person, now.person[..., rows]).min(axis=0)
+                for at in (angles[rows], angles[rows] + wanted[rows] * CONTROL_STEP_S)
+            )
+            return np.where((there < here)[:, None], self._rating.brake(before[rows]), wanted[rows])
 
-        return in_rows(gap <= 0.0, yielding, wanted)
+        return self._in_rows(now.apart.min(axis=0) <= 0.0, yielding, wanted)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
@@ -149,6 +201,16 @@ class Drive:
             self.shield.load_state_dict(saved)
 
 
+def following_bound(rating: Rating, late_s: float) -> Array:
+    """Return the largest following error (J,) rad of arms whose servos are late by `late_s`.
+
+    Universal Robots stop an arm protectively where its position deviates (codes C153 and C157) and publish no figure;
+    drives let it be set (following error window, CiA 402, object 6065h). This is what a joint at its rated speed is
+    behind, and TRANSIENT_RAD.
+    """
+    return rating.speed_rad_s * late_s + TRANSIENT_RAD
+
+
 def rating_of(robot: RobotConfig) -> Rating:
     """Return the limits of a robot that has a rating."""
     rated = RATINGS[robot.name][robot.rating]
@@ -156,7 +218,9 @@ def rating_of(robot: RobotConfig) -> Rating:
     return Rating(speed, np.array(rated.acceleration_rad_s2), rated.tool_speed_m_s)
 
 
-def make_drive(scene: Scene, separation: Separation, config: EnvConfig, rows: int) -> Drive | None:
+def make_drive(
+    scene: Scene, separation: Separation, config: EnvConfig, rows: int, within: InRows = in_rows
+) -> Drive | None:
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
     Raises:
@@ -171,7 +235,7 @@ def make_drive(scene: Scene, separation: Separation, config: EnvConfig, rows: in
             f"{', '.join(RATINGS)}; choose robot.rating=paper safety.kind=none"
         )
     if robot.rating != "paper":
-        return Drive(scene, separation, config, rows)
+        return Drive(scene, separation, config, rows, within)
     if kind != "none":
         raise ConfigError(
             f"safety.kind={kind} needs an arm that brakes within its rating; "

@@ -9,15 +9,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64] | slice
+InRows = Callable[[NDArray[np.bool_], Callable[[Rows], Array], Array], Array]
+"""(needed (N,), compute, otherwise (N, ...)) -> `compute(rows)` where `needed` holds, `otherwise` elsewhere."""
 
 
 def in_rows(needed: NDArray[np.bool_], compute: Callable[[Rows], Array], otherwise: Array) -> Array:
-    """Return `compute(rows)` in the rows where `needed` (N,) holds, `otherwise` (N, ...) elsewhere.
-
-    While numpy's functions are traced, as by `hrl_comfort.studio.web.arrays`, no row can be left out.
-    """
-    if not isinstance(needed, np.ndarray):
-        return np.where(needed.reshape(-1, *[1] * (otherwise.ndim - 1)), compute(slice(None)), otherwise)
+    """Return what `InRows` says; nothing is computed in the other rows."""
     rows = np.flatnonzero(needed)
     if len(rows):
         otherwise = otherwise.copy()

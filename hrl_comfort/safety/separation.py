@@ -16,6 +16,8 @@ UNSAFE_SPEED_M_S = 0.25
 """Largest speed of moving parts that a person may reach without separation (reduced speed: ISO 10218-1:2011, 5.6.2,
 of the tool; ISO 10218-2:2025, 5.5.6.1, of all accessible parts). Touches below it are what ISO/TS 15066:2016, 5.5.4,
 allows once the protective distance is used up."""
+TOUCH_M = 1e-6
+"""Distance at which capsules count as touching, more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,22 @@ class Separation:
         gap: Array = self.encounter(angles, limbs).apart.min(axis=0)
         return gap
 
-    def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
-        """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it.
+    def touch(self, angles: Array, limbs: Array) -> NDArray[np.bool_]:
+        """Return (N, C, P) which pairs of capsules touch: arms at `angles` (N, J) rad, people at `limbs` (N, L, 7)."""
+        apart, _ = self.pairs(angles, np.zeros_like(angles), limbs)
+        return apart.transpose(2, 0, 1) <= TOUCH_M
 
-        `angles` (N, J) rad and `velocity` (N, J) rad/s are those before the contact pushes the arm, `limbs`
-        (N, L, 7) the person then. The person's own motion does not count; negative where the arm draws back.
+    def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
+        """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it; see `pairs`."""
+        apart, speeds = self.pairs(angles, velocity, limbs)
+        nearest = apart.reshape(-1, len(angles)).argmin(axis=0)
+        return np.take_along_axis(speeds.reshape(-1, len(angles)), nearest[None], axis=0)[0]
+
+    def pairs(self, angles: Array, velocity: Array, limbs: Array) -> tuple[Array, Array]:
+        """Return the distance (C, P, N) m of each pair of capsules, and how fast (C, P, N) m/s the arm's closes it.
+
+        `angles` (N, J) rad and `velocity` (N, J) rad/s are those before a contact pushes the arm, `limbs` (N, L, 7) the
+        person then. The person's own motion does not count; negative where the arm draws back.
         """
         arm, person = self.arm, self.person
         pose, limb = arm.pose(angles), person.ends(limbs)
@@ -61,6 +74,4 @@ class Separation:
         apart = norm(q - p) - (arm.radius[:, None, None] + person.radius[:, None])
         towards = (q - p) / np.maximum(norm(q - p), 1e-9)
         points = p + towards * arm.radius[:, None, None]
-        speeds = dot(arm.point_velocity(pose, velocity, points), towards).reshape(-1, len(angles))
-        nearest = apart.reshape(-1, len(angles)).argmin(axis=0)
-        return np.take_along_axis(speeds, nearest[None], axis=0)[0]
+        return apart, dot(arm.point_velocity(pose, velocity, points), towards)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
-from hrl_comfort.safety.geometry import norm
-from hrl_comfort.safety.rating import Rating
-from hrl_comfort.safety.rows import Rows, in_rows
+from hrl_comfort.safety.geometry import ArmPose, norm
+from hrl_comfort.safety.rating import ROUNDING, Rating
+from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 
 Array = NDArray[np.float64]
@@ -37,27 +37,43 @@ class Memory:
     seen: Array
     """(3, P, 2, N) m, ends of the person's capsules at the control step before."""
     trail: Array
-    """(C, N) m/s, speed of each capsule of which the arm may still be behind."""
+    """(C, 1 + W, N) m/s, speeds of each capsule's set-points that the arm may still be behind: what is left of those
+    that the servos have had, and those of the last W control steps, which are on their way to them."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the servos of N arms may make of their distance from their set-points."""
+
+    way: Array
+    """(C, N) m, how far each capsule is from where the set-points have it, at most."""
+    speed: Array
+    """(C, N) m/s, of the fastest point of each capsule as the servos are about to move it."""
 
 
 class Shield:
     """The shield of N cells. Call `begin` for the rows whose episodes begin, then `step` once a control step."""
 
-    def __init__(self, separation: Separation, rating: Rating, config: SafetyConfig, rows: int) -> None:
+    def __init__(
+        self, separation: Separation, rating: Rating, config: SafetyConfig, rows: int, within: InRows = in_rows
+    ) -> None:
         self.arm, self._person = separation.arm, separation.person
-        self._rating, self._config = rating, config
-        self._late_s = config.latency_s + config.lag_s
-        self._trailing = np.exp(-CONTROL_STEP_S / self._late_s)
+        self._rating, self._config, self._in_rows = rating, config, within
+        self._behind_s = config.latency_s + config.lag_s
+        self._settled_s = config.latency_s + LAGS * config.lag_s
+        """Time until the arm's speed is that of set-points that it has been sent."""
+        self._trailing = np.exp(-CONTROL_STEP_S / max(config.lag_s, 1e-9))
         """Share of a speed that the arm still has after a control step."""
-        parts = len(self._person.radius)
-        self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), rows)))
+        self._first = config.human_speed_m_s * CONTROL_STEP_S * np.array([0.0, 0.0, 1.0])[:, None, None, None]
+        parts, sent = len(self._person.radius), int(np.ceil(config.latency_s / CONTROL_STEP_S - 1e-9))
+        self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), 1 + sent, rows)))
         self._decision: list[Memory] = []
         """The memory after each control step of a decision."""
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
-        """Forget the motion of `rows` (r,), whose people stand at `limbs` (r, L, 7)."""
-        self.memory.seen[..., rows] = self._person.ends(limbs)
-        self.memory.trail[:, rows] = 0.0
+        """Forget the motion of `rows` (r,), whose people at `limbs` (r, L, 7) may move at the largest speed."""
+        self.memory.seen[..., rows] = self._person.ends(limbs) + self._first
+        self.memory.trail[..., rows] = 0.0
 
     def begin_decision(self) -> None:
         """Begin a decision, of which some control steps may turn out void."""
@@ -77,34 +93,48 @@ class Shield:
         """Continue from `state_dict`."""
         self.memory = Memory(**{name: value.numpy().copy() for name, value in saved.items()})
 
-    def step(self, now: Encounter, before: Array, wanted: Array) -> tuple[Array, Array]:
+    def swings(self, now: Encounter, motion: Motion) -> NDArray[np.bool_]:
+        """Return (N,) whether the person may be reached while servos move the arm at more than the safe speed.
+
+        No brake of the set-points hinders that: they must be taken back to the arm.
+        """
+        clear = now.apart > motion.way + self._bound(self._settled_s, self._pace(now)) + self._config.margin_m
+        calm: NDArray[np.bool_] = np.logical_or(motion.speed <= self._config.safe_speed_m_s, clear).all(axis=0)
+        return ~calm
+
+    def step(
+        self, now: Encounter, motion: Motion, set_points: ArmPose, before: Array, wanted: Array
+    ) -> tuple[Array, Array]:
         """Return the velocity (N, J) rad/s that may be run in this control step, and the share (N,) passed.
 
-        `now` are the arms at their set-points and the people, `before` (N, J) rad/s the velocity of the set-points,
+        `now` are the measured arms and the people, `set_points` the arms there, `before` (N, J) rad/s their velocity,
         `wanted` (N, J) what the rating would pass.
         """
         pace, trail = self._pace(now), self.memory.trail
+        behind = np.maximum(motion.way, trail.max(axis=1) * self._behind_s)
+        moving = np.maximum(motion.speed, trail[:, 1:].max(axis=1)) if trail.shape[1] > 1 else motion.speed
         brake = self._rating.brake(before)
-        slow, fast = self.arm.speeds(now.pose, brake), self.arm.speeds(now.pose, wanted)
+        slow, fast = self.arm.speeds(set_points, brake), self.arm.speeds(set_points, wanted)
 
         def largest(rows: Rows) -> Array:
             """Return the largest of SHARES that is safe in `rows`, 0 if none is."""
             # All shares of all rows at once, those of a share together.
             start, change = (np.tile(each[rows], (len(SHARES), 1)) for each in (brake, wanted - brake))
-            least, gained, apart, behind, speed = (
-                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, now.apart, trail, pace)
+            least, gained, room, real, speed = (
+                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, now.apart - behind, moving, pace)
             )
             tried = np.repeat(SHARES, len(start) // len(SHARES))
             # The speeds are convex in the share, so not below the true ones.
-            safe = self._safe(start + tried[:, None] * change, least + tried * gained, apart, behind, speed)
+            safe = self._safe(start + tried[:, None] * change, least + tried * gained, room, real, speed)
             found: Array = np.where(safe, tried, 0.0).reshape(len(SHARES), -1).max(axis=0)
             return found
 
-        safe = self._safe(wanted, fast, now.apart, trail, pace)
-        share = in_rows(~safe, largest, np.ones(len(wanted)))
+        safe = self._safe(wanted, fast, now.apart - behind, moving, pace)
+        share = self._in_rows(~safe, largest, np.ones(len(wanted)))
         velocity = brake + share[:, None] * (wanted - brake)
-        trail = np.maximum(slow + share * (fast - slow), trail * self._trailing)
-        self.memory = Memory(now.person, trail)
+        sent = np.concatenate([trail, (slow + share * (fast - slow))[:, None]], axis=1)
+        left = np.maximum(sent[:, :1] * self._trailing, sent[:, 1:2])
+        self.memory = Memory(now.person, np.concatenate([left, sent[:, 2:]], axis=1))
         self._decision.append(self.memory)
         return velocity, share
 
@@ -116,12 +146,16 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
+    def beyond_bound(self, moved: Array) -> NDArray[np.bool_]:
+        """Return (N,) whether people whose fastest part moves by `moved` (N,) m in a control step break the bound."""
+        return moved > self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""
         pace: Array = norm(now.person - self.memory.seen).max(axis=(0, 1)) / CONTROL_STEP_S
         return pace
 
-    def _bound(self, time_s: Array, speed: Array) -> Array:
+    def _bound(self, time_s: Array | float, speed: Array) -> Array:
         """Return how far (...,) m any part of the person gets within `time_s` (...,) s, measured at `speed` (...,) m/s.
 
         `worst`: `human_speed_m_s` in any direction at any time. `observed`: the measured speed grows by at most
@@ -136,8 +170,8 @@ class Shield:
         top = speed + config.human_acceleration_m_s2 * rising
         return (speed + top) / 2 * rising + top * (time - rising)
 
-    def _plan(self, velocity: Array, speeds: Array) -> tuple[Array, Array, Array]:
-        """Return when (C, N) s the capsules of braking arms are slow, their way (C, N) m and top speed (C, N) m/s.
+    def _plan(self, velocity: Array, speeds: Array) -> tuple[Array, Array]:
+        """Return when (C, N) s the capsules of braking arms are slow, and their way (C, N) m until then.
 
         Arguments are those of `_safe`.
         """
@@ -145,19 +179,18 @@ class Shield:
         fastest = speeds + self.arm.bending(velocity) * (CONTROL_STEP_S + braking / 2)
         # Until the capsule is slower than the safe speed, servo lag included, the person must not reach it.
         left = np.minimum(SERVO_SHARE * self._config.safe_speed_m_s / np.maximum(fastest, 1e-9), 1.0)
-        late = self._config.latency_s + LAGS * self._config.lag_s
-        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + late, 0.0)
-        return until, fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2), fastest
+        until = np.where(left < 1.0, CONTROL_STEP_S + braking * (1 - left) + self._settled_s, 0.0)
+        return until, fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
 
-    def _safe(self, velocity: Array, speeds: Array, apart: Array, trail: Array, pace: Array) -> NDArray[np.bool_]:
+    def _safe(self, velocity: Array, speeds: Array, room: Array, moving: Array, pace: Array) -> NDArray[np.bool_]:
         """Return (N,) whether running `velocity` (N, J) for a control step and braking then is safe.
 
-        `speeds` (C, N) m/s are those of the arm's capsules now, `apart` (C, N) m their distances from the
-        person, `trail` (C, N) m/s speeds that they may still have, `pace` (N,) m/s that of the person's fastest part.
+        `speeds` (C, N) m/s are those of the capsules' set-points, `room` (C, N) m how far at least each of them stays
+        from the person until the arm is at its set-points, `moving` (C, N) m/s speeds that the arm has or will have
+        before, `pace` (N,) m/s that of the person's fastest part.
         """
-        until, travel, fastest = self._plan(velocity, speeds)
-        behind = np.maximum(trail, fastest) * self._late_s
-        reach = self._bound(until, pace)
-        clear = np.logical_or(until == 0.0, apart > travel + behind + reach + self._config.margin_m)
+        until, travel = self._plan(velocity, speeds)
+        until = np.maximum(until, np.where(moving > self._config.safe_speed_m_s, self._settled_s, 0.0))
+        clear = np.logical_or(until == 0.0, room > travel + self._bound(until, pace) + self._config.margin_m)
         safe: NDArray[np.bool_] = clear.all(axis=0)
         return safe

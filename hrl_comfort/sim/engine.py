@@ -72,11 +72,16 @@ class Engine:
         if rows is not None and not len(rows):
             raise ValueError("rows=[] is not allowed; name at least one row")
         at = slice(None) if rows is None else rows
-        control = self.episodes.apply_action(action)
-        states, sensed = self._run(self.physics[at], control[at], rows)
-        result = self.episodes.advance(sensed, rows)
+        physics = self.physics.copy()
+        states, sensed = [], []
+        for control in self.episodes.controls(action, lambda: physics[:, 1:]):
+            reached, readings = self._run(physics[at], control[at], rows)
+            physics[at] = reached[:, -1]
+            states.append(reached)
+            sensed.append(readings)
+        result = self.episodes.advance(np.concatenate(sensed, axis=1), rows)
         taken = result.decision_steps.numpy()[at] * self.episodes.config.engine.substeps
-        self.physics[at] = states[np.arange(len(taken)), taken - 1]
+        self.physics[at] = np.concatenate(states, axis=1)[np.arange(len(taken)), taken - 1]
         return result
 
     def _probe(self, joints: Array, control: Array) -> Array:

@@ -1,11 +1,11 @@
 """Episodes of N cells: their starts, controls and results.
 
-The caller runs the physics (`engine` in batches, `envs.dm` one cell at a time): it applies the controls of
-`apply_action` and passes the sensor readings to `advance`. All environments share this definition of an
+The caller runs the physics (`engine` in batches, `envs.dm` one cell at a time): it applies the `controls` of an
+action and passes the sensor readings to `advance`. All environments share this definition of an
 episode; every random number of it comes from (seed, row, episode).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -69,7 +69,7 @@ class Episodes:
         self._weights = torch.tensor([weights[name] for name in self.reward_names], dtype=torch.float64)
         self.precision_m = config.task.precision.grasp_tolerance_m
         self.planned_steps = config.task.action_repeat
-        """Control steps from one `apply_action` to the next."""
+        """Control steps of a decision."""
         self.action_dim = action_dim(scene, config.task)
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
@@ -161,16 +161,29 @@ class Episodes:
                 return self.draw.start[rows, :moving]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
+    def stand(self, walk: humans.Walk) -> None:
+        """Let the episodes that have just begun, of all rows, begin with the people of `walk` (N) instead."""
+        assert self.state is not None
+        rows, limbs = np.arange(self.rows), limbs_of(self.scene, walk)
+        places = self._tracker.begin(rows, self.values(), self.draw.frames, walk.position, limbs)
+        if self.drive is not None:
+            self.drive.begin(rows, limbs)
+        self.walk, seen = walk, humans.seen_position(self.config.human, places, self.sampler.spawns)
+        fields = {"human_pos": walk.position, "human_yaw": walk.yaw, "human_seen": seen}
+        fields["human_shown"] = (seen == places).all(axis=1)
+        self.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in fields.items()})
+
     def rewind(self) -> None:
         """Restart each row from its first episode, which is to begin before the next decision."""
         self.episode[:] = -1
         self._ready[:] = False
 
-    def apply_action(self, action: Array) -> Array:
-        """Return the controls (N, K * substeps, ncontrol) of a decision; action (N, A) in [-1, 1].
+    def controls(self, action: Array, joints: Callable[[], Array]) -> Iterator[Array]:
+        """Yield the controls (N, T, ncontrol) of the next T physics steps of a decision; action (N, A) in [-1, 1].
 
-        Joint targets are ramped at up to `max_step_deg` a control step, or as rating and shield pass it; the human
-        walks on meanwhile.
+        `joints` returns the joints (N, 2 J) as they are when it is called: angles, rad, velocities, rad/s. Joint
+        targets are ramped at up to `max_step_deg` a control step, all at once, or control step by control step as
+        rating and shield pass it for the measured arm; the human walks on meanwhile.
 
         Raises:
           RuntimeError: a row has no episode yet.
@@ -192,7 +205,9 @@ class Episodes:
         arm = cache(partial(self._separation.arm.points, *seen))
         self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
         noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
-        self._tracker.begin_decision()
+        balls = rendered_positions(self.state, self.subtask)
+        for part in self._planning:
+            part.begin_decision()
         if self.drive is None:
             ramp = np.arange(1, steps * substeps + 1) / substeps
             targets = joint_target[:, None] + ramp[:, None] * increment[:, None]
@@ -204,32 +219,45 @@ class Episodes:
             self.walks = humans.Walk.along(list(self._walking(times, noise, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self.walks)
             self._tracker.follow(times + 1, self.draw.frames, self.walks.position, limbs)
+            yield self._controls(self._servos.follow(targets), limbs, balls)
         else:
-            points, limbs = self._driven(increment / CONTROL_STEP_S, times, noise)
-            targets = points.ramp(joint_target, substeps)
+            points, limbs = yield from self._driven(increment / CONTROL_STEP_S, joints, times, noise, balls)
         places = self._tracker.seen(self.walks.position)
         self._planned = self._plan(self.walks, places, limbs, points, times.reshape(-1) + 1)
-        balls = rendered_positions(self.state, self.subtask)
-        return self._controls(self._servos.follow(targets), self._planned["limbs"], balls)
 
-    def _driven(self, asked: Array, times: NDArray[np.int64], noise: Array) -> tuple[SetPoints, Array]:
-        """Return the set-points (N * K) and limbs (N * K, L, 7) of a decision under the drive; set the walks.
+    def _driven(
+        self, asked: Array, joints: Callable[[], Array], times: NDArray[np.int64], noise: Array, balls: Array
+    ) -> Generator[Array, None, tuple[SetPoints, Array]]:
+        """Yield the controls of each control step under the drive, as `controls` does; set the walks.
 
-        `asked` (N, J) rad/s, `times` (N, K), `noise` (N, K, NOISE).
+        Return the set-points (N * K) and limbs (N * K, L, 7). `asked` (N, J) rad/s, `times` (N, K), `noise`
+        (N, K, NOISE), `balls` (N, B, 3) m.
         """
         assert self.drive is not None and self.state is not None
-        names = ("joint_target", "target_vel", "share", "share_sum", "braking", "protective_stops")
+        names = (
+            "joint_target",
+            "target_vel",
+            "share",
+            "share_sum",
+            "braking",
+            "protective_stops",
+            "human_beyond_bound",
+        )
         points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
         walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
-        now = self._separation.encounter(points[0].angles, limbs[0])
-        self.drive.begin_decision()
         for k in range(times.shape[1]):
-            points.append(self.drive.step(points[-1], asked, now, self._tracker.shown))
+            moving = joints()
+            measured = moving[:, : self._separation.arm.joints]
+            now = self._separation.encounter(measured, limbs[-1])
+            begin, point = self.drive.step(points[-1], asked, moving, now, self._tracker.shown)
             walk = self._walk_on(walks[-1], times[:, k], noise[:, k])
-            walk, poses, now = stop_at_contact(self.scene, self._separation, points[-1].angles, walks[-1], walk)
+            walk, poses, moved = stop_at_contact(self.scene, self._separation, now, walks[-1], walk)
+            points.append(self.drive.beside(point, moved))
             walks.append(walk)
             limbs.append(poses)
-            self._tracker.see(times[:, k] + 1, self.draw.frames, walk.position, poses)
+            self._tracker.see(times[:, k] + 1, self.draw.frames, walks[-1].position, limbs[-1])
+            targets = self._servos.follow(point.ramp(begin, self.config.engine.substeps))
+            yield self._controls(targets, limbs[-1], balls)
         self.walks = humans.Walk.along(walks[1:])
         beside = np.stack(limbs[1:], axis=1)
         return SetPoints.along(points[1:]), beside.reshape(-1, *beside.shape[2:])
@@ -243,7 +271,8 @@ class Episodes:
         """
         assert self.state is not None
         readings = sensed.reshape(-1, self.config.engine.substeps, sensed.shape[-1])
-        moving = self._sensors.read_decision(readings, self._planned, self.state, rows)
+        beside = limbs_of(self.scene, self.walk)
+        moving = self._sensors.read_decision(readings, self._planned, self.state, beside, rows)
         limit = self.max_episode_steps(self.state.level)
         result = compute_step(self.subtask, self._weights, limit, self.state, moving)
         state = result.state
@@ -288,7 +317,8 @@ class Episodes:
         for k in range(times.shape[1]):
             before, walk = walk, self._walk_on(walk, times[:, k], noise[:, k])
             if self._people_stop:
-                walk, *_ = stop_at_contact(self.scene, self._separation, angles[:, k], before, walk)
+                now = self._separation.encounter(angles[:, k], limbs_of(self.scene, before))
+                walk, *_ = stop_at_contact(self.scene, self._separation, now, before, walk)
             yield walk
 
     def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], noise: Array) -> humans.Walk:

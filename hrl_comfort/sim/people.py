@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.humans.retreat import begin_retreat
+from hrl_comfort.safety.geometry import gaps, norm
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
@@ -31,27 +32,27 @@ def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray
 
 
 def stop_at_contact(
-    scene: Scene, separation: Separation, angles: NDArray[np.float64], before: humans.Walk, walk: humans.Walk
-) -> tuple[humans.Walk, NDArray[np.float64], Encounter]:
-    """Return `walk` with those who would walk into arms at `angles` (n, J) rad held at OVERLAP_M; they will leave.
+    scene: Scene, separation: Separation, now: Encounter, before: humans.Walk, walk: humans.Walk
+) -> tuple[humans.Walk, NDArray[np.float64], NDArray[np.float64]]:
+    """Return `walk` with those who would walk into the arms held at OVERLAP_M, who will leave.
 
-    Return their limbs (n, L, 7) and the encounters too. `before` and `walk` are the n people before and after a
-    control step.
+    Return their limbs (n, L, 7), and how far (n,) m their fastest parts would have moved, too. `before` and `walk` are
+    the n people before and after a control step, `now` the arms beside the people before it.
     """
     limbs = limbs_of(scene, walk)
-    now = separation.encounter(angles, limbs)
-    gap = now.apart.min(axis=0)
-    touched = np.flatnonzero(gap <= 0.0)
+    person = separation.person.ends(limbs)
+    room, moved = now.apart.min(axis=0), norm(person - now.person).max(axis=(0, 1))
+    near = np.flatnonzero(room <= moved)
+    gap = gaps(separation.arm, now.pose.ends[..., near], separation.person, person[..., near]).min(axis=0)
+    touched, gap = near[gap <= 0.0], gap[gap <= 0.0]
     if not len(touched):
-        return walk, limbs, now
+        return walk, limbs, moved
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
-    room, gap = separation.gap(angles[touched], limbs_of(scene, stood)), gap[touched]
-    share = share_walked(room, gap)
+    share = share_walked(room[touched], gap)
     stops = np.flatnonzero(share < 1.0)
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
-    walk = walk.put(at, held)
-    limbs = limbs_of(scene, walk)
-    return walk, limbs, separation.encounter(angles, limbs)
+    limbs[at] = limbs_of(scene, held)
+    return walk.put(at, held), limbs, moved

@@ -83,7 +83,8 @@ class Servos:
         """Set-points of the last physics steps, the newest last."""
         self._reached = np.zeros((rows, joints))
         self._lag_s, self._latency_s = np.zeros(rows), np.zeros(rows)
-        self._decision: tuple[Array, Array] | None = None
+        self._decision: list[tuple[Array, Array]] = []
+        """What has been sent and reached after each control step of a decision."""
 
     def begin(self, rows: NDArray[np.int64], values: Values, targets: Array) -> None:
         """Begin an episode in `rows` (r,), whose set-points have stood at `targets` (r, J) rad."""
@@ -91,6 +92,10 @@ class Servos:
             return
         self._sent[rows], self._reached[rows] = targets[:, None], targets
         self._lag_s[rows], self._latency_s[rows] = values.of("servo_lag_s"), values.of("latency_s")
+
+    def begin_decision(self) -> None:
+        """Begin a decision, of which some control steps may turn out void."""
+        self._decision = []
 
     def follow(self, targets: Array) -> Array:
         """Return what reaches the servos (N, T, J) rad of the set-points `targets` (N, T, J) of T physics steps."""
@@ -106,17 +111,16 @@ class Servos:
         out = np.empty_like(late)
         for step in range(late.shape[1]):
             out[:, step] = reached = reached + gain * (late[:, step] - reached)
-        self._decision = sent, out
+        for passed in range(self._substeps, late.shape[1] + 1, self._substeps):
+            self._decision.append((sent[:, passed : passed + self._sent.shape[1]], out[:, passed - 1]))
+        self._sent, self._reached = self._decision[-1]
         return out
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
-        if self._decision is None:
-            return
-        (sent, out), passed = self._decision, (last + 1) * self._substeps
-        rows, length = np.arange(len(sent)), self._sent.shape[1]
-        self._sent = sent[rows[:, None], passed[:, None] + np.arange(length)]
-        self._reached = out[rows, passed - 1]
+        if self.active:
+            rows = np.arange(len(last))
+            self._sent, self._reached = (np.stack(each)[last, rows] for each in zip(*self._decision, strict=True))
 
     _ARRAYS = ("_sent", "_reached", "_lag_s", "_latency_s")
 

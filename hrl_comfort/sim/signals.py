@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hrl_comfort import humans
 from hrl_comfort.config import FAR_AWAY_M
-from hrl_comfort.safety.separation import UNSAFE_SPEED_M_S, Separation
+from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene, ball_props
 from hrl_comfort.tasks import State
@@ -75,28 +75,34 @@ class Sensors:
         return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
 
     def read_decision(
-        self, readings: Array, planned: dict[str, NDArray[Any]], before: State, rows: NDArray[np.int64] | None
+        self,
+        readings: Array,
+        planned: dict[str, NDArray[Any]],
+        before: State,
+        limbs: Array,
+        rows: NDArray[np.int64] | None,
     ) -> dict[str, Tensor]:
         """Return the fields (N * K, ...) of the decision that began in the state `before` (N rows).
 
-        `readings` (r * K, substeps, nsensor) are those of `rows` (r,), all by default; the other rows stay as they
-        are. `planned` are the fields known beforehand, and `limbs`.
+        `limbs` (N, L, 7) are those of people then. `readings` (r * K, substeps, nsensor) are those of `rows` (r,), all
+        by default; the other rows stay as they are. `planned` are the fields known beforehand, and `limbs`.
         """
         if rows is None:
-            return self._read_all(readings, planned, before)
+            return self._read_all(readings, planned, before, limbs)
         n, count = len(before.steps), len(readings) // len(rows)
         at = (rows[:, None] * count + np.arange(count)).reshape(-1)
         part = {name: value[at] for name, value in planned.items()}
-        fields = self._read_all(readings, part, before.rows(torch.from_numpy(rows)))
+        fields = self._read_all(readings, part, before.rows(torch.from_numpy(rows)), limbs[rows])
         if len(rows) < n:
             for name, value in fields.items():
                 still = getattr(before, name).repeat_interleave(count, dim=0)
                 fields[name] = still.index_copy(0, torch.from_numpy(at), value)
         return fields
 
-    def _read_all(self, readings: Array, planned: dict[str, NDArray[Any]], before: State) -> dict[str, Tensor]:
-        fields = self._read(readings[:, -1], planned)
-        return fields | self._contacts(readings, planned["limbs"], before, fields["touching"])
+    def _read_all(
+        self, readings: Array, planned: dict[str, NDArray[Any]], before: State, limbs: Array
+    ) -> dict[str, Tensor]:
+        return self._read(readings[:, -1], planned) | self._contacts(readings, planned["limbs"], before, limbs)
 
     def _read(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
         """Return the fields (n, ...) of readings (n, nsensor); `planned` are those known beforehand, and `limbs`."""
@@ -108,25 +114,50 @@ class Sensors:
             fields["arm_distance"] = self._separation.gap(fields["joint_pos"], planned["limbs"])
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
 
-    def _contacts(self, readings: Array, limbs: Array, before: State, touching: Tensor) -> dict[str, Tensor]:
-        """Return `contact` and `unsafe_contact` (n * K,) of a decision, `touching` (n * K,) in it.
+    def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> dict[str, Tensor]:
+        """Return `touching`, `contact` and `unsafe_contact` (n * K,) of a decision, from all its physics steps.
 
-        `readings` (n * K, substeps, nsensor), people at `limbs` (n * K, L, 7), the state `before` (n rows).
+        `readings` (n * K, substeps, nsensor), people at `limbs` (n * K, L, 7), the state `before` (n rows) beside
+        people at `limbs_before` (n, L, 7).
         """
-        n = len(before.steps)
-        found = {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
-        if not touching.any():
-            return {name: torch.from_numpy(np.repeat(old.numpy(), len(touching) // n)) for name, old in found.items()}
-        touching = touching.view(n, -1)
-        began = touching & ~torch.cat([before.touching[:, None], touching[:, :-1]], dim=1)
-        unsafe = torch.zeros_like(began)
-        at = torch.nonzero(began.flatten())[:, 0].numpy()
-        if len(at):
-            # The first reading with the contact belongs to the instant before the physics resolves it.
-            first = readings[at][..., self._at["human"]].any(axis=-1).argmax(axis=1)
-            sensed = readings[at, first]
-            moving = sensed[:, self._at["joint_pos"]], sensed[:, self._at["joint_vel"]]
-            speed = self._separation.closing_speed(*moving, limbs[at])
-            unsafe.view(-1)[at] = torch.from_numpy(speed > UNSAFE_SPEED_M_S)
-        new = {"contact": touching, "unsafe_contact": unsafe}
-        return {name: (old[:, None] | (new[name].cumsum(dim=1) > 0)).flatten() for name, old in found.items()}
+        n, old = len(before.steps), {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
+        felt = readings[..., self._at["human"]].any(axis=-1)
+        touching = felt.any(axis=1)
+        if touching.any():
+            speed = self.approach(felt, readings, limbs, before, limbs_before)
+            new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}
+            found = {name: (new[name].reshape(n, -1).cumsum(axis=1) > 0) | old[name].numpy()[:, None] for name in old}
+        else:
+            found = {name: np.repeat(value.numpy(), len(touching) // n) for name, value in old.items()}
+        return {name: torch.from_numpy(value.reshape(-1)) for name, value in {"touching": touching, **found}.items()}
+
+    def approach(
+        self, felt: NDArray[np.bool_], readings: Array, limbs: Array, before: State, limbs_before: Array
+    ) -> Array:
+        """Return the largest speed (n * K,) m/s at which an arm's capsule closed in on one of the person's at a touch.
+
+        Of the pairs that began to touch in a control step, -inf if none did. A reading belongs to the instant before
+        the physics resolves the contact; `felt` (n * K, substeps) says which of them have one. The other arguments are
+        those of `_contacts`.
+        """
+        n, substeps = len(before.steps), felt.shape[1]
+        felt = felt.reshape(n, -1)
+        preceding = np.concatenate([before.touching.numpy()[:, None], felt[:, :-1]], axis=1)
+        row, time = felt.nonzero()
+        sensed = readings.reshape(*felt.shape, -1)[row, time]
+        moving = sensed[:, self._at["joint_pos"]], sensed[:, self._at["joint_vel"]]
+        apart, speed = self._separation.pairs(*moving, limbs[(row * felt.shape[1] + time) // substeps])
+        touched = np.zeros((len(row), *apart.shape[:2]), dtype=bool)
+        again = np.flatnonzero(preceding[row, time])
+        row_before, time_before = row[again], time[again] - 1
+        earlier = readings.reshape(*felt.shape, -1)[row_before, time_before][:, self._at["joint_pos"]]
+        beside = limbs[(row_before * felt.shape[1] + time_before) // substeps]
+        first = time_before < 0
+        earlier[first], beside[first] = before.joint_pos.numpy()[row_before[first]], limbs_before[row_before[first]]
+        if len(again):
+            touched[again] = self._separation.touch(earlier, beside)
+        begins = (apart.transpose(2, 0, 1) <= TOUCH_M) & ~touched
+        fastest = np.full(felt.shape, -np.inf)
+        fastest[row, time] = np.where(begins, speed.transpose(2, 0, 1), -np.inf).max(axis=(1, 2))
+        largest: Array = fastest.reshape(-1, substeps).max(axis=1)
+        return largest

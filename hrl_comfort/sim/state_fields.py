@@ -32,6 +32,7 @@ def planned_fields(
         "share_sum": points.share_sum,
         "braking": points.braking,
         "protective_stops": points.protective_stops,
+        "human_beyond_bound": points.human_beyond_bound,
         "human_pos": walk.position,
         "human_yaw": walk.yaw,
         "human_seen": seen,

@@ -183,11 +183,7 @@ class Session:
         self.engine.reset()
         if self.keep_person:
             kept = self._beside_arm(kept)
-            episodes.walk = replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step))
-            seen = humans.seen_position(episodes.config.human, kept.position, episodes.sampler.spawns)
-            shown = (seen == kept.position).all(axis=1)
-            places = {"human_pos": kept.position, "human_yaw": kept.yaw, "human_seen": seen, "human_shown": shown}
-            episodes.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in places.items()})
+            episodes.stand(replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step)))
         old = self.executor
         self.executor = OptionExecutor(old.options, old.time_limit, episodes, old.retries)
         self.over = False

@@ -31,9 +31,12 @@ class State:
     share_sum: Tensor
     """(N,) sum of `share` over the control steps of the episode."""
     braking: Tensor
-    """(N,) bool, the shield commanded the rated brake in the last control step."""
+    """(N,) bool, in the last control step the shield commanded the rated brake, or set-points were taken back to an arm
+    that did not follow them."""
     protective_stops: Tensor
     """(N,) int64, how often in the episode `braking` began."""
+    human_beyond_bound: Tensor
+    """(N,) int64, control steps of the episode in which a part of the person was faster than the shield assumes."""
     tcp_pos: Tensor
     """(N, 3) m, tool centre point."""
     tcp_home: Tensor

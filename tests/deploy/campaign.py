@@ -34,7 +34,6 @@ from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, TICKS, Limits
 from hrl_comfort.deploy.ur import UrArm
 from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 from tests.deploy.fake_ur import Faults, fake_ur
 from tests.deploy.faulty_link import BEHIND
@@ -55,10 +54,6 @@ def config(episodes: int, *more: str) -> DeployConfig:
     found = compose("deploy", [*CHAIN, *BEHIND, *fixed, late, f"episodes={episodes}", *more])
     assert isinstance(found, DeployConfig)
     return found
-
-
-def limits_of(asked: DeployConfig, scene: Scene) -> Limits:
-    return Limits(rating_of(asked.robot), ArmGeometry(scene), *scene.joint_range.T)
 
 
 class LateArm(SimulatedArm):
@@ -82,7 +77,7 @@ class LateArm(SimulatedArm):
 
 @contextmanager
 def link_to(scene: Scene, asked: DeployConfig, log: Path, seed: int, simulated: bool) -> Iterator[Link]:
-    limits = limits_of(asked, scene)
+    limits = Limits.of(asked, scene)
     if simulated:
         yield Lockstep(partial(LateArm, scene.model, scene.home, seed), limits, log)
         return

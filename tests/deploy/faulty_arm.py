@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import ConfigError
 from hrl_comfort.deploy.arms import Reading, SimulatedArm
 
-FAULTS = ("protective stop", "emergency stop", "connection", "slow")
+FAULTS = ("protective stop", "emergency stop", "connection", "slow", "held")
 
 
 def refused() -> SimulatedArm:
@@ -38,4 +38,4 @@ class FaultyArm(SimulatedArm):
             raise ConnectionError("no answer")
         if -25 < self._left <= 0 and self._fault == "slow":
             time.sleep(0.012)
-        super().send(angles)
+        super().send(self._data.ctrl if self._left <= 0 and self._fault == "held" else angles)

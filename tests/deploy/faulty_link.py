@@ -18,8 +18,6 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run
 from hrl_comfort.deploy.streamer import TICKS, Limits, Report
-from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 from hrl_comfort.streams import UdpStream
 from tests.deploy.faulty_arm import FaultyArm
@@ -89,7 +87,7 @@ def config(kind: str) -> DeployConfig:
 def cell() -> tuple[Scene, Limits]:
     asked = config("limit")
     scene = build_scene(asked.robot, asked.cell, 10)
-    return scene, Limits(rating_of(asked.robot), ArmGeometry(scene), *scene.joint_range.T)
+    return scene, Limits.of(asked, scene)
 
 
 class FaultyLink(Lockstep):

@@ -25,7 +25,6 @@ from hrl_comfort.deploy.runner import Run
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, ROUNDING, Limits
 from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import build_scene
 from tests.deploy.faulty_link import BEHIND
 
@@ -47,7 +46,7 @@ def counted(overrides: list[str], seed: int) -> Counter[str]:
     asked = compose("deploy", [*overrides, *fixed])
     assert isinstance(asked, DeployConfig)
     scene, rating = build_scene(asked.robot, asked.cell, 10), rating_of(asked.robot)
-    limits = Limits(rating, ArmGeometry(scene), *scene.joint_range.T)
+    limits = Limits.of(asked, scene)
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.bin"
         link = Lockstep(partial(SimulatedArm, scene.model, scene.home), limits, log)

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S, RobotConfig
+from hrl_comfort.config import CONTROL_STEP_S, DeployConfig, RobotConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.streamer import COLUMNS, TICKS, Limits, Streamer
-from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene, build_scene
 from tests.deploy.faulty_arm import FaultyArm
 
@@ -27,8 +25,9 @@ def scene() -> Scene:
 
 
 def limits() -> Limits:
-    rating = rating_of(RobotConfig("ur3e", None, "collaborative"))
-    return Limits(rating, ArmGeometry(scene()), *scene().joint_range.T)
+    asked = compose("deploy", ["policy=expert"])
+    assert isinstance(asked, DeployConfig)
+    return Limits.of(asked, scene())
 
 
 def streamer(fault: str = "none", at: int = 10**9) -> tuple[Streamer, io.BytesIO]:
@@ -153,3 +152,12 @@ def test_the_simulated_arm_follows() -> None:
     for _ in range(200):
         arm.send(scene().home + 0.05)
     assert np.abs(arm.read().angles - scene().home - 0.05).max() < 2e-3
+
+
+def test_an_arm_that_is_held_is_stopped_before_a_joint_is_far_from_its_set_point() -> None:
+    stream, log = streamer("held", 5)
+    push(stream, 100)
+    assert stream.stopped.startswith("following error: joint ")
+    rows = np.frombuffer(log.getvalue()).reshape(-1, len(COLUMNS) + 12)
+    error = np.abs(rows[:, len(COLUMNS) : len(COLUMNS) + 6] - rows[:, len(COLUMNS) + 6 :])
+    assert (error / limits().following).max() < 2.0

@@ -8,8 +8,10 @@ files.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +25,7 @@ from hrl_comfort.policies.load import make_policy
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
+from tests.safety import persistent
 
 Array = NDArray[np.float64]
 ROWS = 64
@@ -43,9 +46,10 @@ POLICIES = {
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
     "shielded_pick": (f"{BEHIND}/pick", "pick", *MASKED), "shielded_place": (f"{BEHIND}/place", "place", *MASKED),
     "shielded_return": (f"{BEHIND}/return", "return", *MASKED),
+    **dict.fromkeys(persistent.POLICIES, ("persistent", "shift")),
     "comfort": ("runs/reference/comfort/stages/seed0", "pick_place", *LEVEL),
 }  # fmt: skip
-"""Name -> `policy=`, task and overrides."""
+"""Name -> `policy=`, or `persistent` for one of `tests.safety.persistent`, task and overrides."""
 WAYS = {
     "observed": ("safety=ssm", "safety.bound=observed"), "worst": ("safety=ssm", "safety.bound=worst"),
     "none": ("safety=none",),
@@ -96,12 +100,14 @@ def outside(engine: Engine, before: State, after: State, valid: NDArray[np.bool_
         for name in ("joint_target", "target_vel")
     )
     change = np.abs(np.diff(velocity, axis=1)) / CONTROL_STEP_S
+    # Set-points that are taken back to the arm stop at once.
+    kept = np.abs(np.diff(angles, axis=1) - velocity[:, 1:] * CONTROL_STEP_S).max(axis=-1) < 1e-9
     low, high = scene.joint_range.T
     joints = angles.shape[-1]
     now, rate = angles[:, :-1].reshape(-1, joints), velocity[:, 1:].reshape(-1, joints)
     speed = arm.speeds(arm.pose(now), rate).max(axis=0).reshape(valid.shape)
     bad = (np.abs(velocity[:, 1:]) > np.radians(rated.speed_deg_s) * (1 + 1e-9)).any(axis=-1)
-    bad |= (change > np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).any(axis=-1)
+    bad |= (change > np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).any(axis=-1) & kept
     bad |= ((angles[:, 1:] < low) | (angles[:, 1:] > high)).any(axis=-1)
     bad |= speed > rated.tool_speed_m_s * (1 + 1e-9)
     return int((bad & valid).sum())
@@ -114,25 +120,30 @@ def run(motion: str, policy: str, way: str, steps: int, seed: int, recordings: s
     said = [f"task={task}", f"human={motion}", *MOTIONS[motion], *file, *WORLD, *levels, *WAYS[way]]
     env = environment(compose("train", said))
     engine, speeds = Engine(env, rows, seed), [0.0]
-    separation = engine.episodes._separation
-    measured = separation.closing_speed
+    sensors = engine.episodes._sensors
+    measured = sensors.approach
 
-    def closing_speed(angles: Array, velocity: Array, limbs: Array) -> Array:
-        found = measured(angles, velocity, limbs)
+    def approach(*given: Any) -> Array:
+        found = measured(*given)
         speeds.append(float(found.max()))
         return found
 
-    separation.closing_speed = closing_speed  # type: ignore[method-assign]
-    act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
+    sensors.approach = approach  # type: ignore[method-assign]
+    act: Callable[[State], Any]
+    if source == "persistent":
+        act = persistent.Policy(policy, rows, seed, engine.episodes._separation.arm)
+    else:
+        act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
     state, found = engine.reset(), Count()
     while found.steps < steps:
-        result = engine.step(act(state).numpy())
+        result = engine.step(np.asarray(act(state)))
         found.steps += int(result.valid.sum())
         found.outside_rating += outside(engine, state, result.instants, result.valid.numpy())
         after = result.state
         found.episodes += int(result.done.sum())
         found.contacts += int((after.contact & ~state.contact).sum())
-        found.unsafe_contacts += int((after.unsafe_contact & ~state.unsafe_contact).sum())
+        unsafe = result.instants.unsafe_contact.view(rows, -1) & result.valid
+        found.unsafe_contacts += int((unsafe.any(dim=1) & ~state.unsafe_contact).sum())
         found.protective_stops += int((after.protective_stops - state.protective_stops).sum())
         state = engine.reset(np.flatnonzero(result.done.numpy()))
     engine.close()

@@ -64,8 +64,7 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     spawn = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
     limbs = np.where(trials[:, 2, None, None] < 0.5, HANGING, steering.POSTURE)
     walk = humans.begin(engine.episodes.config.human, spawn)
-    episodes.walk = humans.Walk(**{**vars(walk), "limbs": limbs})
-    episodes.drive.begin(np.arange(ROWS), limbs_of(engine.scene, episodes.walk))
+    episodes.stand(humans.Walk(**{**vars(walk), "limbs": limbs}))
     found, unsafe = np.full(ROWS, -np.inf), np.zeros(ROWS, dtype=bool)
     going = np.ones(ROWS, dtype=bool)
     going &= separation.gap(state.joint_pos.numpy(), limbs_of(engine.scene, episodes.walk)) > 0
@@ -77,7 +76,7 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
         speed = separation.closing_speed(*moving, beside) - PER_M * np.maximum(separation.gap(moving[0], beside), 0.0)
         valid = result.valid.numpy() & going[:, None] & ~result.instants.contact.numpy().reshape(ROWS, -1)
         found = np.maximum(found, np.where(valid, speed.reshape(ROWS, -1), -np.inf).max(axis=1))
-        unsafe |= going & result.state.unsafe_contact.numpy()
+        unsafe |= going & (result.instants.unsafe_contact.view(ROWS, -1) & result.valid).any(dim=1).numpy()
         going &= ~result.done.numpy()
     return found, int(unsafe.sum())
 

@@ -20,3 +20,9 @@ def test_beside_nobody_is_a_contact_fast_or_a_set_point_outside_the_rating(motio
 def test_somebody_who_leans_on_the_shoulder_does_not_fling_the_arm() -> None:
     found = run("adversary", "random", "observed", steps=7000, seed=1000, recordings=OWN, rows=64)
     assert found.contacts > 20 and found.fastest_m_s < 0.25
+
+
+@pytest.mark.parametrize("policy", ["held", "press"])
+def test_set_points_keep_to_the_rating_where_tables_hold_the_arm(policy: str) -> None:
+    found = run("mixture", policy, "observed", steps=6000, seed=0, recordings=OWN, rows=16)
+    assert (found.unsafe_contacts, found.outside_rating) == (0, 0)

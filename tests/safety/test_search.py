@@ -7,9 +7,11 @@ import pytest
 from tests.safety.search import ROWS, search
 
 
-@pytest.mark.parametrize("bound", ["worst", "observed"])
-def test_a_search_finds_no_unsafe_contact_behind_the_shield(bound: str) -> None:
-    fastest, unsafe = search(6 * ROWS, "safety=ssm", f"safety.bound={bound}")
+@pytest.mark.parametrize(
+    ("bound", "task"), [("worst", "pick_place"), ("observed", "pick_place"), ("observed", "shift")]
+)
+def test_a_search_finds_no_unsafe_contact_behind_the_shield(bound: str, task: str) -> None:
+    fastest, unsafe = search(6 * ROWS, "safety=ssm", f"safety.bound={bound}", f"task={task}")
     assert unsafe == 0 and fastest < 0.25
 
 

@@ -73,25 +73,29 @@ def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bou
     swing = np.full(states, 0.3)
     limbs = limb_poses(x, y, yaw, phase, swing, scene.floor_z)
     earlier = limb_poses(x + 0.02 * rng.normal(size=states), y, yaw, phase, swing, scene.floor_z)
-    trail = rng.uniform(0, 0.6, (states, len(separation.arm.radius)))
+    trail = rng.uniform(0, 0.6, (states, len(separation.arm.radius), 1))
+    behind = np.where(rng.random((states, 1)) < 0.1, 0.3, 0.03) * rng.normal(size=angles.shape)
+    measured = np.concatenate([angles - behind, velocity - rng.normal(size=angles.shape) * 0.1], axis=1)
 
-    now = separation.encounter(angles, limbs)
-    drive.shield.memory = Memory(separation.person.ends(earlier), trail.T.copy())
+    now = separation.encounter(measured[:, :6], limbs)
+    drive.shield.memory = Memory(separation.person.ends(earlier), trail.transpose(1, 2, 0).copy())
     reach = drive.shield.reach(now, velocity)
-    after = drive.step(SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64)), asked, now)
-    room, gap = separation.gap(angles, earlier), now.apart.min(axis=0)
+    begin, after = drive.step(SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64)), asked, measured, now)
+    room, gap = separation.gap(measured[:, :6], earlier), now.apart.min(axis=0)
     assert after.braking.any() and (gap < 0).any() and ((after.share > 0) & (after.share < 1)).any()
+    assert (begin != angles).any() and (begin == angles).all(axis=1).any()
+    apart, speed = separation.pairs(measured[:, :6], measured[:, 6:], limbs)
     fields = {"joint_target": angles, "target_vel": velocity, "asked": asked, "limbs": limbs, "limbs_before": earlier}
-    fields |= {"joint_pos": angles, "joint_vel": velocity}
+    fields |= {"joint_pos": measured[:, :6], "joint_vel": measured[:, 6:]}
     rows = rows_of(**{name: value[:, None] for name, value in fields.items()}, trail=trail[..., None])
     wanted = {
         "drive": {
-            "joint_target": after.angles, "target_vel": after.velocity, "share": after.share, "reach": reach,
-            "braking": after.braking, "trail": drive.shield.memory.trail.T,
+            "begin": begin, "joint_target": after.angles, "target_vel": after.velocity, "share": after.share,
+            "reach": reach, "braking": after.braking, "trail": drive.shield.memory.trail.transpose(2, 0, 1),
         },
         "gap": {"gap": gap},
         "walked": {"share": share_walked(room, gap)},
-        "closing": {"speed": separation.closing_speed(angles, velocity, limbs)},
+        "pairs": {"apart": apart.transpose(2, 0, 1), "speed": speed.transpose(2, 0, 1)},
     }  # fmt: skip
     for graph, outputs in wanted.items():
         made = in_node(graph=graphs[graph], rows=rows)

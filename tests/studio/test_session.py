@@ -15,6 +15,7 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
+from hrl_comfort.sim.signals import limbs_of
 from hrl_comfort.studio.person import HELD_S, Person, motion_config, observed_as
 from hrl_comfort.studio.session import Session
 
@@ -268,3 +269,18 @@ def sorting_config() -> StudioConfig:
     config = compose("studio", ["task=sort", "task.balls=2", "meta_controller=scripted", "human=still", *policies])
     assert isinstance(config, StudioConfig)
     return config
+
+
+def test_tracker_and_shield_begin_with_the_person_who_is_kept() -> None:
+    safe = ("robot.rating=collaborative", "safety=ssm", "safety.bound=worst", "task.terminate_on=unsafe_contact")
+    seen = ("randomise.person_rate_hz=[10,10]", "safety.delay_s=0.1")
+    session = Session(studio_config(*safe, *seen, "human=random_walk"))
+    session.keep_person = True
+    session.step()
+    session.reset()
+    episodes, limbs = session.engine.episodes, limbs_of(session.engine.scene, session.walk)
+    assert episodes._tracker.shown == pytest.approx(limbs)
+    drive = episodes.drive
+    assert drive is not None and drive.shield is not None
+    assert drive.shield.memory.seen[:2] == pytest.approx(drive.shield._person.ends(limbs)[:2])
+    session.close()

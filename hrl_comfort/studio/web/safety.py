@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.humans import Walk
 from hrl_comfort.safety.drive import SetPoints, make_drive
-from hrl_comfort.safety.separation import UNSAFE_SPEED_M_S, Separation
+from hrl_comfort.safety.rows import Rows
+from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.people import share_walked
@@ -24,48 +26,68 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
     """Return the graphs of one cell; `walk` is an example of its person.
 
     `drive` (None in the paper's world) is a control step of `safety.drive.Drive`, `gap` the distance of arm and
-    person, `walked` the share of a person's step that ends at the arm, `closing` the speed at which the arm nears the
-    person.
+    person, `walked` the share of a person's step that ends at the arm, `pairs` the distance of each pair of capsules
+    and the speed at which the arm's closes it.
     """
     separation = Separation(scene)
-    drive, arm, person = make_drive(scene, separation, env, 1), separation.arm, separation.person
+    drive, arm, person = make_drive(scene, separation, env, 1, every_row), separation.arm, separation.person
     shielded = drive is not None and drive.shield is not None
 
     def driven(
-        joint_target: Array, target_vel: Array, asked: Array, limbs: Array, limbs_before: Array, trail: Array
-    ) -> dict[str, Array]:
+        joint_target: Array, target_vel: Array, joint_pos: Array, joint_vel: Array, asked: Array, limbs: Array,
+        limbs_before: Array, trail: Array,
+    ) -> dict[str, Array]:  # fmt: skip
         assert drive is not None
-        now = separation.encounter(joint_target, limbs)
+        now = separation.encounter(joint_pos, limbs)
         made: dict[str, Array] = {}
         if drive.shield is not None:
             drive.shield.memory = Memory(person.ends(limbs_before), trail)
             made["reach"] = drive.shield.reach(now, target_vel)
-        after = drive.step(SetPoints.unshielded(joint_target, target_vel, np.zeros(1, np.int64)), asked, now)
+        before = SetPoints.unshielded(joint_target, target_vel, np.zeros(1, np.int64))
+        begin, after = drive.step(before, asked, np.concatenate([joint_pos, joint_vel], axis=1), now)
         if drive.shield is not None:
             made["trail"] = drive.shield.memory.trail
         return made | {
-            "joint_target": after.angles, "target_vel": after.velocity, "share": after.share, "braking": after.braking
+            "begin": begin, "joint_target": after.angles, "target_vel": after.velocity, "share": after.share,
+            "braking": after.braking,
         }  # fmt: skip
 
-    def walked(joint_target: Array, limbs: Array, limbs_before: Array) -> dict[str, Array]:
-        room, gap = (separation.gap(joint_target, each) for each in (limbs_before, limbs))
+    def walked(joint_pos: Array, limbs: Array, limbs_before: Array) -> dict[str, Array]:
+        room, gap = (separation.gap(joint_pos, each) for each in (limbs_before, limbs))
         return {"share": share_walked(room, gap)}
 
+    def pairs(joint_pos: Array, joint_vel: Array, limbs: Array) -> dict[str, Array]:
+        apart, speed = separation.pairs(joint_pos, joint_vel, limbs)
+        return {"apart": apart, "speed": speed}
+
     angles, limbs = scene.home[None], limbs_of(scene, walk)
-    still, rest = np.zeros_like(angles), np.zeros((len(arm.radius), 1))
-    beside = {"joint_target": angles, "limbs": limbs}
-    moving = {"joint_pos": angles, "joint_vel": still, "limbs": limbs}
-    motion = {**beside, "target_vel": still, "asked": still, "limbs_before": limbs, "trail": rest}
+    still, shield = np.zeros_like(angles), None if drive is None else drive.shield
+    rest = np.zeros((len(arm.radius), 1, 1)) if shield is None else np.zeros_like(shield.memory.trail)
+    beside = {"joint_pos": angles, "limbs": limbs}
+    moving = {**beside, "joint_vel": still}
+    motion = {
+        **moving,
+        "joint_target": angles,
+        "target_vel": still,
+        "asked": still,
+        "limbs_before": limbs,
+        "trail": rest,
+    }
     return {
         "drive": None if drive is None else recorded(driven, motion),
-        "gap": recorded(lambda joint_target, limbs: {"gap": separation.gap(joint_target, limbs)}, beside),
+        "gap": recorded(lambda joint_pos, limbs: {"gap": separation.gap(joint_pos, limbs)}, beside),
         "walked": recorded(walked, {**beside, "limbs_before": limbs}),
-        "closing": recorded(
-            lambda joint_pos, joint_vel, limbs: {"speed": separation.closing_speed(joint_pos, joint_vel, limbs)}, moving
-        ),
+        "pairs": recorded(pairs, moving),
         "shielded": shielded,
         "stops": drive is not None or env.task.terminate_on == "unsafe_contact",
         "terminate_on": env.task.terminate_on,
         "unsafe_speed": UNSAFE_SPEED_M_S,
-        "trail": rest[:, 0].tolist(),
+        "touch": TOUCH_M,
+        "trail": rest.ravel().tolist(),
+        "first_step": env.safety.human_speed_m_s * CONTROL_STEP_S,
     }
+
+
+def every_row(needed: Array, compute: Callable[[Rows], Array], otherwise: Array) -> Array:
+    """Do what `safety.rows.InRows` says in a graph, which can leave no row out."""
+    return np.where(needed.reshape(-1, *[1] * (otherwise.ndim - 1)), compute(slice(None)), otherwise)

@@ -56,6 +56,7 @@ export class Cell {
     this.control(this.target);
     this.mujoco.mj_forward(this.model, data);
     this.read();
+    this.touch(this.feels);
     this.choose();
   }
 
@@ -80,14 +81,23 @@ export class Cell {
     return Array.from(this.data.sensordata.subarray(from, to));
   }
 
+  /** Whether the arm touches the person in this physics step. */
+  get feels() {
+    return this.sensed("human").some(Boolean);
+  }
+
   read() {
     const { state } = this;
     state.joint_pos = this.sensed("joint_pos");
     state.joint_vel = this.sensed("joint_vel");
     state.tcp_pos = this.sensed("tcp_pos");
-    state.touching = this.sensed("human").some(Boolean);
     state.hit = this.sensed("table").some(Boolean) ? "the cell" : this.sensed("self").some(Boolean) ? "itself" : null;
-    state.contact ||= state.touching;
+  }
+
+  /** Tell whether the arm touches the person, now or in the control step. */
+  touch(touching) {
+    this.state.touching = touching;
+    this.state.contact ||= touching;
   }
 
   /** Return the fields of the state that graphs read, as of one row. */
@@ -138,24 +148,31 @@ export class Cell {
       state.level = this.level;
       this.decision = { from: [...this.target], increment: this.act(), steps: 0 };
     }
-    const { from, increment, steps } = this.decision, before = this.target, touched = state.touching;
+    const { from, increment, steps } = this.decision, touched = state.touching;
     const ramp = (share) => from.map((angle, joint) => {
       const [lowest, highest] = content.range[joint];
       return Math.min(Math.max(angle + (steps + share) * increment[joint], lowest), highest);
     });
-    const after = safety.drives ? safety.drive(before, increment, this.limbs) : ramp(1);
-    this.walk(after);
-    /** Readings with the first touch, before the physics resolves it. */
-    let touch = null;
+    const measured = Array.from(data.qpos), joints = { joint_pos: row(measured), joint_vel: row(Array.from(data.qvel)) };
+    const [begin, after] = safety.drives ? safety.drive(this.target, increment, joints, this.limbs) : [from, ramp(1)];
+    this.walk(safety.drives ? measured : after);
+    let touching = false, unsafe = false;
     for (let k = 1; k <= substeps; k++) {
       const share = k / substeps;
-      this.control(safety.drives ? before.map((angle, joint) => angle + share * (after[joint] - angle)) : ramp(share));
+      this.control(safety.drives ? begin.map((angle, joint) => angle + share * (after[joint] - angle)) : ramp(share));
       this.mujoco.mj_step(model, data);
-      if (!touched && !touch && this.sensed("human").some(Boolean)) touch = { joint_pos: this.sensed("joint_pos"), joint_vel: this.sensed("joint_vel") };
+      if (this.feels) {
+        // The readings are those before the physics resolves the touch.
+        unsafe = safety.unsafe({ joint_pos: this.sensed("joint_pos"), joint_vel: this.sensed("joint_vel") }, this.limbs) || unsafe;
+        touching = true;
+      } else safety.clear();
     }
     this.target = after;
     this.read();
-    if (state.touching && !touched) this.touch(touch);
+    this.touch(touching);
+    this.touches.all += Number(touching && !touched);
+    this.touches.unsafe += Number(unsafe && !state.unsafe);
+    state.unsafe ||= unsafe;
     state.steps += 1;
     this.decision.steps += 1;
     const stage = state.stage;
@@ -166,23 +183,15 @@ export class Cell {
     return ended;
   }
 
-  /** Let the person walk on for a control step, at most up to an arm that goes to some set-points. */
-  walk(target) {
+  /** Let the person walk on for a control step, at most up to an arm at some angles (rad). */
+  walk(angles) {
     const { person } = this, before = person.walk, limbs = this.limbs;
     person.advance();
     this.pose();
-    const share = this.safety.walked(target, limbs, this.limbs);
+    const share = this.safety.walked(angles, limbs, this.limbs);
     if (share === 1) return;
     person.hold(before, share);
     this.pose();
-  }
-
-  /** Count a touch, from the readings with it. */
-  touch(readings) {
-    const unsafe = this.safety.unsafe(readings, this.limbs);
-    this.touches.all += 1;
-    this.touches.unsafe += Number(unsafe);
-    this.state.unsafe ||= unsafe;
   }
 
   /** Whether a contact has ended the episode. */
@@ -199,6 +208,7 @@ export class Cell {
     this.mujoco.mj_forward(this.model, this.data);
     this.state.contact = false;
     this.read();
+    this.touch(this.feels);
     return true;
   }
 
