@@ -34,6 +34,7 @@ from hrl_comfort.config.policies import as_chain, as_skills, check_beside, with_
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
     "report": "run",
+    "results": "name",
 }
 """Key of a word without `=`, by command: `evaluate runs/pick`."""
 
