@@ -28,7 +28,7 @@ def table(kind: str, names: str) -> str:
     """Return a table, or a line that says that it is not measured yet."""
     try:
         return KINDS[kind](names)
-    except (FileNotFoundError, KeyError):
+    except FileNotFoundError:
         return ABSENT
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from pandas import DataFrame
 from PIL import Image, ImageDraw, ImageFont
 
 from hrl_comfort.benchmarks.entries import ENTRIES, committed
@@ -22,11 +23,11 @@ from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
-from hrl_comfort.plots.video import FRAMES_PER_S, frames
+from hrl_comfort.plots.video import FRAMES_PER_S, azimuth_deg, frames
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 
-EPISODE, LEVELS = 24, (1, 10)
-"""Shown by `levels`."""
+LEVELS, LEAST_STEPS = (1, 10), 60
+"""Shown by `levels`, and how long its episode lasts at least, control steps."""
 CROP, COLOURS, FONT = (75, 8, 395, 338), 255, ImageFont.load_default(14)
 FRAME_MS, HOLD = 100, 12
 """Duration of a frame (2.5 times slower than real time), and repetitions of the last one."""
@@ -39,8 +40,16 @@ LINES = {1: ("-", "#440154"), 4: ("--", "#31688e"), 7: ("-.", "#35b779"), 10: ("
 
 
 def levels(folder: Path, output: Path) -> None:
-    """Write the animation of one recorded episode of `folder`, at LEVELS side by side."""
-    sides = [panels(folder, level) for level in LEVELS]
+    """Write the animation of one recorded episode of `folder`, at LEVELS side by side.
+
+    It is the one, of those that succeed at both, in which the mean distance to the person differs most.
+    """
+    episodes = read_table(folder / "episodes.csv")
+    assert episodes is not None
+    good = episodes[episodes["success"] & (episodes["steps"] >= LEAST_STEPS)]
+    distance = good.pivot(index="episode", columns="comfort_level", values="human_distance_mean_m")
+    number = int((distance[LEVELS[0]] - distance[LEVELS[1]]).idxmax())
+    sides = [panels(folder, episodes[episodes["episode"] == number], level) for level in LEVELS]
     length = max(len(side) for side in sides) + HOLD
     images = []
     for index in range(length):
@@ -49,18 +58,16 @@ def levels(folder: Path, output: Path) -> None:
     images[0].save(output, save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0, optimize=True)
 
 
-def panels(folder: Path, level: int) -> list[Image.Image]:
-    """Return the captioned pictures of the recorded episode at one level."""
-    config = load_config(folder)
-    assert isinstance(config, EvaluateConfig)
-    episodes, paths = (read_table(folder / name) for name in ("episodes.csv", "paths.csv"))
-    assert episodes is not None and paths is not None
-    mine = episodes[(episodes["episode"] == EPISODE) & (episodes["comfort_level"] == level)]
-    path = paths[(paths["episode"] == EPISODE) & (paths["level"] == level)].reset_index(drop=True)
-    pictures = []
-    for index, picture in enumerate(
-        frames(path, config.robot, config.cell, config.task.name, str(mine["colour"].item()))
-    ):
+def panels(folder: Path, episode: DataFrame, level: int) -> list[Image.Image]:
+    """Return the captioned pictures of a recorded episode, given by its rows of episodes.csv, at one level."""
+    config, paths = load_config(folder), read_table(folder / "paths.csv")
+    assert isinstance(config, EvaluateConfig) and paths is not None
+    mine = episode[episode["comfort_level"] == level]
+    both = paths[paths["episode"] == mine["episode"].item()]
+    path = both[both["level"] == level].reset_index(drop=True)
+    colour, pictures = str(mine["colour"].item()), []
+    drawn = frames(path, config.robot, config.cell, config.task.name, colour, view_deg=azimuth_deg(both))
+    for index, picture in enumerate(drawn):
         step = min(round(index / FRAMES_PER_S / CONTROL_STEP_S), len(path) - 1)
         image = Image.fromarray(picture).crop(CROP)
         said = f"level {level}    {step * CONTROL_STEP_S:.1f} s    {path['human_distance_m'][step]:.2f} m to the person"

@@ -38,7 +38,8 @@ def line(name: str) -> list[str]:
     rows = pd.concat([read_table(path.with_suffix(".csv")) for path in found], ignore_index=True)
     spawns = [rows["success"][rows["seen"].eq(seen).fillna(False)] for seen in (True, False)]
     won = rows[rows["success"]]
-    hits = rows["contact"].mean(), rows["unsafe_contact"].mean(), (rows["other_collision"] != "none").mean()
+    collision = rows["other_collision"] != "none"
+    hits = (rows[name].mean() if name in rows else None for name in ("contact", "unsafe_contact"))
     return [
         "/".join(part for part in name.split("/") if "*" not in part and part not in ("eval", "test")),
         f"{rows['train_seed'].nunique()}",
@@ -46,7 +47,7 @@ def line(name: str) -> list[str]:
         cell(success(rows), 100),
         *(f"{100 * each.mean():.1f}" if len(each) else "–" for each in spawns),
         f"{won['steps'].mean():.0f}" if len(won) else "–",
-        *(f"{100 * share:.1f}" for share in hits),
+        *(cell(share, 100) for share in (*hits, float(collision.mean()))),
     ]
 
 
@@ -75,7 +76,10 @@ def as_it_is(rows: pd.DataFrame) -> str:
 def of_names(names: str) -> list[entries.Entry]:
     """Return the entries of the benchmark, `all` or those named, in the order of the names."""
     found = entries.committed(entries.ENTRIES)
-    return [found[name] for name in (found if names == "all" else names.split())]
+    asked = list(found) if names == "all" else names.split()
+    if absent := set(asked) - set(found):
+        raise FileNotFoundError(f"{entries.ENTRIES} has no entry {', '.join(sorted(absent))}")
+    return [found[name] for name in asked]
 
 
 def by_shield(name: str) -> str:
