@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from pandas import DataFrame
 
@@ -23,6 +24,7 @@ from hrl_comfort.results.record import Record, need_clean_tree, read_record, wri
 
 KEYS = ["episode", "comfort_level"]
 """Columns that tell an episode of an evaluation."""
+PACKED: Any = {"compression": "zstd", "compression_level": 19}
 MEASURED = ("evaluate", "benchmark")
 """Commands that write episodes."""
 
@@ -76,7 +78,7 @@ def compact(folder: Path) -> None:
     """Keep the episodes of an evaluation as parquet, a tenth of the size of their CSV."""
     file = ROOT / folder / "episodes.csv"
     if file.is_file() and (rows := read_table(file)) is not None:
-        write_atomically(file.with_suffix(".parquet"), lambda target: rows.to_parquet(target, index=False))
+        write_atomically(file.with_suffix(".parquet"), lambda target: rows.to_parquet(target, index=False, **PACKED))
         file.unlink()
 
 
