@@ -52,7 +52,9 @@ def chosen(key: str, name: str | None, fits: Callable[[str, Entry], bool]) -> li
 
 def overview() -> None:
     """Print a line for each entry, and the tracked files that belong to none."""
-    table = Table("result", "state", "pages", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
+    for head in ("result", "state", "pages"):
+        table.add_column(head, overflow="fold")
     for name, each in manifest().items():
         table.add_row(name, state(name, each), " ".join(each.pages))
     Console().print(table)

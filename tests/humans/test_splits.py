@@ -18,7 +18,7 @@ from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.envs.inputs import replayed
 from hrl_comfort.evaluation import ledger, rollout
 from hrl_comfort.evaluation.evaluate import evaluate, evaluate_policy
-from hrl_comfort.files.provenance import ROOT
+from hrl_comfort.files.provenance import ROOT, git
 from hrl_comfort.humans.evaluation import SHARES
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
@@ -138,6 +138,12 @@ def test_an_interrupted_look_is_in_the_ledger(
     with pytest.raises(KeyboardInterrupt):
         evaluate(asked(tmp_path))
     assert looks()[["policy", "episodes"]].values.tolist() == [["expert", 3]]
+
+
+def test_a_look_leaves_the_tree_clean() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git repository here")
+    assert git("check-ignore", str(ledger.FILE.relative_to(ROOT))) == "runs/ledger.csv"
 
 
 def test_only_the_ledger_opens_a_split() -> None:
