@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hrl_comfort.config.keys import Key, keys_of
+from hrl_comfort.config.command_line.keys import Key, keys_of
 from hrl_comfort.config.overrides import ROOTS, root_of
 
 PAGE = Path(__file__).resolve().parent / "configuration.md"

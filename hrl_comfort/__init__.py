@@ -125,12 +125,21 @@ def evaluate(
     Raises:
       ConfigError: a choice is not allowed, or the policy does not fit.
     """
-    from hrl_comfort.evaluation.evaluate import evaluate_policy
+    from hrl_comfort.config import EvaluateConfig
+    from hrl_comfort.config.compose import compose, warn_unfinished
+    from hrl_comfort.config.overrides import override
+    from hrl_comfort.evaluation.rollout import rollout
     from hrl_comfort.policies.external import ObservationPolicy
 
     source = policy.source if isinstance(policy, ObservationPolicy) else policy
     given = source if callable(source) else fspath(source)
-    return evaluate_policy(given, {"task": task, "episodes": episodes, "levels": list(levels), **choices})
+    asked = {"task": task, "episodes": episodes, "levels": list(levels), **choices}
+    if isinstance(given, str):
+        warn_unfinished(given)
+        asked = {"policy": given, **asked}
+    config = compose("evaluate", [override(key, value) for key, value in asked.items()])
+    assert isinstance(config, EvaluateConfig)
+    return rollout(config, given).table
 
 
 __all__ = ["__version__", "environment_of", "evaluate", "load", "load_policy"]

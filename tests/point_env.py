@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config.compose import compose
-from hrl_comfort.training.collector import Collector
+from hrl_comfort.training.collector import SkillCollector
 
 LIMIT = 20
 FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
@@ -147,5 +147,5 @@ def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
     return dataclasses.replace(config, **changes)
 
 
-def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> Collector:
-    return Collector(config.agent, PointEnv(config.engine.num_envs, config.episode_seed, stop_after, kill))
+def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> SkillCollector:
+    return SkillCollector(config.agent, PointEnv(config.engine.num_envs, config.episode_seed, stop_after, kill))

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
@@ -106,37 +106,22 @@ class SAC:
             self.buffer = self._new_buffer()
 
     @torch.no_grad()
-    def act(self, observation: Tensor) -> Tensor:
-        """Return exploring actions (N, A) in [-1, 1] for raw observations (N, D)."""
+    def act(self, now: TensorDictBase, exploration: float = 0.0) -> Tensor:
+        """Return actions (N, A) in [-1, 1] for raw `observation` (N, D); with an exploration of 1, uniform ones."""
+        observation = now["observation"]
+        if exploration == 1.0:
+            return torch.rand((len(observation), self.action_dim), generator=self.generator) * 2 - 1
         noise = torch.randn(len(observation), self.action_dim, generator=self.generator).to(self.device)
         return self.actor.sample(self.normaliser(observation.to(self.device)), noise)[0].cpu()
 
-    def remember(
-        self,
-        observation: Tensor,
-        action: Tensor,
-        reward: Tensor,
-        next_observation: Tensor,
-        terminated: Tensor,
-        steps: Tensor,
-        demonstrated: Tensor | None = None,
-    ) -> None:
-        """Store N transitions: (N, D), (N, A), (N,) reward, (N, D), (N,) bool, (N,) control steps taken.
+    def observe(self, transitions: TensorDictBase) -> None:
+        """Store transitions (F,): raw `observation` (F, D), `action` (F, A), control steps `steps_to_next_obs` (F, 1).
 
-        Targets bootstrap on truncated episodes, not on terminated ones. `demonstrated` (N,) bool: the action
-        is a demonstrator's; default none.
+        `demonstrated` (F,) bool says that the action is a demonstrator's. `next` holds `observation` (F, D), `reward`
+        and `terminated` (F, 1): targets bootstrap on truncated episodes, not on terminated ones.
         """
-        self.normaliser.update(observation.to(self.device))
-        demonstrated = torch.zeros_like(terminated) if demonstrated is None else demonstrated
-        after = {"observation": next_observation, "reward": reward.float()[:, None], "terminated": terminated[:, None]}
-        transitions = {
-            "observation": observation,
-            "action": action,
-            "steps_to_next_obs": steps[:, None],
-            "demonstrated": demonstrated,
-            "next": after,
-        }
-        self.buffer.extend(TensorDict(transitions, batch_size=[len(observation)]))
+        self.normaliser.update(transitions["observation"].to(self.device))
+        self.buffer.extend(transitions)
 
     def update(self) -> dict[str, float]:
         """Do one gradient step on everything; return `TERMS` by name.
@@ -185,8 +170,8 @@ class SAC:
         if config.learning_rate_end is None:
             return config.learning_rate
         total = (config.policy_steps - config.learning_starts) * config.updates_per_policy_step
-        share = min(1.0, (self.updates - self._stage_begin) / max(total, 1.0))
-        return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
+        phase = min(1.0, (self.updates - self._stage_begin) / max(total, 1.0))
+        return config.learning_rate + phase * (config.learning_rate_end - config.learning_rate)
 
     def _bc_loss(self, batch: TensorDict) -> Tensor | float:
         """Return the weighted `bc_loss` of the demonstrated transitions, per transition of the batch."""

@@ -34,7 +34,7 @@ Statistic = Callable[..., Any]
 """Means of one or more quantities, each (...), to a number (...)."""
 
 
-def itself(mean: Any) -> Any:
+def identity(mean: Any) -> Any:
     """Return the mean."""
     return mean
 
@@ -59,7 +59,7 @@ class Clusters:
         """Return the clusters of values that are of a training seed each."""
         return cls(np.arange(count), np.arange(count))
 
-    def bands(self, *columns: Floats, statistic: Statistic = itself) -> tuple[Floats, Floats, Floats]:
+    def bands(self, *columns: Floats, statistic: Statistic = identity) -> tuple[Floats, Floats, Floats]:
         """Return a statistic's mean, low and high, each (T,), NaN where they cannot be told.
 
         Args:
@@ -92,7 +92,9 @@ class Clusters:
             found = scipy.stats.bootstrap(parts, whole, **options).confidence_interval
         return mean, found.low, found.high
 
-    def estimate(self, *columns: Floats, statistic: Statistic = itself, bounds: Bounds = UNBOUNDED) -> Estimate | None:
+    def estimate(
+        self, *columns: Floats, statistic: Statistic = identity, bounds: Bounds = UNBOUNDED
+    ) -> Estimate | None:
         """Return a statistic of the means of columns (n,) and its interval; None where it has no value."""
         mean, low, high = (each[0] for each in self.bands(*(c[:, None] for c in columns), statistic=statistic))
         return _estimate(mean, low, high, bounds)

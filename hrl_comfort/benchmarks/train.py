@@ -175,9 +175,9 @@ def ours(config: TrainConfig, clock: Clock, num_envs: int, updates: int) -> int:
             return np.asarray(policy(torch.from_numpy(observation)))
 
         clock.start()
-        while not clock.done(act, training.policy_steps):
+        while not clock.done(act, training.steps):
             training.step()
-        return training.policy_steps
+        return training.steps
 
 
 def torchrl(config: TrainConfig, clock: Clock, num_envs: int, updates: int, every: int = 1) -> int:

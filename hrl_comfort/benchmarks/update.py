@@ -92,9 +92,8 @@ def transitions(sizes: Sizes) -> TensorDict:
 def ours(agent: AgentConfig, sizes: Sizes) -> Update:
     """Return an update of this project's learner."""
     learner, data = SAC(agent, *sizes), transitions(sizes)
-    reward, after, terminated = (data["next", name] for name in ("reward", "observation", "terminated"))
-    steps = torch.full((STORED,), 5)
-    learner.remember(data["observation"], data["action"], reward[:, 0], after, terminated[:, 0], steps)
+    steps, demonstrated = torch.full((STORED, 1), 5), torch.zeros(STORED, dtype=torch.bool)
+    learner.observe(data.update({"steps_to_next_obs": steps, "demonstrated": demonstrated}))
     return learner.update
 
 

@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
-from hrl_comfort.config.keys import keys_of
+from hrl_comfort.config.command_line.keys import keys_of
 from hrl_comfort.config.overrides import groups
 
 

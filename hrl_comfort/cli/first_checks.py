@@ -26,10 +26,10 @@ from hrl_comfort.config import (
     TrainConfig,
 )
 from hrl_comfort.config.checks import is_object, one_of
+from hrl_comfort.config.command_line.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.compose import warn_unfinished
 from hrl_comfort.config.overrides import override
-from hrl_comfort.config.policies import as_chain, as_skills, check_beside, with_controller, with_defaults
 
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
@@ -58,7 +58,7 @@ def completed(command: str, overrides: list[str], sweep: bool = False) -> list[s
     if command == "deploy":
         return with_controller(overrides)
     if command == "benchmark":
-        return as_skills(overrides)
+        return with_skills(overrides)
     return as_chain(overrides) if key == "policy" else overrides
 
 
@@ -109,10 +109,10 @@ def check(config: CommandConfig) -> None:
         live = config.comfort.source in ("udp", "lsl") or config.human.motion == "live"
         if live and isinstance(config, EvaluateConfig) and not config.realtime:
             warnings.warn("live values come by the wall clock, episodes run faster: add realtime=true", stacklevel=2)
-        from hrl_comfort.scene.layout import doubts  # mujoco, once all else is right
+        from hrl_comfort.scene.layout import layout_warnings  # mujoco, once all else is right
 
-        for doubt in doubts(config):
-            warnings.warn(doubt, stacklevel=2)
+        for warning in layout_warnings(config):
+            warnings.warn(warning, stacklevel=2)
 
 
 def _drawn(config: CommandConfig) -> str | None:

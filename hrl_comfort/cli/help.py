@@ -8,7 +8,7 @@ from itertools import groupby
 from omegaconf import DictConfig, OmegaConf
 
 from hrl_comfort.cli.commands import COMMANDS
-from hrl_comfort.config.keys import Key, keys_of
+from hrl_comfort.config.command_line.keys import Key, keys_of
 from hrl_comfort.config.overrides import config_dir, groups
 
 WIDTH = 80

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from hrl_comfort.comfort.frightened import level_rate
 from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, read_recording, udp
 from hrl_comfort.config import ComfortConfig
+from hrl_comfort.config import comfort as names
+from hrl_comfort.config.checks import implemented
 
 Floats = NDArray[np.float64]
 Levels = Callable[[Floats, Floats], Floats]
@@ -150,7 +152,7 @@ RATES: dict[str, Callable[[Floats, SourceInput, ComfortConfig], Floats]] = {
     "frightened": lambda level, now, config: level_rate(level, now.arm_distance_m, now.speed_m_s, config),
 }
 """Changes (N,) of levels (N,), 1/s, of people who react to the robot."""
-SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
+_SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "none": lambda config: constant(None),
     "fixed": lambda config: constant(config.level),
     "random": random,
@@ -161,6 +163,7 @@ SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "lsl": lambda config: Live(config, Lsl(config)),
     **dict.fromkeys(RATES, lambda config: constant(config.levels)),
 }
+SOURCES = implemented(names.SOURCES, _SOURCES)
 
 
 def make_source(config: ComfortConfig, rows: int) -> Source:

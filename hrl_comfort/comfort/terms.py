@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from hrl_comfort.config import FAR_AWAY_M, ComfortConfig
-from hrl_comfort.config.checks import part
+from hrl_comfort.config import comfort as names
+from hrl_comfort.config.checks import implemented, part
 
 SMALLEST_M = 1e-10
 OFFSET = -0.1
@@ -54,11 +55,9 @@ def ease(level: Tensor, config: ComfortConfig) -> Tensor:
 
 Threshold = Callable[[Tensor, ComfortConfig], Tensor]
 """(level (...,), config) -> theta (...,) m."""
-THRESHOLDS: dict[str, Threshold] = {
-    "range": threshold_range,
-    "reference": threshold_reference,
-    "levels": threshold_levels,
-}
+THRESHOLDS: dict[str, Threshold] = implemented(
+    names.THRESHOLDS, {"range": threshold_range, "reference": threshold_reference, "levels": threshold_levels}
+)
 
 
 def paper(distance: Tensor, theta: Tensor, config: ComfortConfig) -> Tensor:
@@ -118,10 +117,8 @@ def minimum_distance(distance: Tensor, theta: Tensor, config: ComfortConfig) -> 
 
 Form = Callable[[Tensor, Tensor, ComfortConfig], Tensor]
 """(distance (...,) m, theta (...,) m, config) -> F_conf1 (...,)."""
-FORMS: dict[str, Form] = {
-    form.__name__: form
-    for form in (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided, minimum_distance)
-}
+_FORMS = (paper, reference, linear, logarithmic, target_distance, target_distance_one_sided, minimum_distance)
+FORMS: dict[str, Form] = implemented(names.FORMS, {form.__name__: form for form in _FORMS})
 TIMED = ("target_distance", "target_distance_one_sided", "minimum_distance")
 """Forms with a time penalty."""
 
@@ -156,7 +153,7 @@ def speed_hinge(increment: Tensor, threshold: Tensor, max_step_deg: float) -> Te
 
 SpeedForm = Callable[[Tensor, Tensor, float], Tensor]
 """(increment (...,), threshold (...,), largest increment, degrees each) -> F_conf2 (...,)."""
-SPEED_FORMS: dict[str, SpeedForm] = {"paper": speed_paper, "hinge": speed_hinge}
+SPEED_FORMS: dict[str, SpeedForm] = implemented(names.SPEED_FORMS, {"paper": speed_paper, "hinge": speed_hinge})
 
 
 def forms(config: ComfortConfig) -> tuple[Form, Threshold, SpeedForm]:

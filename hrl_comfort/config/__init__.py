@@ -17,14 +17,10 @@ from hrl_comfort.config.commands import (
     EvaluateConfig,
     ExportConfig,
     FigureConfig,
-    HierarchyTrainConfig,
     IdentifyConfig,
-    MetaControllerTrainConfig,
     ReportConfig,
     ResultsConfig,
     StudioConfig,
-    TrainConfig,
-    TrainingConfig,
 )
 from hrl_comfort.config.constants import (
     CONTROL_STEP_S,
@@ -37,11 +33,18 @@ from hrl_comfort.config.constants import (
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
-from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
+from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import COLOURS, SORTING, PrecisionConfig, RewardConfig, TaskConfig
+from hrl_comfort.config.training import (
+    HierarchyConfig,
+    HierarchyTrainConfig,
+    MetaControllerTrainConfig,
+    TrainConfig,
+    TrainingConfig,
+)
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",

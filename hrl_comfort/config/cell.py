@@ -13,7 +13,7 @@ from hrl_comfort.config.constants import MAX_ENVS
 Pair = Field(min_length=2, max_length=2)
 Delay = Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
 Factor = Annotated[list[Annotated[float, within(0.5, 2.0)]], Pair]
-Share = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]
+Fraction = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]
 Noise = Annotated[list[Annotated[float, within(0.0, 100.0)]], Pair]
 Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
 
@@ -95,7 +95,7 @@ class RandomiseConfig:
     """Time from a set-point until the servos have it, s."""
     link_mass: Factor
     """Factor of mass and inertia, drawn for each link."""
-    joint_friction: Share
+    joint_friction: Fraction
     """Coulomb friction as a share of the largest torque, drawn for each joint."""
     joint_noise_deg: Noise
     """Standard deviation of the observed joint angles, degrees. The observed position of the tool is computed from the
@@ -106,7 +106,7 @@ class RandomiseConfig:
     """Standard deviation of the person's observed position along x and along y, m."""
     person_rate_hz: Rate
     """Frames of the person's tracker per second; the last frame holds until the next. 50 is one per control step."""
-    person_dropout: Share
+    person_dropout: Fraction
     """Probability that a frame is lost; at most two in a row are lost."""
 
     def __post_init__(self) -> None:

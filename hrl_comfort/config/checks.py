@@ -135,6 +135,19 @@ def part(key: str, name: str, known: Mapping[str, T]) -> T:
     return found
 
 
+def implemented(names: tuple[str, ...], parts: Mapping[str, T]) -> dict[str, T]:
+    """Return the registry of `names`, those that the configuration allows: `parts`, in that order.
+
+    A package fills its registries with it when it is imported.
+
+    Raises:
+      LookupError: a name has no part, or a part has no name.
+    """
+    if odd := set(names) ^ set(parts):
+        raise LookupError(f"{', '.join(sorted(odd))}: the configuration allows {', '.join(names)}")
+    return {name: parts[name] for name in names}
+
+
 def named(key: str, *known: str) -> AfterValidator:
     """Return the check `part_name` of the field `key`."""
     return AfterValidator(partial(_passed, check=part_name, key=key, names=known))

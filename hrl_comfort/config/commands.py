@@ -1,4 +1,4 @@
-"""Configuration of each command: shared sections and keys of its own."""
+"""Configuration of each command but the trainings: shared sections and keys of its own."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import SPLITS, VALIDATION_SEED
-from hrl_comfort.config.hierarchy import HierarchyConfig, MetaControllerAgentConfig, MetaControllerConfig
+from hrl_comfort.config.constants import SPLITS
+from hrl_comfort.config.hierarchy import MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
-from hrl_comfort.config.learning import AgentConfig, CurriculumConfig
 from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig
 
@@ -49,85 +48,6 @@ class EnvConfig(CommandConfig):
     engine: EngineConfig
     safety: SafetyConfig
     randomise: RandomiseConfig
-
-
-@dataclass(frozen=True)
-class TrainingConfig(EnvConfig):
-    """Keys of every training."""
-
-    train_seed: Annotated[int, within(0, 2**63 - 1)]
-    """Seed of networks, exploration and replay."""
-    episode_seed: Annotated[int, within(0, VALIDATION_SEED - 1)]
-    """Seed of the episodes."""
-    output: str
-    """Run folder."""
-    resume: str | None
-    """Run folder of a stopped training, which continues with its own config.yaml."""
-
-
-@dataclass(frozen=True)
-class TrainConfig(TrainingConfig):
-    """`hrl-comfort train`."""
-
-    curriculum: CurriculumConfig
-    agent: AgentConfig
-    initial_policy: str | None
-    """policy.pt or run folder from which actor, critics and normaliser start; null starts them at random."""
-    logger: Annotated[str, choice("tensorboard", "wandb")]
-    """Destination of the curves of metrics.csv: TensorBoard's file alone, or Weights & Biases too."""
-
-    def __post_init__(self) -> None:
-        between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
-        if self.agent.demonstrator_envs >= self.engine.num_envs:
-            raise ConfigError(
-                f"agent.demonstrator_envs={self.agent.demonstrator_envs} must be below "
-                f"engine.num_envs={self.engine.num_envs}"
-            )
-
-
-@dataclass(frozen=True)
-class HierarchyTrainConfig(TrainConfig):
-    """`hrl-comfort train hierarchy`; the sections of `train` hold for every option."""
-
-    meta_controller: MetaControllerConfig
-    hierarchy: HierarchyConfig
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for key, value, default in (
-            ("task.name", self.task.name, "pick"),
-            ("task.start", self.task.start, "ik"),
-            ("initial_policy", self.initial_policy, None),
-            ("agent.next_skill", self.agent.next_skill, None),
-        ):
-            if value != default:
-                raise ConfigError(f"{key}={value}: train hierarchy sets it for each option; leave it out")
-        for option in self.meta_controller.options:
-            if option not in self.hierarchy.shares:
-                raise ConfigError(f"hierarchy.shares has no {option}, an option of the division")
-        if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
-            raise ConfigError("hierarchy.controller= sorts with pick, place and return: choose division=three")
-
-
-@dataclass(frozen=True)
-class MetaControllerTrainConfig(TrainingConfig):
-    """`hrl-comfort train meta_controller`: training of a meta-controller over frozen policies."""
-
-    meta_controller: MetaControllerConfig
-    meta_controller_agent: MetaControllerAgentConfig
-    policies: dict[str, str]
-    """Policy of each subtask."""
-    disturbance: Annotated[str, choice(*DISTURBANCES)]
-    """Once in every episode: `drop` knocks a ball out of the gripper, `block` puts a person at a drop table for 8 s."""
-
-    def __post_init__(self) -> None:
-        if self.task.name not in SORTING:
-            raise ConfigError(
-                f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort or shift"
-            )
-        if self.meta_controller.name != "learned":
-            name = self.meta_controller.name
-            raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")
 
 
 @dataclass(frozen=True)

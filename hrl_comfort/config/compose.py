@@ -9,22 +9,29 @@ import re
 import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
+import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
+from hrl_comfort.config import (
+    ConfigError,
+    EnvConfig,
+    HierarchyConfig,
+    HierarchyTrainConfig,
+    MetaControllerTrainConfig,
+    TrainConfig,
+)
 from hrl_comfort.config.checks import part_name
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.overrides import (
@@ -41,7 +48,6 @@ from hrl_comfort.config.overrides import (
 from hrl_comfort.config.stages import stages_of, with_budget
 from hrl_comfort.config.structured import freeze, section
 from hrl_comfort.files.atomic import write_text
-from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import unfinished
 from hrl_comfort.files.relative_paths import resolved, same, stored
@@ -82,9 +88,8 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
     with _ALONE:
         known = check_overrides(root, overrides)
         try:
-            if root in AS_TRAINED:
-                known = [*_as_trained(known, AS_TRAINED[root]), *known]
-            return _settled(cls, composed(root, known), known)
+            run = _run_of(known) if root in AS_TRAINED else None
+            return _validated(cls, root, known if run is None else _with_sections(root, run, known))
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(one_line(error)) from error
         except RecursionError:
@@ -119,24 +124,39 @@ def _is_choice(asked: Override) -> bool:
 
 @lru_cache(maxsize=256)
 def _composed(root: str, known: tuple[str, ...]) -> DictConfig:
-    version.setbase("1.3")
-    found = ConfigLoaderImpl(search_path()).load_configuration(root, list(known), RunMode.RUN, from_shell=False)
-    with open_dict(found):
-        del found["hydra"]
-    return found
+    with hydra_over_conf():
+        return hydra.compose(root, list(known))
 
 
-def _settled(cls: type[C], node: DictConfig, overrides: list[str]) -> C:
-    """Return the configuration `cls` of a composed `node`, with its stages checked and their budget settled.
+@contextmanager
+def hydra_over_conf() -> Iterator[GlobalHydra]:
+    """Yield Hydra's global state, initialised over `conf/`; afterwards it is that of the program around this one."""
+    state = GlobalHydra.instance()
+    outer, state.hydra = state.hydra, None
+    try:
+        hydra.initialize_config_dir(str(config_dir()), "hrl-comfort", version_base="1.3")
+        yield state
+    finally:
+        state.hydra = outer
 
-    A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum.
+
+def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
+    """Return the configuration `cls` of `root` with its stages checked and their budget settled.
+
+    A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum. The overrides of
+    a controller's training become its configuration.
     """
+    node, words = composed(root, overrides), []
     if cls is EnvConfig:
         node = OmegaConf.masked_copy(node, [field.name for field in dataclasses.fields(cls)])
+    elif cls is HierarchyTrainConfig:
+        words, node.hierarchy.controller = node.hierarchy.controller, None
     config = freeze(cls, node)
     if isinstance(config, EnvConfig):
         for group, section in NAMES.items():
             part_name(section, str(attrgetter(section)(config)), choices(group))
+    if isinstance(config, HierarchyTrainConfig) and words:
+        config = dataclasses.replace(config, hierarchy=_with_controller(config, words))
     if not isinstance(config, TrainConfig):
         return config
     stages_of(config)
@@ -147,6 +167,16 @@ def _settled(cls: type[C], node: DictConfig, overrides: list[str]) -> C:
     if not any(line.startswith("agent.policy_steps=") for line in overrides):
         return dataclasses.replace(config, agent=dataclasses.replace(config.agent, policy_steps=total))
     return with_budget(config, asked)
+
+
+def _with_controller(config: HierarchyTrainConfig, words: Iterable[str]) -> HierarchyConfig:
+    """Return the section with the controller's training of overrides `words`, beside the robot and people there."""
+    root = "train_meta_controller"
+    if not isinstance(words, ListConfig):
+        raise ConfigError(f"hierarchy.controller={words!r} is not a list of overrides, such as ['human=patrol']")
+    known = check_overrides(root, [*map(str, words), "output=controller"])
+    controller = _validated(MetaControllerTrainConfig, root, _with_sections(root, config, known))
+    return dataclasses.replace(config.hierarchy, controller=controller)
 
 
 def environment(config: EnvConfig) -> EnvConfig:
@@ -269,28 +299,30 @@ def trained_environment(source: str) -> EnvConfig | None:
     return _of_file(EnvConfig, "train", values, home, file)
 
 
-def _as_trained(overrides: list[str], sections: Iterable[str]) -> list[str]:
-    """Return overrides that set `sections` as in the run of the given policy, the first that has a run.
-
-    For a group chosen in `overrides`, keys that any file of the group sets are left out.
-    """
+def _run_of(overrides: list[str]) -> EnvConfig | None:
+    """Return the environment that the given policy was trained in, of the first policy of which it is known."""
     parsed = {o.key_or_group: o.value() for o in map(parse, overrides)}
     given = {key: value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")}
     # The environment of a learned controller comes before those of its skills.
     sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta_controller")]
-    run = next((found for source in sources if (found := trained_environment(str(source)))), None)
-    if run is None:
-        return []
-    trained = []
-    for part in sections:
+    return next((found for source in sources if (found := trained_environment(str(source)))), None)
+
+
+def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]:
+    """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
+
+    For a group chosen in `overrides`, keys that any file of the group sets are left out.
+    """
+    chosen, trained = {parse(line).key_or_group for line in overrides}, []
+    for part in AS_TRAINED[root]:
         stated, group = set(), part.split(".")[0]
-        if group in parsed:
+        if group in chosen:
             files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
         for key, value in _fields(part, attrgetter(part)(run)):
             if key.split(".")[1] not in stated:
                 trained.append(override(key, value))
-    return trained
+    return [*trained, *overrides]
 
 
 def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""Configuration of the hierarchy: its trainings, and the meta-controller above its options."""
+"""Configuration of the meta-controller above the options, and of its learner."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hrl_comfort.config.checks import Widths, between, choice, unique, within
-from hrl_comfort.config.learning import StageConfig
 
-CONTROLLERS = ("none", "scripted", "cautious", "random", "learned")
+SORTERS = ("scripted", "cautious", "random")
+"""Controllers of `sort` that are not learned."""
+CONTROLLERS = ("none", *SORTERS, "learned")
 META_OBSERVATIONS = ("default", "proximity")
 
 
@@ -73,26 +74,3 @@ class MetaControllerAgentConfig:
 
     def __post_init__(self) -> None:
         between("meta_controller_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
-
-
-@dataclass(frozen=True)
-class HierarchyConfig:
-    """Budgets and steps of a hierarchy's trainings."""
-
-    shares: dict[str, Annotated[float, within(0.001, 1000.0)]]
-    """Budget of each option's training, as a multiple of `agent.policy_steps`. The curriculum stages of that training
-    are lengthened or shortened in proportion."""
-    terminal_states_episodes: Annotated[int, within(2, 10**6)]
-    """Number of episodes run to record terminal states; the next option is trained from the ends of those that
-    succeed."""
-    refinement: list[StageConfig]
-    """Curriculum stages of a second training of every option, from the last of the cycle to the first; []: no second
-    training. When an option succeeds in this training, it also earns a value for the state it reached, from the critics
-    of the next option in the cycle (`agent.next_skill`). The last option of the cycle earns nothing extra."""
-    episodes: Annotated[int, within(1, 1000)]
-    """Episodes of every evaluation."""
-    levels: list[int]
-    """Comfort levels of every evaluation, as in `evaluate`."""
-    controller: list[str]
-    """Overrides for a `train meta_controller` that runs after the options are trained, for example `['human=patrol']`;
-    it trains a controller for `task=sort`. []: no such training."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from pandas import DataFrame
 from rich.console import Console
 
 from hrl_comfort.agents import checkpoint
@@ -15,15 +13,12 @@ from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell, in_terminal, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose, warn_unfinished
-from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.episode import COLUMNS
 from hrl_comfort.evaluation.rollout import Result, rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import EVALUATION_MARKS, output_file, output_folder
 from hrl_comfort.files.tables import write_table
-from hrl_comfort.policies.load import Source
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -51,19 +46,6 @@ def evaluate(config: EvaluateConfig) -> Path:
             Console().print(of_groups(with_totals(summary["groups"], result.table)))
     print(output)
     return output
-
-
-def evaluate_policy(policy: Source, choices: Mapping[str, object]) -> DataFrame:
-    """Return the episodes of `policy` under `choices`, overrides of `hrl-comfort evaluate`; write nothing.
-
-    Raises:
-      ConfigError: a choice is not allowed, or the policy does not fit.
-    """
-    named = {"policy": policy} if isinstance(policy, str) else {}
-    warn_unfinished(named.get("policy"))
-    config = compose("evaluate", [override(key, value) for key, value in {**named, **choices}.items()])
-    assert isinstance(config, EvaluateConfig)
-    return rollout(config, policy).table
 
 
 def evaluate_checkpoints(config: EvaluateConfig) -> Path:

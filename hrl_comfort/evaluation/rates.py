@@ -33,11 +33,11 @@ class Course:
 
     def touched(self) -> dict[str, Any]:
         """Return what the arm touched in the episode, by the fields of `Episode`."""
-        table, itself = self.table_collision.any(), self.self_collision.any()
+        table, own = self.table_collision.any(), self.self_collision.any()
         return {
             "contact": bool(self.touching.any()),
             "unsafe_contact": bool(self.unsafe_contact.any()),
-            "other_collision": "table" if table else "self" if itself else "none",
+            "other_collision": "table" if table else "self" if own else "none",
         }
 
 

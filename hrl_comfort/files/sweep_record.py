@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -82,7 +84,12 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
     try:
         parsed = [parse(str(line)) for line in OmegaConf.create(read_yaml(file)[0]).hydra.overrides.task]
         check_jobs(parsed)
-        (jobs,) = BasicSweeper.split_arguments(parsed, None)
+        return list(product(*{each.get_key_element(): _values(each) for each in parsed}.values()))
     except DAMAGED as error:
         raise damaged(file, error) from None
-    return [tuple(job) for job in jobs]
+
+
+def _values(asked: Override) -> Iterator[str]:
+    """Yield an override for each value that `asked` sweeps over, as Hydra's own sweeper writes them."""
+    swept = asked.sweep_string_iterator() if asked.is_sweep_override() else [asked.get_value_element_as_str()]
+    return (f"{asked.get_key_element()}={value}" for value in swept)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
-from hrl_comfort.hierarchy.meta_controllers import in_order, make_choice
+from hrl_comfort.hierarchy.meta_controllers import CHOICES, in_order
 from hrl_comfort.hierarchy.options import Option, chain
 from hrl_comfort.hierarchy.sort import sorting_options
 from hrl_comfort.policies.load import Source, make_policy
@@ -77,7 +77,7 @@ def check_stages(parts: list[Subtask], task: Subtask) -> None:
 def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
     """Return the meta-controller of `sort` that `config` names."""
     if config.meta_controller.name != "learned":
-        return make_choice(config.meta_controller.name, seed)
+        return CHOICES[config.meta_controller.name](seed)
     if "meta_controller" not in config.policies:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
     from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl

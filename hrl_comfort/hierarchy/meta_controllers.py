@@ -1,16 +1,19 @@
 """Meta-controllers: pure functions that choose the next option from a `Decision`.
 
-Those of `sort` rely on the order of `sorting_options`: for each level a skill may be told, the one in force
+Those of `sort` rely on the order of `sorting_options`: for each level a skill may be given, the one in force
 first, a pick for each of B balls, place and return; then wait and retreat.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import implemented
+from hrl_comfort.config.hierarchy import SORTERS
 from hrl_comfort.hierarchy.executor import Choose, Decision
 
 WAIT, RETREAT = -2, -1
@@ -81,17 +84,12 @@ def with_level_override(choose: Choose) -> Choose:
     return chosen
 
 
-def make_choice(name: str, seed: int) -> Choose:
-    """Return the meta-controller `name` of `sort`; `learned` is loaded by `q_learning.load_choice`.
-
-    Raises:
-      ConfigError: there is no such controller.
-    """
-    known: dict[str, Choose] = {
-        "scripted": with_level_override(nearest),
-        "cautious": with_level_override(cautious),
-        "random": at_random(seed),
-    }
-    if name not in known:
-        raise ConfigError(f"meta_controller={name} does not sort; choose one of {', '.join(known)} or learned")
-    return known[name]
+CHOICES: dict[str, Callable[[int], Choose]] = implemented(
+    SORTERS,
+    {
+        "scripted": lambda seed: with_level_override(nearest),
+        "cautious": lambda seed: with_level_override(cautious),
+        "random": at_random,
+    },
+)
+"""Meta-controllers of `sort` by name, from a seed; `learned` is loaded by `q_learning.load_choice`."""

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
+from hrl_comfort.config.checks import implemented
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import human, joint_error, nearness, tool
@@ -14,7 +16,7 @@ ROUND = len(CYCLE.stages)
 """Stages of one ball's round: pick, place, return."""
 OTHERS, BALL = 14, 9
 """Sizes of the parts of neither a ball nor the person, and of each ball."""
-PERSON = {"default": 4, "proximity": 1}
+PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1})
 """Size of the person's part, by `meta_controller_agent.observation`."""
 
 
@@ -48,9 +50,9 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
-    told = torch.stack([ease, leveled.double()], dim=-1)
+    level_given = torch.stack([ease, leveled.double()], dim=-1)
     seen = nearness(state) if layout == "proximity" else _position_and_facing(state)
-    return torch.cat([seen, tool(state), joint_error(state), stage, told, balls.flatten(1)], dim=-1).float()
+    return torch.cat([seen, tool(state), joint_error(state), stage, level_given, balls.flatten(1)], dim=-1).float()
 
 
 def _position_and_facing(state: State) -> Tensor:

@@ -41,7 +41,7 @@ class Option:
     ball: int | None = None
     """Ball that a pick is for."""
     level: float | None = None
-    """Comfort level that the policy is told instead of the one in force."""
+    """Comfort level that the policy is given instead of the one in force."""
 
     @property
     def last(self) -> int:

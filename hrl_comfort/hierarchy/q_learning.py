@@ -67,20 +67,26 @@ class QLearner:
             storage=LazyTensorStorage(config.buffer_size), batch_size=config.batch_size
         )
 
+        self.updates = 0
+
     @torch.no_grad()
-    def choose(self, observation: Tensor, mask: Tensor, exploration: float) -> Tensor:
-        """Return options (N,): the best by value, or with probability `exploration` any that can start."""
-        best = greedy(self.network, observation, mask)
+    def act(self, now: TensorDictBase, exploration: float = 0.0) -> Tensor:
+        """Return options (N,): the best by value, or with probability `exploration` any that can start.
+
+        `now` holds `observation` (N, D) and `action_mask` (N, K) bool.
+        """
+        mask = now["action_mask"]
+        best = greedy(self.network, now["observation"], mask)
         anything = torch.multinomial(mask.float(), 1).squeeze(1)
         return torch.where(torch.rand(len(best)) < exploration, anything, best)
 
-    def remember(self, transitions: TensorDictBase) -> None:
+    def observe(self, transitions: TensorDictBase) -> None:
         """Store transitions (F,) of `OptionEnv.transitions`."""
         if len(transitions):
             self.buffer.extend(transitions)
 
-    def update(self) -> float:
-        """Do one update and return its loss."""
+    def update(self) -> dict[str, float]:
+        """Do one update and return its `loss`."""
         found = self.loss(self.buffer.sample())["loss"]
         self.optimiser.zero_grad()
         found.backward()
@@ -88,7 +94,8 @@ class QLearner:
         self.optimiser.step()
         self.target.step()
         self.average.update_parameters(self.network)
-        return float(found.detach())
+        self.updates += 1
+        return {"loss": float(found.detach())}
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, as plain data."""
@@ -96,6 +103,7 @@ class QLearner:
             "loss": self.loss.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
+            "updates": self.updates,
             "generator": torch.get_rng_state(),
             **replay_state(self.buffer),
         }
@@ -105,6 +113,7 @@ class QLearner:
         self.loss.load_state_dict(state["loss"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
+        self.updates = state["updates"]
         load_replay(self.buffer, state)
         torch.set_rng_state(state["generator"])
 

@@ -29,7 +29,7 @@ REST_RAD_S = 0.1
 def sorting_options(
     meta_controller: MetaControllerConfig, policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
 ) -> list[Option | IdleOption]:
-    """Return a pick for each ball, place and return, for each level they may be told, then wait and retreat.
+    """Return a pick for each ball, place and return, for each level they may be given, then wait and retreat.
 
     Policies, by subtask name, see the level in force or, in further options, one of
     `meta_controller.level_override`.
@@ -46,10 +46,10 @@ def sorting_options(
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action!r} does not go with task={config.task.name}; choose joint")
     comfort = config.comfort
-    for told in meta_controller.level_override:
-        if comfort.source == "none" or told > comfort.levels:
+    for given in meta_controller.level_override:
+        if comfort.source == "none" or given > comfort.levels:
             raise ConfigError(
-                f"meta_controller.level_override={told} with comfort.source={comfort.source} and "
+                f"meta_controller.level_override={given} with comfort.source={comfort.source} and "
                 f"comfort.levels={comfort.levels}; "
                 "choose among the levels of a source, or meta_controller.level_override=[]"
             )

@@ -16,7 +16,8 @@ from hrl_comfort.analysis import comparison, level_change, tables
 from hrl_comfort.analysis import handover as handovers
 from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS, common, of_spawns, paired, summarise
 from hrl_comfort.analysis.episodes import chain_lengths
-from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.config import FIGURES, ConfigError, FigureConfig
+from hrl_comfort.config.checks import implemented
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Run, read_run
@@ -163,7 +164,7 @@ def _divisions(config: FigureConfig, groups: Groups) -> Drawn:
     return hierarchy.comparison(numbers["divisions"], comparison.RESULTS), dict(numbers)
 
 
-KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
+_KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "levels": _levels,
     "speed": _levels,
     "plane": _plane,
@@ -175,6 +176,7 @@ KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "controllers": _controllers,
     "divisions": _divisions,
 }
+KINDS = implemented(tuple(name for name in FIGURES if name != "handover"), _KINDS)
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "levels": tables.levels,
     "controllers": comparison.table,

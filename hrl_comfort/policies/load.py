@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
-from hrl_comfort.config import POLICIES, ConfigError, EnvConfig
-from hrl_comfort.config.checks import import_object, is_object
+from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig
+from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
@@ -162,10 +162,11 @@ def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvC
             raise ConfigError(f"{key}={here}, but policy={source!r} was trained with {key}={there}")
 
 
-SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
+_SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "expert": lambda task, scene, config, seed: Expert(scene, config, task).act,
     "potential_field": lambda task, scene, config, seed: PotentialField(scene, config, task).act,
     "predictive_sampling": lambda task, scene, config, seed: PredictiveSampling(scene, config, task).act,
     "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),
 }
+SCRIPTED = implemented(SCRIPTED_POLICIES, _SCRIPTED)
 """Value of `policy=` -> function that makes the policy."""

@@ -30,7 +30,7 @@ ANGLES, ROUNDS = 72, 4
 """Of the search for the farthest point that an arm reaches."""
 
 
-def doubts(config: EnvConfig) -> Iterator[str]:
+def layout_warnings(config: EnvConfig) -> Iterator[str]:
     """Yield what is likely wrong with the layout of a cell, a line each."""
     task, name = config.task, "cycle" if isinstance(config, HierarchyTrainConfig) else config.task.name
     shoulder, most = reach(config.robot.name)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
@@ -20,11 +19,13 @@ from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
-from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
 
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
+OUTCOMES = {RunState.NEW: "done", RunState.STOPPED: "resumed", RunState.FINISHED: "skipped, finished"}
+"""What a sweep reports of a job that ended well, by its state before."""
 LOCAL_LAUNCHERS = ("basic", "joblib")
 """Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
 
@@ -59,17 +60,16 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     in_worker = launcher == "joblib" and hydra.launcher.n_jobs != 1
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
-    GlobalHydra.instance().clear()  # the job composes its own configuration
     try:
         config = compose(root_of(verb), words)
         assert isinstance(config, TrainingConfig | EvaluateConfig)
-        rest = rest_of(config)
+        state = state_of(config)
         record.write(folder)
-        if rest is not Left.NOTHING:
-            arguments = [override("resume", folder)] if rest is Left.REST else words
+        if state is not RunState.FINISHED:
+            arguments = [override("resume", folder)] if state is RunState.STOPPED else words
             run_in_subprocess(verb, arguments) if in_worker else run(arguments)
         replace(record, state="done").write(folder)
-        return JobResult(rest.value, str(folder), score=math.nan if sweeper == "basic" else _score(folder))
+        return JobResult(OUTCOMES[state], str(folder), score=math.nan if sweeper == "basic" else _score(folder))
     except Preempted as stopped:
         replace(record, state="stopped", why=str(stopped)).write(folder)
         if launcher in LOCAL_LAUNCHERS:
@@ -83,8 +83,8 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
         return JobResult("failed", str(folder), why)
 
 
-def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
-    """Return the work left in the job that `config` describes, by the content of its output folder.
+def state_of(config: TrainingConfig | EvaluateConfig) -> RunState:
+    """Return the state of the job that `config` describes, by the content of its output folder.
 
     An evaluation is finished while its summary is newer than every policy of it.
 
@@ -99,14 +99,14 @@ def rest_of(config: TrainingConfig | EvaluateConfig) -> Left:
         raise OtherRunError(f"output={folder} holds other files than those of this command; {INSIST}")
     file = folder / (HIERARCHY if isinstance(config, HierarchyTrainConfig) else "config.yaml")
     if not file.is_file():
-        return Left.ALL
+        return RunState.NEW
     there = load_config(file)
     same = is_same(there, config)
     if isinstance(config, EvaluateConfig):
-        return Left.NOTHING if same and _is_newest(folder / "summary.json", config) else Left.ALL
+        return RunState.FINISHED if same and _is_newest(folder / "summary.json", config) else RunState.NEW
     if not same:
         raise OtherRunError(f"output={folder} holds another run; choose another, or delete it")
-    return left(folder)
+    return run_state(folder)
 
 
 def _is_newest(summary: Path, config: EvaluateConfig) -> bool:

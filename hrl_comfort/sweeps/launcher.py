@@ -9,19 +9,15 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from hydra import version
-from hydra._internal.hydra import Hydra
-from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import one_of
-from hrl_comfort.config.compose import run_folder
+from hrl_comfort.config.compose import hydra_over_conf, run_folder
 from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
-from hrl_comfort.files.configurations import search_path
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.output import INSIST
 from hrl_comfort.files.sweep_record import find_jobs, planned
@@ -50,28 +46,26 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
     if verb == "evaluate" and not outputs and _of_runs(checked):
         rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
-    version.setbase("1.3")
-    hydra_app = Hydra.create_main_hydra2("hrl-comfort", search_path())
     command, batches, crash = uuid.uuid4().hex, None, ""
     task = partial(job, verb, run, command)
     root = root_of(verb)
     try:
-        rest += _plugin_overrides(rest, hydra_app.config_loader.get_group_options)
-        asked = hydra_app.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
-        folder = Path(asked.hydra.sweep.dir)
-        record = target_of(folder / "multirun.yaml")
-        if record.exists() and not overwrites() and "hydra" not in read_yaml(record)[1]:
-            raise ConfigError(f"{record} is not the record of a sweep; {INSIST}")
-        rest.append(override("hydra.sweep.dir", folder))  # its default holds the time, which must not change
-        batches = hydra_app.multirun(root, task, rest, with_log_configuration=False)
+        with hydra_over_conf() as state:
+            assert state.hydra is not None
+            rest += _plugin_overrides(rest, state.config_loader().get_group_options)
+            asked = state.hydra.compose_config(root, rest, RunMode.MULTIRUN, with_log_configuration=False)
+            folder = Path(asked.hydra.sweep.dir)
+            record = target_of(folder / "multirun.yaml")
+            if record.exists() and not overwrites() and "hydra" not in read_yaml(record)[1]:
+                raise ConfigError(f"{record} is not the record of a sweep; {INSIST}")
+            rest.append(override("hydra.sweep.dir", folder))  # its default holds the time, which must not change
+            batches = state.hydra.multirun(root, task, rest, with_log_configuration=False)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     except ERRORS:
         raise
     except Exception as error:  # noqa: BLE001  launchers and sweepers of extras raise classes of their own
         crash = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    finally:
-        GlobalHydra.instance().clear()
     if batches is None:
         _report_records(folder, command, crash)
         return

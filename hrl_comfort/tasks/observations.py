@@ -11,6 +11,8 @@ import math
 import torch
 from torch import Tensor
 
+from hrl_comfort.config.checks import implemented
+from hrl_comfort.config.task import OBSERVATIONS
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Ball, Stage, StateFunction, by_stage
 
@@ -150,4 +152,6 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     return {"paper": term}
 
 
-LAYOUTS = {"default": standard, "proximity": proximity, "set_points": set_points, "paper": paper}
+LAYOUTS = implemented(
+    OBSERVATIONS, {"default": standard, "proximity": proximity, "set_points": set_points, "paper": paper}
+)

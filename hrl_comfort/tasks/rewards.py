@@ -90,7 +90,7 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, TransitionFunction]:
         terms["home_progress"] = progress(stages, joint_space=True)
         terms["return_shaping"] = return_shaping
     for bonus in dict.fromkeys(stage.bonus for stage in stages):
-        paid = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
-        terms[bonus] = paid[0] if len(paid) == 1 else total(paid)
+        completions = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
+        terms[bonus] = completions[0] if len(completions) == 1 else total(completions)
     common = (arrival_speed, contact, other_collision, step, overtime)
     return {**terms, **{term.__name__: term for term in common}}

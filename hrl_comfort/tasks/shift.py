@@ -21,15 +21,15 @@ def repeated(task: Subtask) -> Subtask:
     def observed(term: StateFunction) -> StateFunction:
         return lambda state: term(state.with_(stage=state.stage % len(task.stages)))
 
-    def paid(term: TransitionFunction) -> TransitionFunction:
-        def in_round(before: State, after: State) -> Tensor:
+    def within_round(term: TransitionFunction) -> TransitionFunction:
+        def reward(before: State, after: State) -> Tensor:
             start = before.stage - before.stage % len(task.stages)
             return term(before.with_(stage=before.stage - start), after.with_(stage=after.stage - start))
 
-        return in_round
+        return reward
 
     observations = {name: observed(term) for name, term in task.observations.items()}
-    rewards = {name: paid(term) for name, term in task.rewards.items()}
+    rewards = {name: within_round(term) for name, term in task.rewards.items()}
     return replace(task, observations=observations, rewards=rewards, repeats=True)
 
 

@@ -125,15 +125,15 @@ class Subtask:
 
     def failure(self, state: State) -> Tensor:
         """Return (N,) bool: a contact with the human, as `terminate_on` says, or with the workcell or itself."""
-        contact, table, itself = (getattr(state, name) for name in self._failures)
-        return contact | table | itself
+        contact, table, own = (getattr(state, name) for name in self._failures)
+        return contact | table | own
 
     def failed(self, before: State, after: State) -> Tensor:
         """Return (N,) bool: a control step ends in failure or, if stages are repeated, a failure begins in it."""
         if not self.repeats:
             return self.failure(after)
-        contact, table, itself = (getattr(after, name) & ~getattr(before, name) for name in self._failures)
-        return contact | table | itself
+        contact, table, own = (getattr(after, name) & ~getattr(before, name) for name in self._failures)
+        return contact | table | own
 
     @property
     def _failures(self) -> tuple[str, str, str]:

@@ -1,9 +1,8 @@
-"""Collectors step environments for the trainer, optionally with a demonstrator in some of them."""
+"""Collector of the training of a skill, optionally with a demonstrator in some environments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,8 @@ from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy, observed_by
 from hrl_comfort.tasks import subtask
+from hrl_comfort.training.logger import OUTCOMES
+from hrl_comfort.training.loop import Collected, Outcome
 
 Demonstrator = Callable[[], Tensor]
 """() -> actions (demonstrator_envs, A) in [-1, 1] for the first environments."""
@@ -25,52 +26,13 @@ NextSkillValue = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
 
 
-@dataclass(frozen=True)
-class Transition:
-    """Result of one decision in each of N environments."""
-
-    action: Tensor
-    """(N, A): the action taken, the demonstrator's in its environments."""
-    reward: Tensor
-    """(N,)."""
-    terminal_value: Tensor
-    """(N,): value of a success to the next skill, discounted; added to the reward."""
-    next_observation: Tensor
-    """(N, D): before an environment is reset."""
-    observation: Tensor
-    """(N, D): the observation of the next decision."""
-    reward_terms: Tensor
-    """(N, T)."""
-    success: Tensor
-    """(N,) bool, as are the next five."""
-    terminated: Tensor
-    done: Tensor
-    contact: Tensor
-    unsafe_contact: Tensor
-    other_collision: Tensor
-    steps: Tensor
-    """(N,) int64: control steps in the episode."""
-    decision_steps: Tensor
-    """(N,) int64: control steps in the decision."""
-    shield_share_mean: Tensor
-    """(N,): part of the speed asked for that the shield passed in the episode so far; 1 without a shield."""
-    protective_stops: Tensor
-    """(N,) int64: in the episode so far."""
-
-
-COLUMNS = (
-    *("success", "terminated", "done", "contact", "unsafe_contact", "other_collision", "steps", "decision_steps"),
-    *("shield_share_mean", "protective_stops"),
-)
-"""Fields of `Transition` that the environment reports as (N, 1)."""
-
-
-class Collector:
+class SkillCollector:
     """Steps a batched environment one decision at a time.
 
     Args:
         config: names the demonstrator and the next skill, and holds gamma.
-        env: TorchRL environment of N rows that reports `COLUMNS` and `reward_terms`.
+        env: TorchRL environment of N rows that reports `OUTCOMES`, but the return, and `decision_steps` as (N, 1), and
+            `reward_terms` (N, T).
         demonstrator: acts in the first environments.
         next_skill: values of successes.
 
@@ -93,49 +55,81 @@ class Collector:
         self.observation_dim = env.observation_spec["observation"].shape[-1]
         self.action_dim = env.action_spec.shape[-1]
         self.reward_names = tuple(env.reward_names)
-        self._now: TensorDictBase = TensorDict()
+        self.demonstrated = torch.arange(self.num_envs) < config.demonstrator_envs
+        """(N,) bool: the environments in which the demonstrator acts."""
+        self.precision_m = 0.0
+        """Precision of the episodes that begin from now on, m."""
+        self.now: TensorDictBase = TensorDict()
 
-    def reset(self, precision_m: float) -> Tensor:
-        """Begin an episode at this precision in every environment; return the observation (N, D)."""
+    def reset(self, precision_m: float) -> None:
+        """Begin an episode at this precision in every environment."""
+        self.precision_m = precision_m
         self._env.set_precision(precision_m)
-        self._now = self._env.reset()
-        return self._now["observation"]
+        self.now = self._env.reset()
+        self._precision = torch.full((self.num_envs,), precision_m, dtype=torch.float64)
+        self._returns = torch.zeros(self.num_envs, dtype=torch.float64)
+        self._terms = torch.zeros(self.num_envs, len(self.reward_names), dtype=torch.float64)
 
-    def step(self, action: Tensor, precision_m: float) -> Transition:
-        """Take actions (N, A) in [-1, 1]; episodes that begin after them are at this precision."""
-        self._env.set_precision(precision_m)
+    def step(self, action: Tensor) -> Collected:
+        """Take actions (N, A) in [-1, 1]; an outcome's `precision_m` is that of its episode."""
+        self._env.set_precision(self.precision_m)
         if self._demonstrator is not None:
             shown = self._demonstrator()
             action = torch.cat([shown.to(action.dtype), action[len(shown) :]])
-        stepped, self._now = self._env.step_and_maybe_reset(self._now.set("action", action))
+        before = self.now["observation"]
+        stepped, self.now = self._env.step_and_maybe_reset(self.now.set("action", action))
         after = stepped["next"]
-        columns = {name: after[name][:, 0] for name in COLUMNS}
-        reward = after["reward"][:, 0]
-        terminal_value = torch.zeros_like(reward)
+        reward = after["reward"]
         if self._next_skill is not None:
-            terminal_value = self._config.gamma ** columns["decision_steps"] * self._next_skill(columns["success"])
-        return Transition(
-            action=action,
-            reward=reward,
-            terminal_value=terminal_value,
-            next_observation=after["observation"],
-            observation=self._now["observation"],
-            reward_terms=after["reward_terms"],
-            **columns,
-        )
+            value = self._next_skill(after["success"][:, 0])
+            reward = reward + (self._config.gamma ** after["decision_steps"][:, 0] * value)[:, None]
+        transitions = {
+            "observation": before,
+            "action": action,
+            "steps_to_next_obs": after["decision_steps"],
+            "demonstrated": self.demonstrated,
+            "next": {
+                "observation": after["observation"],
+                "reward": reward.float(),
+                "terminated": after["terminated"],
+            },
+        }
+        return Collected(TensorDict(transitions, batch_size=[self.num_envs]), self._end_episodes(after))
+
+    def _end_episodes(self, after: TensorDictBase) -> list[Outcome]:
+        """Return the outcomes of the episodes that a step ended, but those of the demonstrator."""
+        self._returns += after["reward"][:, 0].double()
+        self._terms += after["reward_terms"].double()
+        rows = after["done"][:, 0].nonzero()[:, 0]
+        finished = []
+        for row in rows[~self.demonstrated[rows]].tolist():
+            outcome = {name: float(after[name][row, 0]) for name in OUTCOMES if name != "return"}
+            terms = zip(self.reward_names, self._terms[row].tolist(), strict=True)
+            outcome |= {"return": float(self._returns[row]), **{f"reward/{name}": value for name, value in terms}}
+            finished.append({**outcome, "precision_m": float(self._precision[row])})
+        self._returns[rows] = 0.0
+        self._terms[rows] = 0.0
+        self._precision[rows] = self.precision_m  # what their next episodes have just started with
+        return finished
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a bit-for-bit continuation needs."""
-        return {"env": self._env.state_dict(), "now": dict(self._now.items())}
+        return {
+            "env": self._env.state_dict(),
+            "now": dict(self.now.items()),
+            "precision_m": self.precision_m,
+            "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
+        }
 
-    def load_state_dict(self, state: dict[str, Any]) -> Tensor:
-        """Continue from `state_dict`; return the observation (N, D)."""
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
         self._env.load_state_dict(state["env"])
-        self._now = TensorDict(state["now"], batch_size=self._env.batch_size)
-        return self._now["observation"]
+        self.now = TensorDict(state["now"], batch_size=self._env.batch_size)
+        self.precision_m, episodes = state["precision_m"], state["episodes"]
+        self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 
 
-def make_collector(config: TrainConfig) -> Collector:
+def make_collector(config: TrainConfig) -> SkillCollector:
     """Return a collector over the batched workcells of `config`.
 
     Raises:
@@ -144,7 +138,7 @@ def make_collector(config: TrainConfig) -> Collector:
     env = CellEnv(environment(config), config.engine.num_envs, config.episode_seed)
     demonstrator = None if config.agent.demonstrator is None else make_demonstrator(config, env)
     next_skill = None if config.agent.next_skill is None else make_next_skill_value(config, env)
-    return Collector(config.agent, env, demonstrator, next_skill)
+    return SkillCollector(config.agent, env, demonstrator, next_skill)
 
 
 def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:

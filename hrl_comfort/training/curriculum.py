@@ -38,7 +38,7 @@ def stage_list(config: TrainConfig) -> list[TrainingStage]:
 class Curriculum:
     """Precision schedule over one stage of `policy_steps`.
 
-    `off` stays at the task's own precision; `linear` goes from start to end over a share of the stage;
+    `off` stays at the task's own precision; `linear` goes from start to end over a fraction of the stage;
     `adaptive` subtracts `step_m` when the success rate over the last `window` episodes at the current
     precision reaches the threshold.
     """
@@ -54,8 +54,8 @@ class Curriculum:
         """Update by the policy steps of the stage so far and (precision, success) of episodes that just ended."""
         config = self._config
         if config.kind == "linear":
-            share = min(1.0, policy_steps / (config.fraction * self._policy_steps))
-            self.precision_m = config.start_m + share * (config.end_m - config.start_m)
+            phase = min(1.0, policy_steps / (config.fraction * self._policy_steps))
+            self.precision_m = config.start_m + phase * (config.end_m - config.start_m)
         elif config.kind == "adaptive":
             for precision_m, success in finished:
                 # Episodes that began before the last tightening were easier.

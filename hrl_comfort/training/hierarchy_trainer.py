@@ -6,24 +6,33 @@ Every part leaves a file by which a later call knows that it is done, so the sam
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from hrl_comfort.analysis.tables import of_groups
-from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.compose import compose, is_same, load_config, save_config
-from hrl_comfort.config.overrides import override
+from hrl_comfort.config import (
+    ConfigError,
+    EnvConfig,
+    EvaluateConfig,
+    HierarchyTrainConfig,
+    MetaControllerConfig,
+    MetaControllerTrainConfig,
+    TrainConfig,
+)
+from hrl_comfort.config.compose import environment, is_same, load_config, save_config
 from hrl_comfort.config.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
-from hrl_comfort.training.left import HIERARCHY, Left, left
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
+from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
 from hrl_comfort.training.trainer import train
 
 EPISODE_LENGTH = {"cycle": 3}
@@ -47,12 +56,14 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
         save_config(config, folder / HIERARCHY)
         begin = time.monotonic()
         try:
-            policies = train_options(config, folder)
-            if config.hierarchy.controller:
-                policies["meta_controller"] = train_controller(config, folder, policies)
+            options = train_options(config, folder)
+            if (controller := controller_config(config, folder)) is not None:
+                _train(controller)
         except Preempted as stopped:
             raise Preempted(f"stopped by SIGTERM; go on with train hierarchy resume={folder}") from stopped
-        evaluate_all(config, folder, policies)
+        for evaluation in evaluations(config, folder, options):
+            if not (Path(evaluation.output) / "summary.json").is_file():
+                evaluate(evaluation)
         write_provenance(folder, config, finished=True, seconds=time.monotonic() - begin)
     return folder
 
@@ -72,29 +83,32 @@ def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfi
 
 def _check(config: HierarchyTrainConfig, folder: Path) -> None:
     """Raise ConfigError at a choice that a later part would refuse."""
-    for name in config.meta_controller.options:
-        stages_of(option_config(config, name, folder, "ik"))
+    options = {name: option_config(config, name, folder / name, "ik") for name in config.meta_controller.options}
+    for name, option in options.items():
+        stages_of(option)
         if config.hierarchy.refinement:
-            stages_of(refined_config(config, name, folder, "ik", folder, None), "hierarchy.refinement")
-    compose("train_meta_controller", config.hierarchy.controller)
+            stages_of(refined_config(config, option, folder / f"{name}_first", None), "hierarchy.refinement")
+    evaluations(config, folder, options.values())
 
 
-def train_options(config: HierarchyTrainConfig, folder: Path) -> dict[str, Path]:
-    """Train every option, then refine them from the last to the first; return their run folders."""
-    options, refined = list(config.meta_controller.options), bool(config.hierarchy.refinement)
-    first = {name: folder / (f"{name}_first" if refined else name) for name in options}
-    starts, start = {}, "ik"
-    for name in options:
-        starts[name] = start
-        _train(option_config(config, name, first[name], start))
-        if name != options[-1]:
-            start = terminal_states_of(first[name], config.hierarchy.terminal_states_episodes)
-    final = {name: folder / name for name in options}
-    following = None
-    for name in reversed(options) if refined else ():
-        _train(refined_config(config, name, final[name], starts[name], first[name], following))
-        following = final[name]
-    return final
+def train_options(config: HierarchyTrainConfig, folder: Path) -> list[TrainConfig]:
+    """Train every option, then refine them from the last to the first; return the configurations of their runs."""
+    names, refined = list(config.meta_controller.options), bool(config.hierarchy.refinement)
+    options, start = [], "ik"
+    for name in names:
+        options.append(option_config(config, name, folder / (f"{name}_first" if refined else name), start))
+        _train(options[-1])
+        if name != names[-1]:
+            start = terminal_states_of(options[-1], config)
+    following: Path | None = None
+    if not refined:
+        return options
+    again: list[TrainConfig] = []
+    for name, first in zip(reversed(names), reversed(options), strict=True):
+        again.append(refined_config(config, replace(first, output=str(folder / name)), Path(first.output), following))
+        _train(again[-1])
+        following = folder / name
+    return again[::-1]
 
 
 def option_config(config: HierarchyTrainConfig, name: str, folder: Path, start: str) -> TrainConfig:
@@ -102,94 +116,108 @@ def option_config(config: HierarchyTrainConfig, name: str, folder: Path, start: 
     length = config.task.max_episode_steps * EPISODE_LENGTH.get(name, 1)
     task = replace(config.task, name=name, start=start, max_episode_steps=length)
     own = train_config(config, task=task, output=str(folder), resume=None)
-    return with_budget(own, max(1, round(config.agent.policy_steps * config.hierarchy.shares[name])))
+    return with_budget(own, max(1, round(config.agent.policy_steps * config.hierarchy.budget_fractions[name])))
 
 
 def refined_config(
-    config: HierarchyTrainConfig, name: str, folder: Path, start: str, first: Path, following: Path | None
+    config: HierarchyTrainConfig, option: TrainConfig, first: Path, following: Path | None
 ) -> TrainConfig:
-    """Return the configuration of an option's second training, from the policy of `first`."""
-    own = option_config(config, name, folder, start)
+    """Return the configuration of an option's second training, from the policy of its `first`."""
     stages = config.hierarchy.refinement
     budget = sum(stage.policy_steps for stage in stages)
-    agent = replace(own.agent, policy_steps=budget, next_skill=None if following is None else str(following))
-    curriculum = replace(own.curriculum, stages=stages)
-    again = replace(own, agent=agent, curriculum=curriculum, initial_policy=str(first))
-    return with_budget(again, max(len(stages), round(budget * config.hierarchy.shares[name])))
+    agent = replace(option.agent, policy_steps=budget, next_skill=None if following is None else str(following))
+    curriculum = replace(option.curriculum, stages=stages)
+    again = replace(option, agent=agent, curriculum=curriculum, initial_policy=str(first))
+    return with_budget(again, max(len(stages), round(budget * config.hierarchy.budget_fractions[option.task.name])))
 
 
-def _train(config: TrainConfig) -> None:
+def controller_config(config: HierarchyTrainConfig, folder: Path) -> MetaControllerTrainConfig | None:
+    """Return the configuration of the training of a meta-controller of `sort` above the options, if there is one."""
+    controller = config.hierarchy.controller
+    if controller is None:
+        return None
+    policies = {name: str(folder / name) for name in config.meta_controller.options}
+    return replace(
+        controller, policies=policies, train_seed=config.train_seed, episode_seed=config.episode_seed,
+        output=str(folder / controller.output),
+    )  # fmt: skip
+
+
+def _train(config: TrainConfig | MetaControllerTrainConfig) -> None:
     """Train in the folder that `config` names, unless that is done; go on where it was stopped."""
-    rest = left(Path(config.output))
-    if rest is not Left.NOTHING:
-        train(replace(config, resume=config.output) if rest is Left.REST else config)
+    state = run_state(Path(config.output))
+    if state is RunState.STOPPED:
+        config = replace(config, resume=config.output)
+    if state is not RunState.FINISHED:
+        train(config) if isinstance(config, TrainConfig) else train_meta_controller(config)
 
 
-def terminal_states_of(folder: Path, episodes: int) -> str:
-    """Return the file of a run's recorded terminal states; `ik`, with a warning, where no episode succeeds."""
-    path = folder / "terminal_states.npz"
-    words = [override("policy", folder), f"episodes={episodes}", override("terminal_states", path)]
+def terminal_states_of(option: TrainConfig, config: HierarchyTrainConfig) -> str:
+    """Return the file of an option's recorded terminal states; `ik`, with a warning, where no episode succeeds."""
+    path = Path(option.output) / "terminal_states.npz"
+    asked = _evaluation(
+        option, _alone(config), Path(option.output), policy=option.output,
+        episodes=config.hierarchy.terminal_states_episodes, terminal_states=str(path),
+    )  # fmt: skip
     try:
         if not path.is_file():
-            record_terminal_states(_evaluation(words))
+            record_terminal_states(asked)
     except ConfigError as error:
         Console(stderr=True).print(f"{error}; the next option starts from inverse kinematics", soft_wrap=True)
         return "ik"
     return str(path)
 
 
-def train_controller(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> Path:
-    """Train a meta-controller of `sort` above the options; return its folder."""
-    output = folder / "controller"
-    rest = left(output)
-    if rest is Left.NOTHING:
-        return output
-    seeds = [f"train_seed={config.train_seed}", f"episode_seed={config.episode_seed}"]
-    words = [*config.hierarchy.controller, *_policies(policies), *seeds, override("output", output)]
-    own = compose("train_meta_controller", words)
-    assert isinstance(own, MetaControllerTrainConfig)
-    return train_meta_controller(replace(own, resume=str(output)) if rest is Left.REST else own)
-
-
-def evaluate_all(config: HierarchyTrainConfig, folder: Path, policies: dict[str, Path]) -> None:
-    """Evaluate every option, their chain in `cycle`, and the controllers of `sort` in `sort`.
+def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[TrainConfig]) -> list[EvaluateConfig]:
+    """Return the evaluations of every option, of their chain in `cycle`, and of the controllers of `sort` in `sort`.
 
     Beside people whose splits are kept apart the episodes are those of `validation`, else the paper's.
     """
-    options = {name: path for name, path in policies.items() if name != "meta_controller"}
-    split = "validation" if config.human.partitioned else "paper"
-    common = [f"episodes={config.hierarchy.episodes}", "record=true", "group_by=[seen]", f"split={split}"]
-    levels = [override("levels", config.hierarchy.levels)]
-    for path in options.values():
-        _evaluate([override("policy", path), *common, *levels], path / "eval")
-    division = [override("meta_controller.options", list(options))]
-    if "cycle" not in options:
-        chain = ["task=cycle", "meta_controller=scripted", *division, *_policies(options)]
-        _evaluate([*chain, *common, *levels], folder / "cycle" / "eval")
-    if "meta_controller" in policies:
-        own = {line: line.split("=")[0] for line in config.hierarchy.controller}
-        world = [line for line, key in own.items() if key.split(".")[0] in ("human", "task", "comfort")]
-        told = [line for line, key in own.items() if key.startswith("meta_controller.")]
-        sort = ["task=sort", "comfort=sort", "reward=sort", *world, *_policies(options), *common]
-        _evaluate([*sort, "meta_controller=scripted"], folder / "sort_scripted" / "eval")
-        learned = override("policies.meta_controller", policies["meta_controller"])
-        _evaluate([*sort, "meta_controller=learned", *told, learned], folder / "sort_learned" / "eval")
+    common: dict[str, Any] = {
+        "episodes": config.hierarchy.episodes,
+        "record": True,
+        "group_by": ["seen"],
+        "split": "validation" if config.human.partitioned else "paper",
+    }
+    at_levels: dict[str, Any] = {**common, "levels": config.hierarchy.levels}
+    parts = {option.task.name: option for option in options}
+    policies = {name: option.output for name, option in parts.items()}
+    found = [
+        _evaluation(option, _alone(config), folder / name, policy=option.output, **at_levels)
+        for name, option in parts.items()
+    ]
+    if "cycle" not in parts:
+        steps = config.task.max_episode_steps * EPISODE_LENGTH["cycle"]
+        cycle = replace(environment(config), task=replace(config.task, name="cycle", max_episode_steps=steps))
+        found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
+    if (sort := controller_config(config, folder)) is not None:
+        learned = sort.meta_controller
+        scripted = replace(learned, name="scripted", max_waits=None, level_override=[])
+        found.append(_evaluation(sort, scripted, folder / "sort_scripted", policies, **common))
+        policies = {**policies, "meta_controller": sort.output}
+        found.append(_evaluation(sort, learned, folder / "sort_learned", policies, **common))
+    return found
 
 
-def _policies(policies: dict[str, Path]) -> list[str]:
-    return [override(f"policies.{name}", path) for name, path in policies.items()]
+def _alone(config: HierarchyTrainConfig) -> MetaControllerConfig:
+    return replace(config.meta_controller, name="none")
 
 
-def _evaluation(words: list[str]) -> EvaluateConfig:
-    config = compose("evaluate", words)
-    assert isinstance(config, EvaluateConfig)
-    return config
-
-
-def _evaluate(words: list[str], output: Path) -> None:
-    """Evaluate into `output`, unless that is done."""
-    if not (output / "summary.json").is_file():
-        evaluate(_evaluation([*words, override("output", output)]))
+def _evaluation(
+    env: EnvConfig,
+    meta_controller: MetaControllerConfig,
+    folder: Path,
+    policies: dict[str, str] | None = None,
+    **asked: Any,
+) -> EvaluateConfig:
+    """Return an evaluation in `env` that goes to eval/ in `folder`: `asked`, and else that of no choices."""
+    sections: dict[str, Any] = vars(environment(env))
+    plain: dict[str, Any] = {
+        "policy": None, "checkpoints": "none", "split": "paper", "episode_seed": None, "levels": [], "group_by": [],
+        "record": False, "realtime": False, "disturbance": "none", "terminal_states": None,
+    }  # fmt: skip
+    own = {**plain, **asked, "policies": policies or {}, "output": str(folder / "eval")}
+    return EvaluateConfig(**sections, meta_controller=meta_controller, **own)
 
 
 def print_table(folder: Path) -> None:

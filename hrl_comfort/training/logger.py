@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,37 +19,28 @@ OUTCOMES = (
     *("success", "return", "steps", "contact", "unsafe_contact", "other_collision"),
     *("shield_share_mean", "protective_stops"),
 )
+"""Columns of an episode, to which the terms of its reward come: reward/NAME."""
 TIMING = ("policy_steps", "seconds", "policy_steps_per_s", "updates_per_s")
 
 
-class MetricsLog:
-    """Rows of metrics.csv, timing.csv and the boards; each averages over the time since the one before.
+class RowLog:
+    """Rows of a CSV; each averages the episodes and the updates since the one before.
 
     Without an episode or an update in that time, their columns are empty, never zero.
     """
 
-    _PLAIN = ("run_id", "rows", "episodes", "finished", "updates")
+    _PLAIN: tuple[str, ...] = ("rows", "episodes", "finished", "updates")
     """Attributes, without their underscore, that an exact continuation needs beside the sums."""
 
-    def __init__(self, folder: Path, reward_names: tuple[str, ...], config: TrainConfig) -> None:
-        self._folder, self._config = folder, config
-        self._outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
-        self.columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *self._outcomes, *TERMS)
-        self._metrics = GrowingTable(folder / "metrics.csv", self.columns)
-        self._timing = GrowingTable(folder / "timing.csv", TIMING)
+    def __init__(self, path: Path, columns: Sequence[str], outcomes: Sequence[str], terms: Sequence[str]) -> None:
+        self.columns, self._outcomes, self._terms = columns, outcomes, terms
+        self._table = GrowingTable(path, columns)
         self._sums: dict[str, float] = {}
         self._finished = self._updates = self._episodes = self._rows = 0
-        self._boards: list[SummaryWriter | WandbBoard] = []
-        self._run_id = uuid.uuid4().hex
-        """Of Weights & Biases: a resumed training continues its run there."""
 
-    def start(self, policy_steps: int) -> None:
-        """Cut the files back to the rows that this log knows of, and open the boards at `policy_steps`."""
-        self._metrics.begin(self._rows)
-        self._timing.begin(self._rows)
-        self._boards = [SummaryWriter(str(self._folder), purge_step=policy_steps)]
-        if self._config.logger == "wandb":
-            self._boards.append(WandbBoard(self._folder, self._run_id, asdict(self._config)))
+    def start(self, steps: int) -> None:
+        """Cut the file back to the rows that this log knows of; the training is at `steps`."""
+        self._table.begin(self._rows)
 
     def episode(self, outcome: dict[str, float]) -> None:
         """Count one finished episode."""
@@ -65,34 +57,24 @@ class MetricsLog:
         for name, value in values.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
 
-    def write_row(
-        self, policy_steps: int, stage: str, updates: int, precision_m: float, timing: tuple[float, ...]
-    ) -> None:
-        """Write a row; `timing` is seconds, policy steps per s and updates per s."""
-        row: dict[str, float] = {
-            "policy_steps": policy_steps,
-            "updates": updates,
-            "episodes": self._episodes,
-            "precision_m": precision_m,
-        }
-        for names, count in ((self._outcomes, self._finished), (TERMS, self._updates)):
+    def append(self, head: dict[str, Any]) -> dict[str, Any]:
+        """Write a row of `head` and the means; return it."""
+        row = dict(head)
+        for names, count in ((self._outcomes, self._finished), (self._terms, self._updates)):
             if count:
                 row |= {name: self._sums[name] / count for name in names}
-        self._metrics.append([stage if name == "stage" else _shown(row.get(name)) for name in self.columns])
-        self._timing.append([policy_steps, *map(_shown, timing)])
-        for board in self._boards:
-            for name, value in row.items():
-                if name != "policy_steps":
-                    board.add_scalar(name, value, policy_steps)
-            board.flush()
+        self._table.append([self.cell(row.get(name)) for name in self.columns])
         self._sums.clear()
         self._finished = self._updates = 0
         self._rows += 1
+        return row
+
+    def cell(self, value: Any) -> Any:
+        """Return what the file holds of a value."""
+        return value
 
     def close(self) -> None:
-        """Close the boards."""
-        for board in self._boards:
-            board.close()
+        """Close what is open: the CSV is only while a row is written."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue in the middle of a row."""
@@ -105,5 +87,63 @@ class MetricsLog:
         self._sums = dict(state["sums"])
 
 
-def _shown(value: float | None) -> float | str | None:
-    return f"{value:.6g}" if isinstance(value, float) else value
+class OptionsLog(RowLog):
+    """Rows of meta_controller_metrics.csv."""
+
+    OUTCOMES = ("success", "placed", "return", "steps")
+    """Of an episode: success, balls placed, undiscounted return and control steps."""
+
+    def __init__(self, path: Path) -> None:
+        columns = ("options", "updates", "episodes", *self.OUTCOMES, "exploration", "loss")
+        super().__init__(path, columns, self.OUTCOMES, ("loss",))
+
+    def write_row(self, options: int, updates: int, exploration: float) -> None:
+        """Write a row; its `episodes` are those since the row before."""
+        head = {"options": options, "updates": updates, "episodes": self._finished, "exploration": exploration}
+        self.append(head)
+
+
+class MetricsLog(RowLog):
+    """Rows of metrics.csv, timing.csv and the boards."""
+
+    _PLAIN = (*RowLog._PLAIN, "run_id")
+
+    def __init__(self, folder: Path, reward_names: tuple[str, ...], config: TrainConfig) -> None:
+        self._folder, self._config = folder, config
+        outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
+        columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *outcomes, *TERMS)
+        super().__init__(folder / "metrics.csv", columns, outcomes, tuple(TERMS))
+        self._timing = GrowingTable(folder / "timing.csv", TIMING)
+        self._boards: list[SummaryWriter | WandbBoard] = []
+        self._run_id = uuid.uuid4().hex
+        """Of Weights & Biases: a resumed training continues its run there."""
+
+    def start(self, steps: int) -> None:
+        """Cut the files back to the rows that this log knows of, and open the boards at `steps`."""
+        super().start(steps)
+        self._timing.begin(self._rows)
+        self._boards = [SummaryWriter(str(self._folder), purge_step=steps)]
+        if self._config.logger == "wandb":
+            self._boards.append(WandbBoard(self._folder, self._run_id, asdict(self._config)))
+
+    def write_row(
+        self, policy_steps: int, stage: str, updates: int, precision_m: float, timing: tuple[float, ...]
+    ) -> None:
+        """Write a row; `timing` is seconds, policy steps per s and updates per s."""
+        head = {"policy_steps": policy_steps, "stage": stage, "updates": updates, "episodes": self._episodes}
+        row = self.append({**head, "precision_m": precision_m})
+        self._timing.append([policy_steps, *map(self.cell, timing)])
+        for board in self._boards:
+            for name, value in row.items():
+                if name not in ("policy_steps", "stage"):
+                    board.add_scalar(name, value, policy_steps)
+            board.flush()
+
+    def cell(self, value: Any) -> Any:
+        """Return a number with six digits."""
+        return f"{value:.6g}" if isinstance(value, float) else value
+
+    def close(self) -> None:
+        """Close the boards."""
+        for board in self._boards:
+            board.close()

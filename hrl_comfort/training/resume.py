@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 import torch
 import torchrl
@@ -16,7 +16,8 @@ from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConf
 from hrl_comfort.config.compose import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
-from hrl_comfort.training.left import HIERARCHY, Left, left
+from hrl_comfort.training.loop import TrainingLoop
+from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
 
 C = TypeVar("C", bound=TrainingConfig)
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
@@ -28,17 +29,7 @@ MISFITS = (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeE
 """Errors of torch, TorchRL and this program when a state does not fit."""
 
 
-class Resumable(Protocol):
-    """A training that can continue bit for bit."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`."""
-
-    def run(self) -> None:
-        """Train to the end."""
-
-
-def train_in_folder(config: C, begin: Callable[[C, Path, bool], Resumable]) -> Path:
+def train_in_folder(config: C, begin: Callable[[C, Path, bool], TrainingLoop]) -> Path:
     """Train in the folder that `config` names, or go on there; `begin` takes folder and whether it resumes.
 
     Raises:
@@ -50,7 +41,7 @@ def train_in_folder(config: C, begin: Callable[[C, Path, bool], Resumable]) -> P
     with claim(folder, resumes):
         training = begin(stopped_config(folder, type(config)) if resumes else config, folder, resumes)
         if resumes:
-            go_on(training, folder)
+            load_checkpoint(training, folder)
         training.run()
     return folder
 
@@ -80,7 +71,7 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
 
 def _holds_run(folder: Path) -> bool:
     """Return whether a run is there that is finished, or can be resumed."""
-    if left(folder) is not Left.ALL:
+    if run_state(folder) is not RunState.NEW:
         return True
     policies = any((folder / name).exists() for name in ("policy.pt", "meta_controller.pt"))
     return policies and not (folder / "provenance.json").exists()
@@ -104,7 +95,7 @@ def stopped_config(folder: Path, kind: type[C]) -> C:
     return replace(config, output=str(folder), resume=None)
 
 
-def go_on(training: Resumable, folder: Path) -> None:
+def load_checkpoint(training: TrainingLoop, folder: Path) -> None:
     """Continue `training` from the newest good checkpoint in `folder`.
 
     Raises:

@@ -1,9 +1,7 @@
-"""`hrl-comfort train`: the loop over collector, learner and curriculum, stage by stage."""
+"""`hrl-comfort train`: the training of a skill, stage by stage."""
 
 from __future__ import annotations
 
-import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,14 +11,12 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import environment, save_config, stored_config
-from hrl_comfort.files.provenance import write_provenance
+from hrl_comfort.config.compose import environment, stored_config
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
-from hrl_comfort.progress import progress, success_of
-from hrl_comfort.training.collector import Collector, Transition, make_collector
+from hrl_comfort.training.collector import SkillCollector, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list
-from hrl_comfort.training.logger import OUTCOMES, MetricsLog
-from hrl_comfort.training.preemption import Preempted, asked_to_stop
+from hrl_comfort.training.logger import MetricsLog
+from hrl_comfort.training.loop import Outcome, TrainingLoop
 from hrl_comfort.training.resume import train_in_folder
 
 FEWEST_EPISODES = 20
@@ -28,7 +24,7 @@ FEWEST_EPISODES = 20
 SAME_PRECISION_M = 0.005
 """Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
 
-MakeCollector = Callable[[TrainConfig], Collector]
+MakeCollector = Callable[[TrainConfig], SkillCollector]
 
 
 def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
@@ -44,79 +40,52 @@ def train(config: TrainConfig, make: MakeCollector = make_collector) -> Path:
     return train_in_folder(config, lambda own, folder, resumes: Training(own, make, folder, resumes))
 
 
-class Training:
-    """One training in progress: everything that a resumable checkpoint holds."""
+class Training(TrainingLoop):
+    """Training of a skill in progress, stage by stage."""
+
+    config: TrainConfig
+    learner: SAC
+    collector: SkillCollector
+    log: MetricsLog
+    unit = "policy_steps"
+    command = "train"
+    acts_before_updates = True
 
     def __init__(self, config: TrainConfig, make: MakeCollector, folder: Path, resumes: bool = False) -> None:
-        self.config, self.folder, self._make, self._resumes = config, folder, make, resumes
+        self._make = make
         self.stages = stage_list(config)
         for stage in [] if resumes else self.stages[1:]:
             make(stage.config)  # a mistake in a later stage is named before the first one trains
         collector = make(self.stages[0].config)
         torch.manual_seed(config.train_seed)
-        self.learner = SAC(self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
+        learner = SAC(self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
         if config.initial_policy is not None and not resumes:
-            load_initial_policy(self.learner, Path(config.initial_policy))
-        self.log = MetricsLog(folder, collector.reward_names, config)
-        self.policy_steps = 0
-        self.updates_due = 0.0
-        self.seconds = 0.0
+            load_initial_policy(learner, Path(config.initial_policy))
+        log = MetricsLog(folder, collector.reward_names, config)
+        title = f"train {config.task.name}"
+        super().__init__(config, folder, resumes, learner, collector, log, self.stages[-1].end, title)
         self.best: dict[str, Any] = {}
         self.recent: list[tuple[float, bool]] = []
         """Precision and success of the episodes since the last checkpoint."""
+        self._lap = (0.0, 0, 0)
+        """Seconds, policy steps and updates at the latest row."""
         self._enter(0, collector)
 
-    def _enter(self, index: int, collector: Collector) -> None:
+    def _enter(self, index: int, collector: SkillCollector) -> None:
         """Begin episodes in the environments of stage `index`."""
         self.index, self.stage, self.collector = index, self.stages[index], collector
         config = self.stage.config
         self.curriculum = Curriculum(config.curriculum, config.task.precision, config.agent.policy_steps)
-        self.observation = collector.reset(self.curriculum.precision_m)
-        """(N, D): what the next decision is made on."""
-        self.demonstrated = torch.arange(collector.num_envs) < config.agent.demonstrator_envs
-        self.precision = torch.full((collector.num_envs,), self.curriculum.precision_m, dtype=torch.float64)
-        self.returns = torch.zeros(collector.num_envs, dtype=torch.float64)
-        self.terms = torch.zeros(collector.num_envs, len(collector.reward_names), dtype=torch.float64)
+        collector.reset(self.curriculum.precision_m)
         self.recent.clear()
 
-    def run(self) -> None:
-        """Train to the end, or go on to it; at SIGTERM write a checkpoint and raise Preempted."""
-        agent = self.config.agent
-        if not self._resumes:
-            save_config(self.config, self.folder / "config.yaml")
-            self._write_provenance(finished=False)
-        self.log.start(self.policy_steps)
-        began = time.monotonic() - self.seconds
-        lap = (self.seconds, self.policy_steps, self.learner.updates)
-        shown: deque[bool] = deque(maxlen=self.config.curriculum.window)
-        line = progress(f"train {self.config.task.name}", self.stages[-1].end, self.policy_steps)
-        try:
-            with line as show, asked_to_stop() as stop:
-                while self.policy_steps < self.stages[-1].end:
-                    if stop():
-                        checkpoint.save_resumable(self.folder / "checkpoints", self.state_dict())
-                        raise Preempted(f"stopped by SIGTERM; go on with resume={self.folder}")
-                    if self.policy_steps >= self.stage.end:
-                        self.begin_stage(self.index + 1)
-                    finished = self.step()
-                    shown.extend(success for _, success in finished)
-                    ends = self.policy_steps >= self.stage.end
-                    if ends:
-                        self.learn()
-                    self.seconds = time.monotonic() - began
-                    if self._passes(agent.log_every) or ends:
-                        lap = self._write_row(lap)
-                    if self._passes(agent.checkpoint_every) or ends:
-                        self.save(resumable=self.policy_steps < self.stages[-1].end)
-                    show(self.policy_steps, f"{self._where}{success_of(list(shown))}")
-        finally:
-            self.log.close()
-        self._write_provenance(finished=True)
-        checkpoint.drop_resumable(self.folder / "checkpoints")
-
     @property
-    def _where(self) -> str:
-        """The stage, if there are several, and the precision."""
+    def end(self) -> int:
+        """Policy steps at which the stage ends."""
+        return self.stage.end
+
+    def where(self) -> str:
+        """Return the stage, if there are several, and the precision."""
         stage = f"stage {self.stage.setting.name}, " if len(self.stages) > 1 else ""
         return f"{stage}precision {self.curriculum.precision_m:.3g} m, "
 
@@ -127,89 +96,64 @@ class Training:
         self.learner.begin_stage(stage.config.agent, keep_replay, keep_optimiser)
         self._enter(index, self._make(stage.config))
 
-    def step(self) -> list[tuple[float, bool]]:
-        """Make a decision in every environment; return (precision, success) of the episodes that it ends.
+    @property
+    def exploration(self) -> float:
+        """1, an action at random, before `learning_starts` of a training from nothing; then 0."""
+        config = self.config
+        return float(config.initial_policy is None and self.steps < config.agent.learning_starts)
 
-        Between the choice of actions and their consequences, the learner does the updates due by earlier decisions.
-        """
-        if self.config.initial_policy is None and self.policy_steps < self.config.agent.learning_starts:
-            size = (self.collector.num_envs, self.learner.action_dim)
-            action = torch.rand(size, generator=self.learner.generator) * 2 - 1
-        else:
-            action = self.learner.act(self.observation)
-        self.learn()
-        transition = self.collector.step(action, self.curriculum.precision_m)
-        self.learner.remember(
-            self.observation,
-            transition.action,
-            transition.reward + transition.terminal_value,
-            transition.next_observation,
-            transition.terminated,
-            transition.decision_steps,
-            self.demonstrated,
-        )
-        self.observation = transition.observation
-        self.policy_steps += self.collector.num_envs
-        if self.policy_steps - self.stage.replay_begin > self.config.agent.learning_starts:
-            self.updates_due += self.collector.num_envs * self.stage.config.agent.updates_per_policy_step
-        finished = self._end_episodes(transition)
-        self.curriculum.advance(self.policy_steps - self.stage.begin, finished)
+    def updates_for(self, steps: int) -> float:
+        """Return the number of updates that the `steps` just counted make due: none before `learning_starts`."""
+        learns = self.steps - self.stage.replay_begin > self.config.agent.learning_starts
+        return steps * self.stage.config.agent.updates_per_policy_step if learns else 0.0
+
+    def step(self) -> list[Outcome]:
+        """Make a decision in every environment, in the next stage if this one is over; return ended episodes."""
+        if self.steps >= self.end:
+            self.begin_stage(self.index + 1)
+        finished = super().step()
+        outcomes = [(outcome["precision_m"], outcome["success"] > 0) for outcome in finished]
+        self.recent += outcomes
+        self.curriculum.advance(self.steps - self.stage.begin, outcomes)
+        self.collector.precision_m = self.curriculum.precision_m
         return finished
 
-    def learn(self) -> None:
-        """Do the updates that are due."""
-        due = int(self.updates_due)
-        self.updates_due -= due
-        for _ in range(due):
-            self.log.update(self.learner.update())
+    def record(self, ends: bool) -> None:
+        """Write the row and the checkpoint that are due; both if a stage ends."""
+        if self._passes(self.config.agent.log_every) or ends:
+            self._write_row()
+        if self._passes(self.config.agent.checkpoint_every) or ends:
+            self.save()
 
-    def _end_episodes(self, transition: Transition) -> list[tuple[float, bool]]:
-        self.returns += transition.reward.double()
-        self.terms += transition.reward_terms.double()
-        rows = transition.done.nonzero()[:, 0]
-        finished = []
-        for row in rows[~self.demonstrated[rows]].tolist():
-            outcome = {name: float(getattr(transition, name)[row]) for name in OUTCOMES if name != "return"}
-            terms = zip(self.collector.reward_names, self.terms[row].tolist(), strict=True)
-            outcome |= {"return": float(self.returns[row]), **{f"reward/{name}": value for name, value in terms}}
-            self.log.episode(outcome)
-            finished.append((float(self.precision[row]), bool(transition.success[row])))
-        self.returns[rows] = 0.0
-        self.terms[rows] = 0.0
-        self.precision[rows] = self.curriculum.precision_m  # what their next episodes have just started with
-        self.recent += finished
-        return finished
-
-    def _write_row(self, lap: tuple[float, int, int]) -> tuple[float, int, int]:
-        now = self.seconds, self.policy_steps, self.learner.updates
-        spent = max(now[0] - lap[0], 1e-9)
-        timing = (self.seconds, (now[1] - lap[1]) / spent, (now[2] - lap[2]) / spent)
+    def _write_row(self) -> None:
+        now = self.seconds, self.steps, self.learner.updates
+        seconds, steps, updates = (here - before for here, before in zip(now, self._lap, strict=True))
+        spent = max(seconds, 1e-9)
         stage, precision_m = self.stage.setting.name, self.curriculum.precision_m
-        self.log.write_row(self.policy_steps, stage, self.learner.updates, precision_m, timing)
-        return now
+        self.log.write_row(
+            self.steps, stage, self.learner.updates, precision_m, (self.seconds, steps / spent, updates / spent)
+        )
+        self._lap = now
 
     def _passes(self, every: int) -> bool:
         """Return whether the decision just made was the first past a multiple of `every`."""
-        return self.policy_steps // every > (self.policy_steps - self.collector.num_envs) // every
+        return self.steps // every > (self.steps - self.collector.num_envs) // every
 
-    def save(self, resumable: bool) -> None:
-        """Write policy.pt, a light checkpoint, the best one if this is it, and what resuming needs."""
-        checkpoints = self.folder / "checkpoints"
+    def save_policy(self) -> None:
+        """Write policy.pt, a light checkpoint, and the best one if this is it."""
         networks = self.learner.policy_state()
         counters = {
-            "policy_steps": self.policy_steps,
+            "policy_steps": self.steps,
             "updates": self.learner.updates,
             "precision_m": self.curriculum.precision_m,
         }
-        paths = [checkpoint.step_path(checkpoints, self.policy_steps), self.folder / "policy.pt"]
+        paths = [checkpoint.step_path(self.checkpoints, self.steps), self.folder / "policy.pt"]
         if self._is_best():
-            paths.append(checkpoints / "best.pt")
+            paths.append(self.checkpoints / "best.pt")
         for path in paths:
             save_policy(path, networks, self.spec(), counters)
-        checkpoint.keep_newest(checkpoints, self.config.agent.keep_checkpoints)
+        checkpoint.keep_newest(self.checkpoints, self.config.agent.keep_checkpoints)
         self.recent.clear()
-        if resumable:
-            checkpoint.save_resumable(checkpoints, self.state_dict())
 
     def _is_best(self) -> bool:
         """Return whether the policy did best in this stage: at the tightest precision first, then by success."""
@@ -220,7 +164,7 @@ class Training:
         success, best = sum(outcomes) / len(outcomes), self.best
         if best and best["stage"] == stage and (now_m, -success) > (best["precision_m"], -best["success"]):
             return False
-        self.best = {"stage": stage, "precision_m": now_m, "success": success, "policy_steps": self.policy_steps}
+        self.best = {"stage": stage, "precision_m": now_m, "success": success, "policy_steps": self.steps}
         return True
 
     def spec(self) -> dict[str, Any]:
@@ -244,18 +188,16 @@ class Training:
             "config": stored_config(environment(self.config), self.folder),
         }
 
+    def progress(self) -> dict[str, Any]:
+        """Return what provenance.json says about the progress."""
+        return {**super().progress(), "best": self.best}
+
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
         return {
+            **super().state_dict(),
             "stage": self.index,
-            "learner": self.learner.state_dict(),
-            "collector": self.collector.state_dict(),
             "curriculum": self.curriculum.state_dict(),
-            "log": self.log.state_dict(),
-            "episodes": {"precision": self.precision, "returns": self.returns, "terms": self.terms},
-            "policy_steps": self.policy_steps,
-            "updates_due": self.updates_due,
-            "seconds": self.seconds,
             "best": dict(self.best),
             "recent": [list(each) for each in self.recent],
         }
@@ -264,17 +206,8 @@ class Training:
         """Continue from `state_dict`."""
         if state["stage"] != self.index:
             self.begin_stage(state["stage"])
-        self.learner.load_state_dict(state["learner"])
-        self.observation = self.collector.load_state_dict(state["collector"])
+        super().load_state_dict(state)
         self.curriculum.load_state_dict(state["curriculum"])
-        self.log.load_state_dict(state["log"])
-        episodes = state["episodes"]
-        self.precision, self.returns, self.terms = episodes["precision"], episodes["returns"], episodes["terms"]
-        self.policy_steps, self.updates_due = state["policy_steps"], state["updates_due"]
-        self.seconds = state["seconds"]
+        self._lap = (self.seconds, self.steps, self.learner.updates)
         self.best = state["best"]
         self.recent = [(precision_m, success) for precision_m, success in state["recent"]]
-
-    def _write_provenance(self, finished: bool) -> None:
-        progress = {"policy_steps": self.policy_steps, "updates": self.learner.updates, "best": self.best}
-        write_provenance(self.folder, self.config, finished, self.seconds, **progress)

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torch import Tensor
 
 from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser
 from hrl_comfort.agents.sac import SAC, TERMS, TrainingDiverged
@@ -21,14 +23,28 @@ def agent(**changes: object) -> AgentConfig:
     return replace(compose("train").agent, **{**small, **changes})
 
 
+def transitions(
+    observation: Tensor, action: Tensor, reward: Tensor, after: Tensor, terminated: Tensor, steps: Tensor,
+    demonstrated: Tensor | None = None,
+) -> TensorDict:  # fmt: skip
+    """Return transitions (F,) as the collector of a skill gives them."""
+    rows = len(observation)
+    then = {"observation": after, "reward": reward[:, None], "terminated": terminated[:, None]}
+    now = {"observation": observation, "action": action, "steps_to_next_obs": steps[:, None], "next": then}
+    now["demonstrated"] = torch.zeros(rows, dtype=torch.bool) if demonstrated is None else demonstrated
+    return TensorDict(now, batch_size=[rows])
+
+
 def filled(learner: SAC, rows: int = 40, reward: float | None = None) -> SAC:
-    learner.remember(
-        torch.randn(rows, D),
-        torch.rand(rows, A) * 2 - 1,
-        torch.randn(rows) if reward is None else torch.full((rows,), reward),
-        torch.randn(rows, D),
-        torch.rand(rows) < 0.2,
-        torch.randint(1, 6, (rows,)),
+    learner.observe(
+        transitions(
+            torch.randn(rows, D),
+            torch.rand(rows, A) * 2 - 1,
+            torch.randn(rows) if reward is None else torch.full((rows,), reward),
+            torch.randn(rows, D),
+            torch.rand(rows) < 0.2,
+            torch.randint(1, 6, (rows,)),
+        )
     )
     return learner
 
@@ -66,7 +82,7 @@ def beside_a_valley(bc_weight: float) -> float:
         action[demonstrated] = 1.0
         reward = torch.maximum(1 - 2 * (action + 1), 2 - 2 * (1 - action))[:, 0]
         over = torch.ones(16, dtype=torch.bool)
-        learner.remember(observation, action, reward, observation, over, torch.ones(16), demonstrated)
+        learner.observe(transitions(observation, action, reward, observation, over, torch.ones(16), demonstrated))
         if len(learner.buffer) >= 64:
             learner.update()
     return float(learner.actor.mode(learner.normaliser(torch.randn(64, D))).detach().mean())

@@ -13,8 +13,8 @@ from hrl_comfort.cli.commands import COMMANDS, VERBS
 from hrl_comfort.cli.completion import candidates
 from hrl_comfort.cli.help import WIDTH
 from hrl_comfort.cli.main import configuration, main
+from hrl_comfort.config.command_line.keys import keys_of
 from hrl_comfort.config.compose import compose, load_config
-from hrl_comfort.config.keys import keys_of
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -53,10 +53,11 @@ def test_a_dry_run_prints_the_configuration_that_a_run_would_write(tmp_path, cap
     monkeypatch.chdir(tmp_path)
     words = ["task=reach", "agent.gamma=0.5", "output=runs/reach"]
     assert main(["train", *words, "--dry-run"]) == 0
-    (tmp_path / "config.yaml").write_text(capsys.readouterr().out)
-    assert load_config(tmp_path / "config.yaml") == configuration("train", words)
-    assert not (tmp_path / "runs").exists()
     assert main(["train", "-m", "--dry-run"]) == 1
+    assert not (tmp_path / "runs").exists()
+    (tmp_path / "runs" / "reach").mkdir(parents=True)
+    (tmp_path / "runs" / "reach" / "config.yaml").write_text(capsys.readouterr().out)
+    assert load_config("runs/reach") == configuration("train", words)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,14 @@ import torch
 import hrl_comfort
 from hrl_comfort.comfort.terms import distance_term
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.config.checks import plugins
+from hrl_comfort.config.checks import implemented, plugins
+from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.config.compose import compose, is_same, load_config, save_config
-from hrl_comfort.config.overrides import check_overrides
+from hrl_comfort.config.overrides import check_overrides, choices
+from hrl_comfort.humans import MOTIONS
+from hrl_comfort.scene.robots import ROBOTS
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.tasks import subtask
+from hrl_comfort.tasks import SUBTASKS, subtask
 
 MODULE = """
 from hrl_comfort.tasks import SUBTASKS
@@ -53,6 +56,23 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     sys.modules.pop("thing", None)
     plugins.cache_clear()
+
+
+def test_a_registry_has_a_part_for_every_name_that_the_configuration_allows() -> None:
+    assert list(implemented(("b", "a"), {"a": 1, "b": 2})) == ["b", "a"]
+    for parts in ({"a": 1}, {"a": 1, "b": 2, "c": 3}):
+        with pytest.raises(LookupError, match=r"^[bc]: the configuration allows a, b$"):
+            implemented(("a", "b"), parts)
+
+
+def test_every_choice_of_a_group_of_parts_exists() -> None:
+    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture"}, "robot": ROBOTS}.items():
+        assert set(choices(group)) == set(registry), group
+
+
+def test_tasks_that_pick_and_place_have_both_stages() -> None:
+    stages = {name: {stage.name for stage in each.stages} for name, each in SUBTASKS.items()}
+    assert {name for name, there in stages.items() if {"pick", "place"} <= there} == set(PICK_AND_PLACE)
 
 
 NAMES = [("thing:GO", "thing:march", "thing:hinge"), ("go", "march", "hinge")]

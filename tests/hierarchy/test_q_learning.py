@@ -100,12 +100,12 @@ def test_a_controller_learns_to_take_the_option_that_pays() -> None:
     }  # fmt: skip
     now = {"observation": torch.ones(64, 2), "action_mask": mask, "action": action}
     steps = {"steps_to_next_obs": torch.full((64, 1), 20)}
-    learner.remember(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[64])}, batch_size=[64]))
+    learner.observe(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[64])}, batch_size=[64]))
     for _ in range(200):
         learner.update()
     values = learner.network(TensorDict({"observation": torch.ones(1, 2), "action_mask": mask[:1]}, [1]))
     assert values["action_value"][0, :2].tolist() == pytest.approx([1.0, 0.0], abs=0.05)
-    assert learner.choose(torch.ones(1, 2), mask[:1], 0.0).tolist() == [0]
+    assert learner.act(TensorDict({"observation": torch.ones(1, 2), "action_mask": mask[:1]}, [1])).tolist() == [0]
 
 
 def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> None:
@@ -120,7 +120,7 @@ def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> N
     }  # fmt: skip
     now = {"observation": torch.ones(8, 1), "action_mask": mask, "action": torch.arange(8) % 2}
     steps = {"steps_to_next_obs": torch.full((8, 1), 10)}
-    learner.remember(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[8])}, batch_size=[8]))
+    learner.observe(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[8])}, batch_size=[8]))
     weights = []
     for _ in range(3):
         learner.update()
@@ -146,7 +146,7 @@ def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:
     }  # fmt: skip
     now = {"observation": one, "action_mask": mask, "action": torch.zeros(32, dtype=torch.int64)}
     steps = {"steps_to_next_obs": torch.full((32, 1), 10)}
-    learner.remember(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[32])}, batch_size=[32]))
+    learner.observe(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[32])}, batch_size=[32]))
     for _ in range(600):
         learner.update()
     values = learner.network(TensorDict({"observation": one[:1], "action_mask": mask[:1]}, [1]))

@@ -11,13 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import hrl_comfort
 from hrl_comfort import humans
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, environment
 from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.envs.inputs import replayed
 from hrl_comfort.evaluation import ledger, rollout
-from hrl_comfort.evaluation.evaluate import evaluate, evaluate_policy
+from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.provenance import ROOT, git
 from hrl_comfort.humans.evaluation import SHARES
 from hrl_comfort.scene.workcell import build_scene
@@ -114,7 +115,7 @@ def test_each_look_at_test_is_in_the_ledger(tmp_path: Path, looks: Callable[[], 
     evaluate(asked(tmp_path, "split=validation"))
     assert not ledger.FILE.exists()
     evaluate(asked(tmp_path))
-    evaluate_policy("random", {"task": "reach", "episodes": 2, "split": "test"})
+    hrl_comfort.evaluate("random", "reach", 2, split="test")
     lines = looks()
     assert tuple(lines.columns) == ledger.HEADER
     assert lines["policy"].tolist() == ["expert", "expert", "random", "random"]

@@ -6,7 +6,7 @@ import pytest
 
 from hrl_comfort.cli.main import configuration, main
 from hrl_comfort.config.compose import compose
-from hrl_comfort.scene.layout import doubts, reach
+from hrl_comfort.scene.layout import layout_warnings, reach
 from hrl_comfort.scene.ur import UR_ARMS
 
 REACH_M = {"ur3e": 0.5, "ur5e": 0.85, "ur10e": 1.3}
@@ -23,7 +23,7 @@ def test_the_farthest_point_is_beyond_the_datasheets_reach_by_the_gripper(arm):
 @pytest.mark.parametrize("task", ["reach", "pick", "place", "return", "cycle", "sort", "point_to_point"])
 @pytest.mark.parametrize("robot", ["ur3e", "ur10e", "jaco"])
 def test_the_default_cell_suits_every_task_and_arm(task, robot):
-    assert not list(doubts(compose("train", [f"task={task}", f"robot={robot}"])))
+    assert not list(layout_warnings(compose("train", [f"task={task}", f"robot={robot}"])))
 
 
 @pytest.mark.parametrize(
@@ -38,13 +38,13 @@ def test_the_default_cell_suits_every_task_and_arm(task, robot):
     ],
 )
 def test_what_is_doubtful_is_warned_of(words, says):
-    assert any(says in doubt for doubt in doubts(compose("train", words)))
+    assert any(says in warning for warning in layout_warnings(compose("train", words)))
 
 
 def test_points_that_a_task_does_not_visit_may_be_anywhere():
-    assert not list(doubts(compose("train", ["task=reach", "task.point=random", "task.point_m=[9,0,0]"])))
-    assert not list(doubts(compose("train", ["task=place", "cell.ball_m=[1.2,0,0.3]"])))
-    assert list(doubts(compose("train_hierarchy", ["cell.pink_drop_m=[1.2,0.3,0.3]"])))
+    assert not list(layout_warnings(compose("train", ["task=reach", "task.point=random", "task.point_m=[9,0,0]"])))
+    assert not list(layout_warnings(compose("train", ["task=place", "cell.ball_m=[1.2,0,0.3]"])))
+    assert list(layout_warnings(compose("train_hierarchy", ["cell.pink_drop_m=[1.2,0.3,0.3]"])))
 
 
 def test_a_doubtful_command_goes_on():

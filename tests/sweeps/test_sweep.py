@@ -15,11 +15,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hydra._internal.hydra import Hydra
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.compose import compose, save_config
+from hrl_comfort.config.compose import compose, hydra_over_conf, save_config
 from hrl_comfort.files.sweep_record import find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
 from hrl_comfort.sweeps import launcher as sweep
@@ -27,6 +26,9 @@ from hrl_comfort.sweeps import subprocesses
 from hrl_comfort.sweeps.job import JobResult
 from hrl_comfort.sweeps.subprocesses import KilledError, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
+
+with hydra_over_conf() as state:
+    HYDRA = type(state.hydra)
 
 Script = Callable[[str], None]
 
@@ -98,14 +100,14 @@ def test_a_stopped_job_of_a_cluster_leaves_the_others_alone(
 def test_every_job_is_reported_after_a_crash_of_the_launcher(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = Hydra.multirun
+    whole = HYDRA.multirun
 
     def broken(*args: object, **choices: object) -> None:
         whole(*args, **choices)
         (tmp_path / "1" / "job.json").unlink()
         raise RuntimeError("a worker\ndied")
 
-    monkeypatch.setattr(Hydra, "multirun", broken)
+    monkeypatch.setattr(HYDRA, "multirun", broken)
     monkeypatch.setitem(commands.RUN, "evaluate", lambda _: None)
     words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 1
@@ -117,14 +119,14 @@ def test_every_job_is_reported_after_a_crash_of_the_launcher(
 def test_a_job_that_was_lost_is_reported_as_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = Hydra.multirun
+    whole = HYDRA.multirun
 
     def losing(*args: object, **choices: object) -> None:
         whole(*args, **choices)
         replace(read_job(tmp_path / "1"), state="running").write(tmp_path / "1")  # as after a kill
         raise RuntimeError("Job 1 has not produced any output")
 
-    monkeypatch.setattr(Hydra, "multirun", losing)
+    monkeypatch.setattr(HYDRA, "multirun", losing)
     monkeypatch.setitem(commands.RUN, "evaluate", lambda _: None)
     words = ["evaluate", "-m", "policy=a,b", f"output={tmp_path}", "hydra.launcher.n_jobs=1"]
     assert commands.main(words) == 1

@@ -17,7 +17,7 @@ from hrl_comfort.config.compose import compose
 from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.files.sweep_record import find_jobs
 from hrl_comfort.sweeps.subprocesses import run_in_subprocess
-from hrl_comfort.training import controller_trainer as module
+from hrl_comfort.training import loop as module
 from hrl_comfort.training.controller_trainer import ControllerTraining, train_meta_controller
 from hrl_comfort.training.preemption import Preempted
 from tests.stopping import stopping
@@ -57,7 +57,7 @@ def same(one: Path, other: Path) -> bool:
 @pytest.mark.parametrize("at", [14, 25, 40])
 def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, tmp_path, at):
     folder = tmp_path / "run"
-    with stopping(ControllerTraining, "step", lambda training: training.options >= at):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= at):
         train_meta_controller(config_of(folder))
     train_meta_controller(resumed(folder))
     assert same(folder, whole)
@@ -67,7 +67,7 @@ def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, 
 def test_a_controllers_training_beside_people_that_was_killed_goes_on_to_the_same_bits(tmp_path):
     beside = ("human=patrol", *(f"policies.{name}=potential_field" for name in ("pick", "place", "return")))
     undisturbed = train_meta_controller(config_of(tmp_path / "undisturbed", *beside))
-    with stopping(ControllerTraining, "step", lambda training: training.options >= 25):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 25):
         train_meta_controller(config_of(tmp_path / "run", *beside))
     train_meta_controller(replace(config_of(tmp_path / "run", *beside), resume=str(tmp_path / "run")))
     assert same(tmp_path / "run", undisturbed)
@@ -106,7 +106,7 @@ def test_what_cannot_go_on_is_named(whole, tmp_path, capsys):
 def stopped(tmp_path: Path) -> Path:
     """The folder of a training killed after its first checkpoint."""
     folder = tmp_path / "run"
-    with stopping(ControllerTraining, "_save", lambda _: True):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 14):
         train_meta_controller(config_of(folder))
     return folder
 
@@ -131,7 +131,7 @@ def test_a_controller_whose_training_left_nothing_to_go_on_from_may_be_trained_a
 def test_a_sweep_of_controllers_goes_on_with_what_was_stopped_and_skips_what_is_finished(whole, tmp_path, capsys):
     words = ["train", "meta_controller", "-m", *CHOICES, "train_seed=0,1", f"output='{tmp_path}'"]
     words.append("hydra.launcher.n_jobs=1")
-    with stopping(ControllerTraining, "_save", lambda _: True):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 14):
         train_meta_controller(config_of(tmp_path / "0"))
     capsys.readouterr()
     assert main(words) == 0

@@ -53,7 +53,7 @@ def test_a_run_folder_holds_what_the_contract_says(run: Path) -> None:
 
 def test_a_stopped_training_of_the_cell_resumes_bit_for_bit(run: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pick"
-    with stopping(Training, "step", lambda training: training.policy_steps >= 480):
+    with stopping(Training, "step", lambda training: training.steps >= 480):
         train(small(folder))
     torch.manual_seed(12345)
     train(small(tmp_path / "unused", f"resume='{folder}'"))

@@ -15,19 +15,20 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
-from hrl_comfort.sweeps.job import OtherRunError, rest_of
+from hrl_comfort.sweeps.job import OtherRunError, state_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
-from hrl_comfort.training.left import Left
 from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.run_state import RunState
 from hrl_comfort.training.trainer import Training
 from tests.stopping import stopping
 
 SMALL = (
     "division=two", "engine.num_envs=4", "agent.policy_steps=160", "agent.learning_starts=40", "agent.hidden=[8,8]",
     "agent.batch_size=8", "agent.log_every=40", "agent.checkpoint_every=60", "hierarchy.terminal_states_episodes=24",
-    "hierarchy.episodes=2", "hierarchy.shares.pick_place=1", "hierarchy.shares.return=1", "task.max_episode_steps=40",
+    "hierarchy.episodes=2", "hierarchy.budget_fractions.pick_place=1", "hierarchy.budget_fractions.return=1",
+    "task.max_episode_steps=40",
     "task.precision.grasp_tolerance_m=0.5", "task.precision.place_tolerance_m=0.5", "reward.arrival_speed=0",
     "hierarchy.refinement=[{name:again,policy_steps:80,set:{agent.learning_rate:1e-4}}]", "curriculum=off",
     "human=none",
@@ -78,9 +79,7 @@ def test_every_option_is_a_run_that_begins_where_the_one_before_it_ends(whole):
 def test_a_hierarchy_killed_several_times_and_told_to_stop_goes_on_bit_for_bit(whole, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     for name, at in (("pick_place", 20), ("pick_place", 100), ("return", 80), ("return", 20)):
-        with stopping(
-            Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.policy_steps >= t
-        ):
+        with stopping(Training, "step", lambda self, n=name, t=at: self.config.task.name == n and self.steps >= t):
             train_hierarchy(small(folder))
     with monkeypatch.context() as patch:
         step = Training.step
@@ -117,13 +116,13 @@ def test_a_finished_hierarchy_says_so_and_shows_its_table_and_report(whole, caps
 
 
 def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole, tmp_path):
-    assert rest_of(small(whole)) is Left.NOTHING
+    assert state_of(small(whole)) is RunState.FINISHED
     with pytest.raises(OtherRunError, match="holds another run"):
-        rest_of(small(whole, "train_seed=1"))
-    assert rest_of(small(tmp_path / "run")) is Left.ALL
+        state_of(small(whole, "train_seed=1"))
+    assert state_of(small(tmp_path / "run")) is RunState.NEW
     with stopping(Training, "step", lambda _: True):
         train_hierarchy(small(tmp_path / "run"))
-    assert rest_of(small(tmp_path / "run")) is Left.REST
+    assert state_of(small(tmp_path / "run")) is RunState.STOPPED
 
 
 def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsys):
@@ -133,9 +132,9 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
         f"{agent}.warmup_options=4", f"{agent}.batch_size=4", f"{agent}.log_every=6",
     ]  # fmt: skip
     overrides = ("division=three", "hierarchy.refinement=[]", "agent.policy_steps=40", "agent.learning_starts=20",
-                 *(f"hierarchy.shares.{name}=1" for name in ("pick", "place")), "task.max_episode_steps=20",
+                 *(f"hierarchy.budget_fractions.{name}=1" for name in ("pick", "place")), "task.max_episode_steps=20",
                  override("hierarchy.controller", controller))  # fmt: skip
-    with stopping(ControllerTraining, "step", lambda training: training.options >= 8):
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 8):
         train_hierarchy(small(folder, *overrides))
     for _ in range(2):
         train_hierarchy(small(folder, *overrides))
@@ -158,7 +157,7 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     own = option_config(config, "cycle", Path("runs"), "ik")
     assert (own.agent.policy_steps, own.task.max_episode_steps) == (2050, 1500)
     stages = ",".join(f"{{name:{name},policy_steps:{steps},set:{{}}}}" for name, steps in (("a", 1000), ("b", 600)))
-    staged = compose("train_hierarchy", ["hierarchy.shares.place=1.4", f"curriculum.stages=[{stages}]"])
+    staged = compose("train_hierarchy", ["hierarchy.budget_fractions.place=1.4", f"curriculum.stages=[{stages}]"])
     assert isinstance(staged, HierarchyTrainConfig)
     own = option_config(staged, "place", Path("runs"), "ik")
     assert [stage.policy_steps for stage in own.curriculum.stages] == [1400, 840]
@@ -168,7 +167,7 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     ("overrides", "said"),
     [
         (["task=place"], "task.name=place: train hierarchy sets it"),
-        (["hierarchy.shares.pick=0"], r"hierarchy\.shares\.pick=0\.0 is outside"),
+        (["hierarchy.budget_fractions.pick=0"], r"hierarchy\.budget_fractions\.pick=0\.0 is outside"),
         (
             ["hierarchy.refinement=[{name:a,policy_steps:9,set:{reward.pik:1}}]"],
             r"^hierarchy\.refinement\.0\.set: reward\.pik",

@@ -12,7 +12,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.stages import stages_of
-from hrl_comfort.training.collector import Collector
+from hrl_comfort.training.collector import SkillCollector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import PointEnv, make_points, small_config
 from tests.stopping import stopping
@@ -33,12 +33,12 @@ def staged(folder: Path, *overrides: str, **changes: object) -> TrainConfig:
     return config
 
 
-def make(config: TrainConfig) -> Collector:
+def make(config: TrainConfig) -> SkillCollector:
     """Points, some of which a demonstrator moves where the stage asks for one."""
     if config.agent.demonstrator is None:
         return make_points(config)
     env = PointEnv(config.engine.num_envs, config.episode_seed)
-    return Collector(config.agent, env, lambda: -env.point[: config.agent.demonstrator_envs].clamp(-1, 1))
+    return SkillCollector(config.agent, env, lambda: -env.point[: config.agent.demonstrator_envs].clamp(-1, 1))
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -64,7 +64,7 @@ def test_the_log_names_the_stage_and_ends_a_row_with_it(whole):
 @pytest.mark.parametrize("at", [304, 400, 560, 568, 800, 1040, 1048, 1480])
 def test_a_staged_training_stopped_anywhere_goes_on_bit_for_bit(whole, tmp_path, at):
     folder = tmp_path / "run"
-    with stopping(Training, "step", lambda training: training.policy_steps >= at):
+    with stopping(Training, "step", lambda training: training.steps >= at):
         train(staged(folder), make)
     train(staged(folder, resume=str(folder)), make)
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
@@ -75,7 +75,7 @@ def test_a_staged_training_stopped_anywhere_goes_on_bit_for_bit(whole, tmp_path,
 def test_a_staged_training_stopped_at_each_boundary_goes_on_bit_for_bit(whole, tmp_path):
     folder = tmp_path / "run"
     for index, resume in ((0, None), (1, str(folder))):
-        with stopping(Training, "begin_stage", lambda self, at=index: self.index == at and self.policy_steps > 0):
+        with stopping(Training, "begin_stage", lambda self, at=index: self.index == at and self.steps > 0):
             train(staged(folder, resume=resume), make)
     train(staged(folder, resume=str(folder)), make)
     assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
@@ -84,7 +84,7 @@ def test_a_staged_training_stopped_at_each_boundary_goes_on_bit_for_bit(whole, t
 def at_second(folder: Path, *overrides: str) -> Training:
     """A training that has just begun its second stage."""
     training = Training(staged(folder, *overrides), make, folder)
-    while training.policy_steps < training.stage.end:
+    while training.steps < training.stage.end:
         training.step()
     training.learn()
     training.begin_stage(1)
@@ -97,7 +97,7 @@ def test_a_stage_begins_with_the_policy_before_it_and_forgets_its_transitions_an
     assert learner.updates == 0.25 * (560 - 200) and learner.config is agent
     assert len(learner.buffer) == 0 and not learner.optimiser.state
     assert learner.optimiser.param_groups[0]["lr"] == agent.learning_rate == 3e-4
-    assert not training.demonstrated.any() and training.stage.config.episode_seed == 10_000
+    assert not training.collector.demonstrated.any() and training.stage.config.episode_seed == 10_000
     expected = training.learner.actor.state_dict()
     before = {name: tensor.clone() for name, tensor in expected.items()}
     for _ in range(200 // 8):

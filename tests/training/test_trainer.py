@@ -24,7 +24,7 @@ from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
-from hrl_comfort.training.collector import Collector, Demonstrator, make_demonstrator, make_next_skill_value
+from hrl_comfort.training.collector import Demonstrator, SkillCollector, make_demonstrator, make_next_skill_value
 from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import LIMIT, PointEnv, Stopped, make_points, small_config
@@ -41,7 +41,7 @@ def run(tmp_path_factory) -> Path:
     return train(small_config(tmp_path_factory.mktemp("runs") / "whole"), make_points)
 
 
-def interrupted(folder: Path, calls: int, *overrides: str, make: Callable[..., Collector] = make_points) -> Path:
+def interrupted(folder: Path, calls: int, *overrides: str, make: Callable[..., SkillCollector] = make_points) -> Path:
     with pytest.raises(Stopped):
         train(small_config(folder, *overrides), lambda config: make(config, calls))
     return folder
@@ -186,7 +186,7 @@ def test_training_on_starts_from_the_networks_of_the_run_and_skips_random_action
     assert torch.equal(training.learner.log_alpha.detach(), saved["log_alpha"])
     training.step()
     fresh = Training(config, make_points, tmp_path / "on")
-    expected = fresh.learner.act(fresh.observation)
+    expected = fresh.learner.act(fresh.collector.now)
     assert torch.equal(training.learner.buffer.storage[:8]["action"], expected)
 
 
@@ -201,9 +201,9 @@ def homeward(config: TrainConfig, env: PointEnv) -> Demonstrator:
     return lambda: -env.point[: config.agent.demonstrator_envs].clamp(-1, 1)
 
 
-def demonstrated(config: TrainConfig, stop_after: int | None = None) -> Collector:
+def demonstrated(config: TrainConfig, stop_after: int | None = None) -> SkillCollector:
     env = PointEnv(config.engine.num_envs, config.episode_seed, stop_after)
-    return Collector(config.agent, env, homeward(config, env))
+    return SkillCollector(config.agent, env, homeward(config, env))
 
 
 DEMONSTRATED = ("agent.demonstrator=potential_field", "agent.demonstrator_envs=2")
@@ -212,7 +212,7 @@ DEMONSTRATED = ("agent.demonstrator=potential_field", "agent.demonstrator_envs=2
 def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
     config = small_config(tmp_path, *DEMONSTRATED)
     env = PointEnv(8, 0)
-    training = Training(config, lambda _: Collector(config.agent, env, homeward(config, env)), tmp_path)
+    training = Training(config, lambda _: SkillCollector(config.agent, env, homeward(config, env)), tmp_path)
     expected = homeward(config, env)()
     training.step()
     stored = training.learner.buffer.storage[:8]
@@ -223,12 +223,12 @@ def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
 def test_guided_episodes_count_in_no_success(tmp_path):
     config = small_config(tmp_path, *DEMONSTRATED, "curriculum=off", "task.precision.grasp_tolerance_m=0.3")
     env = PointEnv(8, 0)
-    training = Training(config, lambda _: Collector(config.agent, env, lambda: torch.zeros(2, 2)), tmp_path)
+    training = Training(config, lambda _: SkillCollector(config.agent, env, lambda: torch.zeros(2, 2)), tmp_path)
     ended = 0
     for _ in range(LIMIT):
         env.point[2:] = 0.0  # whoever is not guided is there at once
         finished = training.step()
-        assert all(success for _, success in finished)
+        assert all(outcome["success"] for outcome in finished)
         ended += len(finished)
     assert ended == 6 * LIMIT
 
@@ -307,7 +307,7 @@ def test_a_success_is_worth_what_the_successor_makes_of_it(tmp_path):
     for value in (None, next_skill):
         env = PointEnv(8, 0)
         agent = replace(config.agent, next_skill=value and "next")
-        collector = Collector(agent, env, next_skill=value)
+        collector = SkillCollector(agent, env, next_skill=value)
         training = Training(config, lambda _, made=collector: made, tmp_path)
         env.point[:4], env.point[4:] = 0.0, 0.9  # four are there at once
         training.step()

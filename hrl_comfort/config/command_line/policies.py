@@ -58,7 +58,7 @@ def as_chain(overrides: Sequence[str]) -> list[str]:
     return list(overrides)
 
 
-def as_skills(overrides: Sequence[str]) -> list[str]:
+def with_skills(overrides: Sequence[str]) -> list[str]:
     """Return `overrides` with the policy of every skill in place of `policy=`, the folder of a chain or one for all."""
     source = _values(overrides).get("policy")
     if source is None:

@@ -60,7 +60,7 @@ def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:
             continue
         default = shown(given[field.name]) if field.name in given else ""
         yield Key(name, meanings.get(field.name, ""), allowed(hint), default, hint)
-        if is_dataclass(entry := (*get_args(hint), None)[0]):
+        if get_origin(hint) is list and is_dataclass(entry := get_args(hint)[0]):
             yield from _keys(entry, None, f"{name}[].")
 
 

@@ -1,0 +1,1 @@
+"""What the command line and the studio know of configurations: their keys, and words that stand for policies."""
