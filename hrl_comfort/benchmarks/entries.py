@@ -1,7 +1,7 @@
 """Entries of the benchmark: those committed, pooled over training seeds, as tables.
 
-An entry is `NAME.json`. A folder `NAME/` has one a training seed, `SEED.json`, and counts as one entry: means and
-Student's t intervals over seeds.
+An entry is a folder `NAME/` with `benchmark.json`. With one such folder for each training seed in it, `NAME/SEED/`,
+it counts as one entry: means and Student's t intervals over seeds.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 from hrl_comfort.analysis.intervals import Clusters, Estimate
 from hrl_comfort.analysis.tables import Quantity, cell, cells, markdown
 from hrl_comfort.config.checks import ConfigError
-from hrl_comfort.evaluation.ledger import ROOT
 from hrl_comfort.files.documents import read_json
+from hrl_comfort.files.provenance import ROOT
 
-ENTRIES = ROOT / "docs" / "tables" / "benchmark"
+ENTRIES = ROOT / "runs" / "reference" / "benchmark"
 """Folder of the entries in a checkout; a wheel has none."""
+FILE = "benchmark.json"
 
 
 class Level(TypedDict):
@@ -78,24 +79,28 @@ ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
 
 
 def committed(folder: Path) -> dict[str, Entry]:
-    """Return the entries of a folder by name, those of a sub-folder as one.
+    """Return the entries of a folder by name, those of training seeds as one.
 
     Raises:
-      ConfigError: a file is damaged, or the files of a sub-folder cannot be pooled.
+      ConfigError: a file is damaged, or the entries of training seeds cannot be pooled.
     """
-    found = sorted(path for path in folder.glob("[!.]*") if path.is_dir() or path.suffix == ".json")
-    return {
-        path.stem: pooled(path) if path.is_dir() else {**read_json(path, Entry), "policy": path.stem} for path in found
-    }
+    return {path.name: read_entry(path) for path in sorted(folder.glob("[!.]*")) if [*path.rglob(FILE)]}
+
+
+def read_entry(folder: Path) -> Entry:
+    """Return the entry in a folder, with the folder's name; raise ConfigError as `committed` does."""
+    if (folder / FILE).is_file():
+        return {**read_json(folder / FILE, Entry), "policy": folder.name}
+    return pooled(folder)
 
 
 def of_seeds(folder: Path) -> dict[str, Entry]:
-    """Return the entries of a folder by the name of their file, the training seed.
+    """Return the entries in a folder by the name of their own folder, the training seed.
 
     Raises:
       ConfigError: there is none, or one is damaged.
     """
-    found = {file.stem: read_json(file, Entry) for file in sorted(folder.glob("[!.]*.json"))}
+    found = {file.parent.name: read_json(file, Entry) for file in sorted(folder.glob(f"[!.]*/{FILE}"))}
     if not found:
         raise ConfigError(f"{folder} holds no entry")
     return found

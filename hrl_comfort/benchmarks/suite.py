@@ -9,7 +9,7 @@ from typing import Any
 from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
-from hrl_comfort.benchmarks.entries import ENTRIES, QUANTITIES, Entry, committed, table
+from hrl_comfort.benchmarks.entries import ENTRIES, FILE, QUANTITIES, Entry, committed, table
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.evaluation.evaluate import evaluate
@@ -39,15 +39,16 @@ def benchmark(config: EvaluateConfig) -> Path:
         check_steps(config, name, source)
     if config.comfort.source == "none":
         raise ConfigError("comfort.source=none: the benchmark's discomfort is that of a level")
-    others = committed(ENTRIES).values()
+    mine = Path(config.output).resolve()
+    others = [entry for name, entry in committed(ENTRIES).items() if not mine.is_relative_to(ENTRIES / name)]
     output = evaluate(config)
     entry = entry_of(config, output)
     every = [*others, entry]
-    write_json(output / "benchmark.json", entry)
+    write_json(output / FILE, entry)
     write_text(output / "benchmark.md", table(every))
     save_png(front(every), output / "benchmark.png")
     print(table([entry]), end="")
-    return output / "benchmark.json"
+    return output / FILE
 
 
 def check_steps(config: EvaluateConfig, name: str, source: str) -> None:

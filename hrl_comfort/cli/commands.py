@@ -69,6 +69,12 @@ COMMANDS = {
         "draw what comfort levels or controllers change",
         "kind=levels evaluations=[runs/comfort/eval] output=runs/levels.png",
     ),
+    "results": Command(
+        "results",
+        "hrl_comfort.results.command:results",
+        "list published results, make them anew, fill the pages",
+        "remake=comfort",
+    ),
     "studio": Command(
         "studio",
         "hrl_comfort.studio.server:studio",

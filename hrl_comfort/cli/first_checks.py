@@ -34,6 +34,7 @@ from hrl_comfort.config.overrides import override
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
     "report": "run",
+    "results": "name",
 }
 """Key of a word without `=`, by command: `evaluate runs/pick`."""
 

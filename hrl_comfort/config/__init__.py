@@ -19,6 +19,7 @@ from hrl_comfort.config.commands import (
     FigureConfig,
     IdentifyConfig,
     ReportConfig,
+    ResultsConfig,
     StudioConfig,
 )
 from hrl_comfort.config.constants import (
@@ -52,6 +53,6 @@ __all__ = [
     "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
     "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
     "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
-    "MetaControllerTrainConfig", "PrecisionConfig", "RandomiseConfig", "ReportConfig", "RewardConfig", "RobotConfig",
-    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "MetaControllerTrainConfig", "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig",
+    "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

@@ -67,7 +67,7 @@ class EvaluateConfig(EnvConfig):
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
     `validation` has people and places of its own. `test`: people, places, arm starts that no training with
-    `human.partitioned` sees; every evaluation on it adds a line to docs/tables/test_ledger.csv."""
+    `human.partitioned` sees; each look at it is a line of runs/ledger.csv."""
     episodes: int
     """Number of episodes; with `levels`, at each level."""
     episode_seed: int | None
@@ -102,6 +102,8 @@ class EvaluateConfig(EnvConfig):
             raise ConfigError("checkpoints=all goes with record=false and without terminal_states=")
         if self.checkpoints == "all" and self.split == "test":
             raise ConfigError("checkpoints=all chooses among checkpoints, which split=test is not for; use validation")
+        if self.terminal_states is not None and self.split == "test":
+            raise ConfigError("terminal_states= records training data, which split=test is not for; leave split= out")
         if self.levels:
             self._check_levels()
         first, last, most = SPLITS[self.split]
@@ -218,6 +220,24 @@ class ReportConfig(CommandConfig):
     """Recorded episode of the video, in place of the first failure and the first success."""
     speed: Annotated[float, within(0.1, 1.0)] = 1.0
     """Speed of the video; 0.5 is half."""
+
+
+@dataclass(frozen=True)
+class ResultsConfig(CommandConfig):
+    """`hrl-comfort results`."""
+
+    name: str | None
+    """Result whose commands are shown; null lists all with their states."""
+    remake: str | None
+    """Result whose evaluations and figures are made anew; `stale` and `all` stand for several."""
+    train: bool
+    """With `remake`, train the policies anew too."""
+    verify: str | None
+    """Result whose first episodes are run again and compared digit by digit; `stale` and `all` stand for several."""
+    fill: bool
+    """Fill the marked tables and numbers of README.md and docs/ from the committed results."""
+    jobs: Annotated[int, within(1, 256)] = 1
+    """Commands that `remake` runs at a time."""
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from hrl_comfort.config import (
     IdentifyConfig,
     MetaControllerTrainConfig,
     ReportConfig,
+    ResultsConfig,
     StudioConfig,
     TrainConfig,
 )
@@ -47,6 +48,7 @@ ROOTS: dict[str, type[CommandConfig]] = {
     "identify": IdentifyConfig,
     "report": ReportConfig,
     "figure": FigureConfig,
+    "results": ResultsConfig,
 }
 """Configuration class of each root, a file `conf/ROOT.yaml`."""
 NAMES = {"task": "task.name", "human": "human.motion", "robot": "robot.name"}

@@ -15,7 +15,8 @@ from rich.console import Console
 from hrl_comfort import __version__
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import environment, save_config
-from hrl_comfort.evaluation.rollout import BATCH, at_each_level, split
+from hrl_comfort.evaluation.ledger import open_split
+from hrl_comfort.evaluation.rollout import BATCH, at_each_level
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
@@ -83,14 +84,15 @@ def dataset(config: EvaluateConfig) -> Path:
 
 def _episodes(config: EvaluateConfig) -> tuple[list[EpisodeBuffer], list[str], tuple[int, int]]:
     """Return the episodes, the names of the options, and the widths of observations and actions."""
-    entries, total = split(config), config.episodes * max(1, len(config.levels))
+    look, total = open_split(config), config.episodes * max(1, len(config.levels))
     found: list[EpisodeBuffer] = []
     with progress(f"dataset {config.task.name}", total) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
-                part, options = _batch(at_level, entries.part(start, start + BATCH), len(found))
+                part, options = _batch(at_level, look.entries.part(start, start + BATCH), len(found))
                 found += part
                 show(len(found), success_of([bool(each.infos["success"][-1]) for each in found if each.infos]))
+    look.completed()
     return found, options, (found[0].observations.shape[1], found[0].actions.shape[1])  # type: ignore[union-attr]
 
 

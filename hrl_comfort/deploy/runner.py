@@ -29,7 +29,8 @@ from hrl_comfort.deploy.robot import RobotEngine
 from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm
-from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result, split
+from hrl_comfort.evaluation.ledger import open_split
+from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
@@ -122,7 +123,7 @@ class Run:
 
     def __init__(self, config: DeployConfig, link: Link, interrupted: Callable[[], bool], endure: bool = False) -> None:
         self.result = Result([], [], [])
-        self._config, self._link, self._entries = config, link, split(config)
+        self._config, self._link, self._entries = config, link, open_split(config).entries
         self._engine = RobotEngine(environment(config), link, self._entries, interrupted, endure)
         self._executor, self._choose = make_executor(config, None, self._engine, config.first_seed)
 

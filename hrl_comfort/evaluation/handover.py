@@ -19,7 +19,8 @@ from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
-from hrl_comfort.evaluation.rollout import rollout, split
+from hrl_comfort.evaluation.ledger import open_split
+from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import EVALUATION_MARKS, output_folder
@@ -117,7 +118,7 @@ def _terminal_states(config: EvaluateConfig, output: Path, name: str, kind: str,
     """Record the terminal states of a subtask's policy, or of the expert; return the .npz."""
     path = str(output / f"{name}_{kind}.npz")
     part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
-    record_terminal_states(replace(part, terminal_states=path, episodes=RECORDED_EPISODES))
+    record_terminal_states(replace(part, terminal_states=path, episodes=RECORDED_EPISODES, split="train"))
     return path
 
 
@@ -129,10 +130,12 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     assert config.policy is not None
     policy = load_policy(config.policy)
     task = observed_by(policy, config.policy, subtask(config.task.name), environment(config))
-    entries = split(config)
+    look = open_split(config)
+    entries = look.entries
     engine = Engine(environment(config), len(entries.episode), 0, entries)
     state = engine.reset()
     engine.close()
+    look.completed()
     rows, first = [], 0
     for name, term in task.observations.items():
         values = term(state)

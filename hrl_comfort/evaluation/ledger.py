@@ -1,44 +1,77 @@
-"""The ledger of evaluations on the test split: a committed table to which each one appends a line."""
+"""The ledger of looks at the split `test`: `open_split` is the only door to a split, and writes a line as it opens."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import secrets
 import shlex
 import sys
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pandas import DataFrame
 
 from hrl_comfort.config import EvaluateConfig
-from hrl_comfort.files.provenance import commit
+from hrl_comfort.files.provenance import ROOT, commit
+from hrl_comfort.humans import EvaluationSet, split_set
 from hrl_comfort.policies.load import Source, name_of
 
-ROOT = Path(__file__).resolve().parents[2]
-FILE = (ROOT / "docs" / "tables" if (ROOT / ".git").exists() else Path.cwd()) / "test_ledger.csv"
-"""The ledger of the checkout; of a wheel, in the current folder."""
-HEADER = ["utc", "commit", "command", "policy", "task", "human", "episodes", "success", "contact", "unsafe_contact"]
+FILE = (ROOT if (ROOT / ".git").exists() else Path.cwd()) / "runs" / "ledger.csv"
+"""The ledger of this machine, beside its runs and untracked; `hrl-comfort results` publishes lines of it."""
+SHARES = ("success", "contact", "unsafe_contact")
+HEADER = ("look", "utc", "commit", "command", "policy", "task", "human", "episodes", *SHARES)
+"""A look has a line when it is opened, without shares, and another with them when its episodes are over."""
 
 
-def record(config: EvaluateConfig, policy: Source | None, episodes: DataFrame) -> None:
-    """Append policy hashes, commit, command and shares of `episodes` to the ledger."""
-    acting = config.policy if policy is None else policy
-    sources = [*([acting] if acting is not None else []), *config.policies.values()]
-    shares = [f"{episodes[name].astype(bool).mean():.4f}" for name in HEADER[-3:]]
-    line = [
-        datetime.now(UTC).isoformat(timespec="seconds"),
-        commit() or "",
-        shlex.join(["hrl-comfort", *sys.argv[1:]]),
-        " ".join(map(hash_of, sources)),
-        config.task.name,
-        config.human.motion,
-        len(episodes),
-        *shares,
-    ]
-    new = not FILE.exists()
+@dataclass(frozen=True)
+class Look:
+    """The opened episodes of a split."""
+
+    entries: EvaluationSet
+    line: dict[str, object] | None
+    """The look's line in the ledger; None if the split is not `test`."""
+
+    def completed(self, episodes: DataFrame | None = None) -> None:
+        """Append the line of a look whose episodes are over, with the shares of `episodes` where it has the table."""
+        if self.line is not None:
+            shares = {} if episodes is None else {name: f"{episodes[name].astype(bool).mean():.4f}" for name in SHARES}
+            _append({**self.line, "episodes": self.line["episodes"] if episodes is None else len(episodes), **shares})
+
+
+def open_split(config: EvaluateConfig, policy: Source | None = None) -> Look:
+    """Return the episodes that `config` asks for; a look at `test` has its line before the first of them begins.
+
+    Args:
+      config: the evaluation.
+      policy: acts in place of the policy that `config` names.
+    """
+    line: dict[str, object] | None = None
+    if config.split == "test":
+        acting = config.policy if policy is None else policy
+        sources = [*([acting] if acting is not None else []), *config.policies.values()]
+        line = {
+            "look": secrets.token_hex(4),
+            "utc": datetime.now(UTC).isoformat(timespec="seconds"),
+            "commit": commit() or "",
+            "command": shlex.join(["hrl-comfort", *sys.argv[1:]]),
+            "policy": " ".join(map(hash_of, sources)),
+            "task": config.task.name,
+            "human": config.human.motion,
+            "episodes": config.episodes * max(1, len(config.levels)),
+        }
+        _append(line)
+    return Look(split_set(config.split, config.episodes, config.first_seed), line)
+
+
+def _append(line: dict[str, object]) -> None:
+    FILE.parent.mkdir(parents=True, exist_ok=True)
     with FILE.open("a", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([HEADER, line] if new else [line])
+        writer = csv.DictWriter(file, HEADER, lineterminator="\n")
+        if not file.tell():
+            writer.writeheader()
+        writer.writerow(line)
 
 
 def hash_of(source: Source) -> str:

@@ -18,13 +18,13 @@ from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
-from hrl_comfort.evaluation.ledger import record
+from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rates import Course, discomfort_per_min, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
-from hrl_comfort.humans import EvaluationSet, split_set
+from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
 from hrl_comfort.sim.engine import Engine
@@ -71,24 +71,15 @@ class Result:
 
 
 def rollout(config: EvaluateConfig, policy: Source | None = None) -> Result:
-    """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's.
-
-    The ledger gets a line of each rollout on `split=test`.
-    """
-    entries = split(config)
+    """Run the first `config.episodes` episodes of the split; `policy` stands in for the config's."""
+    look = open_split(config, policy)
     result = Result([], [], [])
     with progress(f"evaluate {config.task.name}", config.episodes * max(1, len(config.levels))) as show:
         for at_level in at_each_level(config):
             for start in range(0, config.episodes, BATCH):
-                _run_batch(at_level, policy, entries.part(start, start + BATCH), result, show)
-    if config.split == "test":
-        record(config, policy, result.table)
+                _run_batch(at_level, policy, look.entries.part(start, start + BATCH), result, show)
+    look.completed(result.table)
     return result
-
-
-def split(config: EvaluateConfig) -> EvaluationSet:
-    """Return the episodes that `config` asks for."""
-    return split_set(config.split, config.episodes, config.first_seed)
 
 
 def at_each_level(config: EvaluateConfig) -> list[EvaluateConfig]:

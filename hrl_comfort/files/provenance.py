@@ -17,6 +17,10 @@ from hrl_comfort.config import TrainingConfig
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import read_json
 
+ROOT = Path(__file__).resolve().parents[2]
+"""The checkout; in a wheel, the folder that holds the package."""
+DECIDING = (".", ":!runs", ":!docs")
+"""What decides results, as pathspecs of git: all but the results themselves and the pages."""
 PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
 
 
@@ -71,16 +75,16 @@ def write_provenance(folder: Path, config: TrainingConfig, finished: bool, secon
 
 
 def commit() -> str | None:
-    """Return the commit of the package's checkout, with `+` if files differ; None in a wheel."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists() or shutil.which("git") is None:
+    """Return the commit of the package's checkout, with `+` if files DECIDING results differ; None in a wheel."""
+    if not (ROOT / ".git").exists() or shutil.which("git") is None:
         return None
-    head = _git(root, "rev-parse", "HEAD")
-    return head and head + ("+" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
+    head = git("rev-parse", "HEAD")
+    return head and head + ("+" if git("status", "--porcelain", "--untracked-files=no", "--", *DECIDING) else "")
 
 
-def _git(root: Path, *words: str) -> str | None:
-    done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False)
+def git(*words: str) -> str | None:
+    """Return what git says of the checkout, None if it fails."""
+    done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
     return done.stdout.strip() if done.returncode == 0 else None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -71,8 +72,8 @@ def test_an_entry_has_its_levels_a_table_and_a_figure_with_the_others(
     assert [(at["level"], at["shifts"]) for at in entry["levels"]] == [(1, 2), (10, 2)]
     assert entry["levels"][0]["discomfort_per_min"]["mean"] > entry["levels"][1]["discomfort_per_min"]["mean"]
     assert entry["changed"]["split"] == "validation" and entry["policies"]["pick"] == "random"
-    (tmp_path / "entries").mkdir()
-    first.rename(tmp_path / "entries" / "random.json")
+    (tmp_path / "entries" / "random").mkdir(parents=True)
+    first.rename(tmp_path / "entries" / "random" / entries.FILE)
     second = suite.benchmark(asked("policy=potential_field", *SHORT, f"output='{tmp_path / 'second'}'"))
     lines = second.with_suffix(".md").read_text(encoding="utf-8").splitlines()
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| random*"] * 2 + ["| potential_field*"] * 2
@@ -98,7 +99,8 @@ def write_seeds(folder: Path, balls: list[list[float]], mood: float = 0.0, chang
             "changed": {"human.motion": changed} if changed else {},
             "levels": levels,
         }
-        (folder / f"{seed}.json").write_text(json.dumps(entry), encoding="utf-8")
+        (folder / str(seed)).mkdir()
+        (folder / str(seed) / entries.FILE).write_text(json.dumps(entry), encoding="utf-8")
     return folder
 
 
@@ -108,7 +110,7 @@ def cells_of(table: str) -> list[list[str]]:
 
 def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path) -> None:
     write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.0], [6.0, 14.0]])
-    (tmp_path / "alone.json").write_text((tmp_path / "ours" / "0.json").read_text(encoding="utf-8"), encoding="utf-8")
+    shutil.copytree(tmp_path / "ours" / "0", tmp_path / "alone")
     alone, ours = entries.committed(tmp_path).values()
     assert (alone["policy"], ours["policy"]) == ("alone", "ours, 3 seeds")
     low, high = ours["levels"]
@@ -121,7 +123,7 @@ def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path
 def test_entries_of_a_folder_that_differ_in_the_suite_are_refused(tmp_path: Path) -> None:
     write_seeds(tmp_path / "ours", [[4.0, 10.0]], changed="still")
     write_seeds(tmp_path / "other", [[4.0, 10.0], [5.0, 12.0]])
-    (tmp_path / "ours" / "0.json").rename(tmp_path / "other" / "2.json")
+    (tmp_path / "ours" / "0").rename(tmp_path / "other" / "2")
     with pytest.raises(ConfigError, match="must be of the same levels and the same suite"):
         entries.pooled(tmp_path / "other")
 
@@ -177,25 +179,26 @@ def test_the_best_mix_passes_over_a_level_that_two_others_beat() -> None:
 def test_a_damaged_entry_is_named_in_one_line_before_anything_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[dict[str, Any]], Any], reason: str
 ) -> None:
-    file = write_seeds(tmp_path / "ours", [[4.0, 10.0]]) / "0.json"
+    file = write_seeds(tmp_path / "ours", [[4.0, 10.0]]) / "0" / entries.FILE
     entry = json.loads(file.read_text(encoding="utf-8"))
     damage(entry)
     file.write_text(json.dumps(entry), encoding="utf-8")
     monkeypatch.setattr(suite, "ENTRIES", tmp_path)
-    with pytest.raises(ConfigError, match=rf"ours/0\.json is damaged: .*{reason}"):
+    with pytest.raises(ConfigError, match=rf"ours/0/benchmark\.json is damaged: .*{reason}"):
         suite.benchmark(asked("policy=random", *SHORT, f"output='{tmp_path / 'mine'}'"))
     assert not (tmp_path / "mine").exists()
 
 
-def test_an_empty_folder_and_two_copies_of_a_seed_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match="empty holds no entry"):
-        entries.committed(tmp_path)
+def test_a_folder_without_an_entry_is_left_out_and_two_copies_of_a_seed_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "begun" / "0").mkdir(parents=True)
+    assert entries.committed(tmp_path) == {}
+    with pytest.raises(ConfigError, match="begun holds no entry"):
+        entries.pooled(tmp_path / "begun")
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0]])
-    (ours / "1.json").write_bytes((ours / "0.json").read_bytes())
+    shutil.copytree(ours / "0", ours / "1")
     with pytest.raises(ConfigError, match="two of its entries are of the same policies"):
         entries.pooled(ours)
-    (write_seeds(tmp_path / "seven", [[1.0]]) / "0.json").rename(tmp_path / "seven" / "7.json")
+    (write_seeds(tmp_path / "seven", [[1.0]]) / "0").rename(tmp_path / "seven" / "7")
     with pytest.raises(ConfigError, match="have no training seed in common"):
         entries.pairs(ours, tmp_path / "seven")
 

@@ -18,7 +18,7 @@ from hrl_comfort.deploy.predictor import Predictor
 from hrl_comfort.deploy.robot import RobotEngine
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import TICKS, Streamer
-from hrl_comfort.evaluation.rollout import split
+from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from tests.deploy.campaign import LATENCY_S, LateArm, config
 from tests.deploy.test_streamer import limits, scene
@@ -52,7 +52,7 @@ def engine_at(angles: np.ndarray) -> RobotEngine:
     """Return an engine whose arm stands at joint angles (6,) rad."""
     asked = config(1)
     link = Lockstep(partial(SimulatedArm, scene().model, angles), limits(), Path(os.devnull))
-    return RobotEngine(environment(asked), link, split(asked), lambda: False, endure=False)
+    return RobotEngine(environment(asked), link, open_split(asked).entries, lambda: False, endure=False)
 
 
 def test_the_way_to_the_start_goes_by_home_where_the_straight_one_is_not_free() -> None:

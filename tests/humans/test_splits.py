@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ import hrl_comfort
 from hrl_comfort import humans
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.envs.inputs import replayed
-from hrl_comfort.evaluation import ledger
+from hrl_comfort.evaluation import ledger, rollout
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.provenance import ROOT, git
 from hrl_comfort.humans.evaluation import SHARES
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
@@ -91,23 +95,71 @@ def test_recordings_are_split_whole(tmp_path: Path) -> None:
         )
 
 
-def test_each_evaluation_on_test_is_in_the_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "FILE", tmp_path / "ledger.csv")
-    words = ["task=reach", "policy=expert", "episodes=3", f"output='{tmp_path / 'eval'}'"]
-    for split in ("validation", "test"):
-        config = compose("evaluate", [*words, f"split={split}"])
-        assert isinstance(config, EvaluateConfig)
-        evaluate(config)
+REACH = ("task=reach", "policy=expert", "episodes=3", "split=test")
+
+
+@pytest.fixture
+def looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], pd.DataFrame]:
+    """Return what reads a ledger of the test's own."""
+    monkeypatch.setattr(ledger, "FILE", tmp_path / "runs" / "ledger.csv")
+    return lambda: pd.read_csv(ledger.FILE)
+
+
+def asked(tmp_path: Path, *words: str) -> EvaluateConfig:
+    config = compose("evaluate", [*REACH, f"output='{tmp_path / 'eval'}'", *words])
+    assert isinstance(config, EvaluateConfig)
+    return config
+
+
+def test_each_look_at_test_is_in_the_ledger(tmp_path: Path, looks: Callable[[], pd.DataFrame]) -> None:
+    evaluate(asked(tmp_path, "split=validation"))
+    assert not ledger.FILE.exists()
+    evaluate(asked(tmp_path))
     hrl_comfort.evaluate("random", "reach", 2, split="test")
-    lines = pd.read_csv(tmp_path / "ledger.csv")
-    assert list(lines.columns) == ledger.HEADER
-    assert lines[["policy", "task", "episodes"]].values.tolist() == [["expert", "reach", 3], ["random", "reach", 2]]
-    assert lines["success"].between(0, 1).all() and lines["command"].str.startswith("hrl-comfort").all()
+    lines = looks()
+    assert tuple(lines.columns) == ledger.HEADER
+    assert lines["policy"].tolist() == ["expert", "expert", "random", "random"]
+    assert lines["success"].notna().tolist() == [False, True, False, True]
+    assert lines["look"].nunique() == 2 and lines["command"].str.startswith("hrl-comfort").all()
 
 
-def test_the_committed_ledger_has_its_columns() -> None:
-    text = (ledger.ROOT / "docs" / "tables" / "test_ledger.csv").read_text(encoding="utf-8")
-    assert text.splitlines()[0].split(",") == ledger.HEADER
+def test_a_data_set_is_a_look(tmp_path: Path, looks: Callable[[], pd.DataFrame]) -> None:
+    pytest.importorskip("minari", reason="minari is not installed: pip install -e '.[test]'")
+    dataset(asked(tmp_path))
+    assert looks()["look"].nunique() == 1
+
+
+def test_an_interrupted_look_is_in_the_ledger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looks: Callable[[], pd.DataFrame]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rollout, "execute", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(asked(tmp_path))
+    assert looks()[["policy", "episodes"]].values.tolist() == [["expert", 3]]
+
+
+def test_a_look_leaves_the_tree_clean() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git repository here")
+    assert git("check-ignore", str(ledger.FILE.relative_to(ROOT))) == "runs/ledger.csv"
+
+
+def test_only_the_ledger_opens_a_split() -> None:
+    users = {
+        str(path.relative_to(ROOT / "hrl_comfort"))
+        for path in (ROOT / "hrl_comfort").rglob("*.py")
+        if re.search(r"\b(split_set|drawn_set)\(", path.read_text(encoding="utf-8"))
+    }
+    # The reset of the environments refuses `test`; the studio records in `validation`.
+    assert users == {"humans/evaluation.py", "evaluation/ledger.py", "envs/inputs.py", "studio/recorder.py"}
+
+
+def test_terminal_states_are_no_look_at_test(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"terminal_states= records training data.*leave split= out"):
+        asked(tmp_path, "terminal_states=states.npz")
 
 
 def test_the_ledger_tells_a_policy_by_its_bytes(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Published results: the manifest, what is stale in it, remaking, and filling the pages."""

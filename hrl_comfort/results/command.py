@@ -1,0 +1,71 @@
+"""`hrl-comfort results`: list published results, make them anew, verify them, fill the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.table import Table
+
+from hrl_comfort.config import ConfigError, ResultsConfig
+from hrl_comfort.results import looks, pages
+from hrl_comfort.results.manifest import PHASES, Entry, entry, manifest, tracked
+from hrl_comfort.results.record import read_record, state
+from hrl_comfort.results.remake import remake, verify
+
+
+def results(config: ResultsConfig) -> None:
+    """List results with their states; with `remake`, `verify` or `fill` do that.
+
+    Raises:
+      ConfigError: no such result, a command fails, the tree has uncommitted changes, or this is no checkout.
+    """
+    tracked()
+    if config.remake is not None:
+        for name, each in chosen("remake", config.remake, lambda _, each: each.by_hand is None):
+            remake(name, each, config.train, config.jobs)
+        for line in looks.merge():
+            print(line)
+    for name, each in chosen("verify", config.verify, lambda name, each: bool(each.evaluate and read_record(name))):
+        wrong = verify(name, each)
+        if wrong:
+            raise ConfigError(f"verify={name}: {wrong}")
+        print(f"{name}: the same digits")
+    if config.fill or config.remake is not None:
+        for page in pages.fill():
+            print(f"filled {page}")
+    if config.name is not None:
+        show(entry("name", config.name))
+    elif not (config.fill or config.remake or config.verify):
+        overview()
+
+
+def chosen(key: str, name: str | None, fits: Callable[[str, Entry], bool]) -> list[tuple[str, Entry]]:
+    """Return the entries of a key's value: one by its name, `all` that fit, or of these the `stale` ones."""
+    if name is None:
+        return []
+    if name not in ("all", "stale"):
+        return [(name, entry(key, name))]
+    every = [(each, found) for each, found in manifest().items() if fits(each, found)]
+    return [(each, found) for each, found in every if name == "all" or state(each, found) != "current"]
+
+
+def overview() -> None:
+    """Print a line for each entry, and the tracked files that belong to none."""
+    table = Table(box=None, pad_edge=False)
+    for head in ("result", "state", "pages"):
+        table.add_column(head, overflow="fold")
+    for name, each in manifest().items():
+        table.add_row(name, state(name, each), " ".join(each.pages))
+    Console().print(table)
+    for path in tracked():
+        if not any(each.owns(path) for each in manifest().values()):
+            print(f"{path} belongs to no result of the manifest")
+
+
+def show(found: Entry) -> None:
+    """Print what an entry is and its commands."""
+    print(found.about)
+    for phase in PHASES:
+        for words in found.commands(phase):
+            print(f"{phase}: {' '.join(words)}")

@@ -1,0 +1,221 @@
+"""Every published number, picture and file comes from the manifest, and says of which commit it is."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from hrl_comfort.cli.main import command_of
+from hrl_comfort.config import ConfigError, ResultsConfig
+from hrl_comfort.config.overrides import check_overrides, root_of
+from hrl_comfort.evaluation import ledger
+from hrl_comfort.files import provenance
+from hrl_comfort.results import looks, manifest, pages, record, remake
+from hrl_comfort.results.command import results
+from hrl_comfort.results.manifest import PHASES, Entry
+
+ROOT = provenance.ROOT
+ENTRIES = manifest.manifest()
+HELD = ("README.md", "docs/results.md")
+"""Pages of which every number is a result or marked as given."""
+VERSION = re.compile(r"(?:Python|version|or) \d+\.\d+")
+NUMBER = re.compile(r"[−-]?\d+\.\d+|[−-]?\d+(?: | )?%")
+
+
+def in_git() -> bool:
+    return (ROOT / ".git").exists()
+
+
+def test_every_tracked_artefact_belongs_to_one_result() -> None:
+    if not in_git():
+        pytest.skip("no git repository here")
+    owners = {path: [name for name, each in ENTRIES.items() if each.owns(path)] for path in manifest.tracked()}
+    assert {path: names for path, names in owners.items() if len(names) != 1} == {}
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_the_commands_of_a_result_are_accepted_and_its_pages_are_there(name: str) -> None:
+    each = ENTRIES[name]
+    assert all((ROOT / page).is_file() for page in each.pages)
+    commands = [words for phase in PHASES for words in each.commands(phase)]
+    assert bool(commands) != bool(each.by_hand)
+    for program, *words in commands:
+        if program == "hrl-comfort":
+            command, overrides = command_of(words)
+            root = {"dataset": "evaluate", "evaluate handover": "evaluate"}.get(command, root_of(command))
+            assert check_overrides("train" if command.startswith("bench ") else root, overrides)
+        else:
+            assert (ROOT / f"{words[1].replace('.', '/')}.py").is_file()
+
+
+def test_the_pages_are_filled_from_the_committed_results() -> None:
+    for page in pages.pages():
+        text = page.read_text(encoding="utf-8")
+        assert pages.filled(text) == text, "run hrl-comfort results fill=true"
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_every_number_of_a_page_is_a_result_or_given(name: str) -> None:
+    text = pages.without_results((ROOT / name).read_text(encoding="utf-8"))
+    prose = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", text, flags=re.DOTALL)
+    assert NUMBER.findall(VERSION.sub("", prose)) == []
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_every_picture_of_a_page_belongs_to_a_result(name: str) -> None:
+    page = ROOT / name
+    for target in re.findall(r"!\[[^]]*\]\(([^)]*)\)", page.read_text(encoding="utf-8")):
+        path = str((page.parent / target).resolve().relative_to(ROOT))
+        assert any(each.owns(path) and name in each.pages for each in ENTRIES.values()), target
+
+
+def test_a_number_in_prose_is_a_cell_of_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = "| policy | level | balls |\n| --- | --- | --- |\n| a | 1 | 2.0 |\n| a | 10 | 5.0 |\n"
+    monkeypatch.setitem(pages.KINDS, "entries", lambda names: table)
+    pages.table.cache_clear()
+    page = "It places <!-- cell: entries: tried :: a :: 10 :: balls -->?<!-- end --> balls."
+    assert pages.filled(page) == page.replace("?", "5.0")
+    with pytest.raises(ConfigError, match=r"2 rows begin so; columns are policy, level, balls"):
+        pages.filled(page.replace(" :: 10", ""))
+    pages.table.cache_clear()
+
+
+def test_what_is_not_measured_says_so() -> None:
+    page = "<!-- evaluations: no/such -->\nold\n<!-- end -->"
+    assert pages.ABSENT in pages.filled(page) and "old" not in pages.filled(page)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a repository with code, a result in runs/ and its record."""
+    for module in (provenance, manifest, record, remake, looks):
+        monkeypatch.setattr(module, "ROOT", tmp_path)
+    monkeypatch.setattr(record, "RECORDS", tmp_path / "runs" / "records")
+    for name in ("code.py", "runs/made.csv", "other.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1\n", encoding="utf-8")
+    commit(tmp_path, "init", "-q")
+    commit(tmp_path)
+    return tmp_path
+
+
+def commit(folder: Path, *first: str) -> str:
+    """Commit everything in a repository, or run `git FIRST`; return the commit."""
+    me = ("-c", "user.name=test", "-c", "user.email=test@test")
+    for words in [first] if first else [("add", "-A"), ("commit", "-qm", "x")]:
+        subprocess.run(["git", "-C", str(folder), *me, *words], check=True)
+    done = subprocess.run(["git", "-C", str(folder), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return done.stdout.strip()
+
+
+MADE = Entry(about="x", draw=["python -m nothing"], artefacts=["runs/made.csv"], decided_by=["code.py"])
+
+
+def test_a_result_is_stale_once_what_decides_it_has_changed(checkout: Path) -> None:
+    assert record.state("made", MADE) == "no record"
+    first = provenance.commit()
+    assert first is not None
+    record.write_record("made", record.Record(commit=first, commands=[]))
+    (checkout / "other.py").write_text("2\n", encoding="utf-8")
+    commit(checkout)
+    assert record.state("made", MADE) == "current"
+    (checkout / "code.py").write_text("2\n", encoding="utf-8")
+    second = commit(checkout)
+    assert record.state("made", MADE) == f"stale: 1 files changed since {first[:7]}, code.py first"
+    record.write_record("made", record.Record(commit=first, verified=second, commands=[]))
+    assert record.state("made", MADE) == "current"
+    record.write_record("made", record.Record(commit=f"{first}+", commands=[]))
+    assert record.state("made", MADE) == "made with uncommitted changes"
+    (checkout / "runs" / "made.csv").unlink()
+    assert record.state("made", MADE) == "missing: runs/made.csv"
+
+
+def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record, "manifest", lambda: {"made": MADE})
+    (checkout / "runs" / "made.csv").write_text("2\n", encoding="utf-8")
+    record.need_clean_tree()  # a result is no change of the code
+    assert provenance.commit() == commit(checkout, "status", "--short")
+    (checkout / "code.py").write_text("2\n", encoding="utf-8")
+    for publish in (lambda: remake.remake("made", MADE, train=False, jobs=1), lambda: remake.verify("made", MADE)):
+        with pytest.raises(ConfigError, match=r"code\.py has uncommitted changes \(1 files\); commit them"):
+            publish()
+
+
+def test_a_command_that_fails_publishes_nothing(checkout: Path) -> None:
+    with pytest.raises(ConfigError, match="python -m nothing failed"):
+        remake.remake("made", MADE, train=False, jobs=1)
+    assert record.read_record("made") is None
+
+
+def episodes(**columns: Any) -> pd.DataFrame:
+    return pd.DataFrame({"episode": [0, 1], "comfort_level": [1, 1], "return": [0.5, None], **columns})
+
+
+def test_a_result_is_verified_digit_by_digit() -> None:
+    known = episodes()
+    assert remake.difference(known, episodes(later=[1, 2])) == ""
+    other = episodes(**{"return": [0.500001, None]})
+    assert remake.difference(known, other) == "episode 0: return 0.500001, before 0.5"
+    assert remake.difference(known, episodes().drop(columns="return")) == "no column return any more"
+    assert remake.difference(known[:1], episodes()) == "episodes that were not there before"
+
+
+@pytest.mark.parametrize(
+    ("words", "first"),
+    [
+        (["evaluate", "episodes=1000", "levels=[1,4]", "output=x"], ["evaluate", "episodes=250", "levels=[1]"]),
+        (["evaluate", "episodes=100", "output=x"], ["evaluate", "episodes=100"]),
+        (["benchmark", "policy=expert", "output=x"], ["benchmark", "policy=expert", "levels=[1]"]),
+        (["benchmark", "levels=[]", "output=x"], ["benchmark", "levels=[]"]),
+    ],
+)
+def test_a_verification_runs_the_first_batch_at_the_first_level(words: list[str], first: list[str]) -> None:
+    assert remake.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
+
+
+def test_looks_are_published_with_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = Entry(about="x", evaluate=["hrl-comfort evaluate policy=expert split=test output=a"], artefacts=["runs/a"])
+    monkeypatch.setattr(looks, "manifest", lambda: {"entry": entry})
+    monkeypatch.setattr(looks, "LEDGER", tmp_path / "committed.csv")
+    monkeypatch.setattr(ledger, "FILE", tmp_path / "ledger.csv")
+
+    def line(look: str, commit: str, words: str, success: str = "") -> str:
+        return f"{look},now,{commit},hrl-comfort evaluate {words},expert,reach,arc,3,{success},,\n"
+
+    head = ",".join(ledger.HEADER) + "\n"
+    mine = "policy=expert split=test"
+    looks.LEDGER.write_text(
+        head + line("a", "1+", mine) + line("b", "2", f"{mine} output=b") + line("c", "2", "policy=random split=test"),
+        encoding="utf-8",
+    )
+    ledger.FILE.write_text(
+        head + line("d", "3", f"{mine} output=a --overwrite") + line("d", "3", f"{mine} output=a --overwrite", "0.5")
+        + line("e", "3+", mine) + line("f", "3", "policy=expert split=test human=arc"),
+        encoding="utf-8",
+    )  # fmt: skip
+    assert looks.merge() == [f"not published, its tree had uncommitted changes: hrl-comfort evaluate {mine}"]
+    found = pd.read_csv(looks.LEDGER)
+    assert found["look"].tolist() == ["b", "d"] and found["success"].tolist()[1] == 0.5
+
+
+def test_every_published_look_is_of_a_command_of_the_manifest() -> None:
+    lines = pd.read_csv(record.LEDGER, dtype=str, keep_default_na=False)
+    assert list(lines.columns) == list(ledger.HEADER)
+    commands = looks.published()
+    assert all(looks.is_kept(line, commands) for line in lines.to_dict("records"))
+
+
+def test_no_such_result_is_refused_in_one_line() -> None:
+    if not in_git():
+        pytest.skip("no git repository here")
+    for key in ("name", "remake", "verify"):
+        asked = {"name": None, "remake": None, "train": False, "verify": None, "fill": False, key: "comfrt"}
+        with pytest.raises(ConfigError, match=rf"{key}='?comfrt"):
+            results(ResultsConfig(**asked))
