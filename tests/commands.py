@@ -23,6 +23,7 @@ NOT_RUN = (
     "tensorboard ",
     "make test",
     "make page",
+    "make docs",
     "docs/",
     "hrl-comfort studio",
 )

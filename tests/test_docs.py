@@ -1,20 +1,25 @@
-"""The docs hold: tables come from the committed results, commands name what exists."""
+"""The docs hold: generated pages are the code's, commands name what exists, links hold, and pages stay short."""
 
 from __future__ import annotations
 
 import re
 import runpy
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from hrl_comfort.comfort import sources, terms
 from hrl_comfort.config.overrides import check_overrides
-from hrl_comfort.evaluation.episode import COLUMNS
+from hrl_comfort.evaluation import handover
+from hrl_comfort.evaluation.episode import COLUMNS as EPISODES
+from hrl_comfort.files import columns
+from hrl_comfort.training.logger import TIMING, MetricsLog, OptionsLog
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 OVERLAYS = sorted((ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
@@ -36,23 +41,46 @@ def test_comfort_has_a_command_for_every_source_and_a_word_on_every_form() -> No
         assert f"`{name}`" in text, name
 
 
-def test_metrics_explains_every_column_of_the_episodes() -> None:
-    text = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
-    part = text.split("## episodes.csv")[1].split("\n## ")[0]
-    assert [name for name in COLUMNS if f"`{name}`" not in part] == []
+def test_generated_pages_are_those_of_the_code() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))
+    for name, page in script["PAGES"].items():
+        assert (ROOT / "docs" / name).read_text(encoding="utf-8") == page(), "run python docs/site/reference.py"
 
 
-def test_the_tables_of_keys_are_those_of_the_dataclasses() -> None:
-    script = runpy.run_path(str(ROOT / "docs" / "configuration.py"))
-    page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
-    assert script["filled"](page) == page, "run python docs/configuration.py"
-    for group, choices in re.findall(r"^## (\w+): (.*)$", page, re.MULTILINE):
-        there = {file.stem for file in (ROOT / "conf" / group).glob("*.yaml") if not file.stem.startswith("_")}
-        assert set(re.findall(r"`([^`]+)`", choices)) == there, f"the choices in the heading of {group}"
+@pytest.mark.parametrize(
+    ("table", "header"),
+    [
+        (columns.EPISODES, EPISODES),
+        (columns.METRICS, MetricsLog(Path(), ("NAME",), config=None).columns),
+        (columns.TIMING, TIMING),
+        (columns.CONTROLLER_METRICS, OptionsLog(Path()).columns),
+        (columns.HANDOVER, handover.HANDOVER),
+        (columns.HANDOVER_EPISODES, handover.SINGLE),
+        (columns.SEAMS, handover.FAR_OBSERVATIONS),
+        (columns.CHAIN, handover.CHAIN),
+    ],
+    ids=lambda value: getattr(value, "file", ""),
+)
+def test_every_column_of_a_table_has_a_meaning(table: columns.Table, header: Sequence[str]) -> None:
+    assert sorted(columns.names(table)) == sorted(header)
+
+
+def test_readme_pages_changelog_and_examples_are_short() -> None:
+    pages = [page for page in PAGES if page.name not in ("configuration.md", "metrics.md")]
+    assert words(ROOT / "README.md", tables=True) <= 900
+    assert sum(words(page) for page in pages) <= 15_000
+    assert words(ROOT / "CHANGELOG.md", tables=True) <= 800
+    assert [file.name for file in EXAMPLES if len(file.read_text(encoding="utf-8").splitlines()) > 40] == []
+
+
+def words(page: Path, tables: bool = False) -> int:
+    """Return the number of words of a page, by default without its tables."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    return sum(len(line.split()) for line in lines if tables or not line.startswith("|"))
 
 
 def test_every_link_leads_to_a_file_and_a_heading() -> None:
-    for page in PAGES:
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]:
         for target, heading in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", page.read_text(encoding="utf-8")):
             if target.startswith("http"):
                 continue

@@ -1,4 +1,4 @@
-"""Every command of README.md and of the other pages runs as written, in order, in one folder a page."""
+"""Every command of README.md and of the other pages runs as written, in one folder a page; so does every example."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import pytest
 
 from tests.commands import ROOT, commands, run, write_files
 
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = {"act.py": "", "evaluate_and_plot.py": "2", "own_task.py": "", "train_sb3.py": "200 pick.zip"}
+"""Arguments that make an example short."""
 FEW = {
     "measure.ROUNDS": 1, "measure.SECONDS": 0.01, "env.NUM_ENVS": (1, 4), "update.BATCHES": (32,),
     "train.SEEDS": range(1), "train.CHECK_EPISODES": 4, "train.CHECK_GROWTH": 4,
@@ -36,3 +38,10 @@ def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     check(page, tmp_path, monkeypatch)
+
+
+@pytest.mark.docs
+@pytest.mark.parametrize("file", sorted((ROOT / "examples").glob("*.py")), ids=lambda file: file.stem)
+def test_every_example_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(f"python {file} {EXAMPLES[file.name]}")
