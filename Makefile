@@ -1,4 +1,4 @@
-# make setup | make page | make test | make test-docs | make results | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make page | make test | make test-docs | make docs | make results | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 WEB := hrl_comfort/studio/web
 PAGE := $(WEB)/dist/page.js
 
-.PHONY: setup page test pytest test-docs results lint style types fuzz campaign demo clean
+.PHONY: setup page test pytest test-docs docs results lint style types fuzz campaign demo clean
 
 setup: $(STAMP)
 
@@ -48,13 +48,19 @@ test: style
 pytest: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(if $(filter 1,$(COVERAGE)),--cov --cov-report=term --cov-fail-under=90)
 
-# Every command of docs/*.md, with small budgets. Some minutes.
+# Every command of docs/*.md and every example, with small budgets. Some minutes.
 test-docs: setup
 	$(BIN)/python -m pytest -n 2 -m docs tests/test_readme.py
 
 # Published results and whether they are current; NAME=comfort makes one anew.
 results: setup
 	$(BIN)/hrl-comfort results $(if $(NAME),remake=$(NAME))
+# The site, which opens from disk: build/docs/site/index.html. Its links, search and player are checked in a browser.
+docs: setup page
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	$(BIN)/python docs/site/reference.py
+	$(BIN)/python docs/site/build.py
+	$(BIN)/python -m pytest -m site tests/test_site.py
 
 # Contacts beside every motion and policy, until stopped; goes on where it was.
 campaign: setup
