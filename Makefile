@@ -55,6 +55,7 @@ test-docs: setup
 # Published results and whether they are current; NAME=comfort makes one anew.
 results: setup
 	$(BIN)/hrl-comfort results $(if $(NAME),remake=$(NAME))
+
 # The site, which opens from disk: build/docs/site/index.html. Its links, search and player are checked in a browser.
 docs: setup page
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"

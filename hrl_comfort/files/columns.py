@@ -130,8 +130,8 @@ EPISODES = Table(
         "balls_placed": "Balls at the drop point of their colour.",
         "comfort_level_mean": "Mean level.",
         "shield_share_mean": "Mean share of the speed asked for that rating and shield passed; empty without a shield.",
-        "protective_stops": "How often the shield began to brake (ISO/TS 15066:2016, 5.5.4), or to take set-points back "
-        "to an arm that did not follow them; empty without a shield.",
+        "protective_stops": "How often the shield began to brake (ISO/TS 15066:2016, 5.5.4), or to take set-points "
+        "back to an arm that did not follow them; empty without a shield.",
         "human_beyond_bound": "Control steps in which a part of the person was faster than `safety.human_speed_m_s`, "
         "which the shield does not answer for; empty without a shield.",
         "discomfort_per_min": "Time in which the arm was nearer or faster than the level allows, weighted by how much, "
