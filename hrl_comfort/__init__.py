@@ -31,8 +31,9 @@ def environment_of(
     """
     from hrl_comfort.config import ConfigError
     from hrl_comfort.config.checks import UnknownKeyError
-    from hrl_comfort.config.compose import compose_environment, trained_environment, warn_unfinished
-    from hrl_comfort.config.overrides import groups, override
+    from hrl_comfort.config.composition.compose import compose_environment
+    from hrl_comfort.config.composition.overrides import groups, override
+    from hrl_comfort.config.composition.run_config import trained_environment, warn_unfinished
 
     given = dict(choices or {})
     if run is None:
@@ -126,8 +127,9 @@ def evaluate(
       ConfigError: a choice is not allowed, or the policy does not fit.
     """
     from hrl_comfort.config import EvaluateConfig
-    from hrl_comfort.config.compose import compose, warn_unfinished
-    from hrl_comfort.config.overrides import override
+    from hrl_comfort.config.composition.compose import compose
+    from hrl_comfort.config.composition.overrides import override
+    from hrl_comfort.config.composition.run_config import warn_unfinished
     from hrl_comfort.evaluation.rollout import rollout
     from hrl_comfort.policies.external import ObservationPolicy
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, TrainConfig
 from hrl_comfort.config.checks import MAX_LINE
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.tasks import State
 
 T = TypeVar("T")

@@ -14,7 +14,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.training.collector import SkillCollector
 
 LIMIT = 20

@@ -13,7 +13,7 @@ from typing import get_type_hints
 
 from hrl_comfort.cli.commands import COMMANDS
 from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups
+from hrl_comfort.config.composition.overrides import ROOTS, choices, config_dir, groups
 from hrl_comfort.files import columns
 
 DOCS = Path(__file__).resolve().parents[1]

@@ -11,7 +11,8 @@ from pandas import json_normalize
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.benchmarks.entries import ENTRIES, FILE, QUANTITIES, Entry, committed, table
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
-from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.ledger import hash_of
 from hrl_comfort.files.atomic import write_json, write_text

@@ -10,7 +10,7 @@ class Command:
     """A command: its configuration, its function and its help."""
 
     root: str
-    """Key of `config.overrides.ROOTS`."""
+    """Key of `config.composition.overrides.ROOTS`."""
     place: str
     """`module:function`, imported once the configuration has been checked."""
     about: str

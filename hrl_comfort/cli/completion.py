@@ -8,7 +8,7 @@ from typing import Any
 
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.config.command_line.keys import keys_of
-from hrl_comfort.config.overrides import groups
+from hrl_comfort.config.composition.overrides import groups
 
 
 def complete() -> None:

@@ -28,8 +28,8 @@ from hrl_comfort.config import (
 from hrl_comfort.config.checks import is_object, one_of
 from hrl_comfort.config.command_line.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.compose import warn_unfinished
-from hrl_comfort.config.overrides import override
+from hrl_comfort.config.composition.overrides import override
+from hrl_comfort.config.composition.run_config import warn_unfinished
 
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),

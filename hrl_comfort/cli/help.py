@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from hrl_comfort.cli.commands import COMMANDS
 from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.overrides import config_dir, groups
+from hrl_comfort.config.composition.overrides import config_dir, groups
 
 WIDTH = 80
 OPTIONS = {

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from hrl_comfort import __version__
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import environment, save_config
+from hrl_comfort.config.composition.run_config import environment, save_config
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import BATCH, at_each_level
 from hrl_comfort.files.output import output_folder

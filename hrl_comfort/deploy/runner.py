@@ -21,7 +21,7 @@ from rich.console import Console
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.config.compose import environment, save_config
+from hrl_comfort.config.composition.run_config import environment, save_config
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced

@@ -18,7 +18,8 @@ from rich.console import Console
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
-from hrl_comfort.config.compose import environment, load_config, run_folder, save_config
+from hrl_comfort.config.composition.hydra_conf import run_folder
+from hrl_comfort.config.composition.run_config import environment, load_config, save_config
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states

@@ -13,8 +13,9 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.config import HIERARCHY, ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
-from hrl_comfort.config.compose import compose, is_same, load_config
-from hrl_comfort.config.overrides import override, root_of
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.overrides import override, root_of
+from hrl_comfort.config.composition.run_config import is_same, load_config
 from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.sweep_record import Job

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hrl_comfort.config import CurriculumConfig, PrecisionConfig, StageConfig, TrainConfig
-from hrl_comfort.config.stages import stages_of
+from hrl_comfort.config.composition.stages import stages_of
 
 
 @dataclass(frozen=True)

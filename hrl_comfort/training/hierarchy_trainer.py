@@ -24,8 +24,8 @@ from hrl_comfort.config import (
     MetaControllerTrainConfig,
     TrainConfig,
 )
-from hrl_comfort.config.compose import environment, is_same, load_config, save_config
-from hrl_comfort.config.stages import stages_of, train_config, with_budget
+from hrl_comfort.config.composition.run_config import environment, is_same, load_config, save_config
+from hrl_comfort.config.composition.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json

@@ -13,7 +13,7 @@ import torchrl
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import HIERARCHY, ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
-from hrl_comfort.config.compose import load_config
+from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
 from hrl_comfort.training.loop import TrainingLoop

@@ -13,7 +13,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.policies.actor import load_initial_policy, load_policy, policy_file, save_policy

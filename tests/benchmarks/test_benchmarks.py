@@ -21,7 +21,8 @@ from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.benchmarks.peers import TorchRLSAC
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 
 SMALL = ("agent.hidden=[16,16]", "agent.batch_size=16")
 

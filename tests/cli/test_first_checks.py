@@ -10,7 +10,7 @@ import pytest
 
 from hrl_comfort.cli.main import configuration, main
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 
 WRONG = {
     "": "",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
 from hrl_comfort.config import CONTROL_STEP_S, DeployConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run
 from hrl_comfort.deploy.streamer import TICKS, Limits, Report

@@ -18,7 +18,7 @@ import torch
 from pandas import DataFrame
 
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run

@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 
 from hrl_comfort.config import ConfigError, EvaluateConfig, ExportConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.export import export
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.actor import load_policy

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.compose import environment
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.deploy.arms import SimulatedArm
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.predictor import Predictor

@@ -17,7 +17,8 @@ from hrl_comfort.config import (
     EvaluateConfig,
     TrainConfig,
 )
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.sim.engine import Engine
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from hrl_comfort.config import EnvConfig, EvaluateConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute

@@ -14,7 +14,8 @@ import pytest
 import hrl_comfort
 from hrl_comfort import humans
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.envs.inputs import replayed
 from hrl_comfort.evaluation import ledger, rollout

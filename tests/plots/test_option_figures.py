@@ -11,7 +11,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.config.compose import compose
+from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.hierarchy import timeline
 

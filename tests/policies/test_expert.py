@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.policies.expert import (
     CONSIDERED,

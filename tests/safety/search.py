@@ -15,7 +15,8 @@ from scipy.optimize import differential_evolution
 
 from hrl_comfort import humans
 from hrl_comfort.config import HumanConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.humans import steering
 from hrl_comfort.humans.motions.adversary import HANGING
 from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length

@@ -11,7 +11,8 @@ import pytest
 from mujoco import rollout
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.safety.drive import Drive, SetPoints, rating_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.safety.shield import LAGS, SERVO_SHARE

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.safety.geometry import segment_distance
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses

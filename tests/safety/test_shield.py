@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.sim.engine import Engine
 
 ROWS, DECISIONS = 64, 320

@@ -14,7 +14,8 @@ from torch import Tensor
 from hrl_comfort.analysis.comfort import time_limit
 from hrl_comfort.comfort.terms import FORMS
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.evaluation.evaluate import evaluate

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from hrl_comfort.config import ConfigError, StudioConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 

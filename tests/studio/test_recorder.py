@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.config import ConfigError, ReportConfig, StudioConfig
-from hrl_comfort.config.compose import compose, load_config
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.humans.recordings import read_recordings

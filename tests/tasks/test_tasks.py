@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.compose import compose, environment
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask

@@ -16,8 +16,9 @@ import pytest
 
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
-from hrl_comfort.config.compose import compose, load_config
-from hrl_comfort.config.overrides import override
+from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.overrides import override
+from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.sweeps.job import OtherRunError, state_of

@@ -1,0 +1,1 @@
+"""Configurations from `conf/`, from the command line and from run folders."""

@@ -1,0 +1,154 @@
+"""Composition of configurations: `conf/*.yaml` and overrides to frozen dataclasses."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from operator import attrgetter
+from typing import Any, TypeVar
+
+from hydra.errors import HydraException
+from omegaconf import ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from hrl_comfort.config import (
+    ConfigError,
+    EnvConfig,
+    HierarchyConfig,
+    HierarchyTrainConfig,
+    MetaControllerTrainConfig,
+    TrainConfig,
+)
+from hrl_comfort.config.checks import part_name
+from hrl_comfort.config.commands import CommandConfig
+from hrl_comfort.config.composition.hydra_conf import ALONE, composed
+from hrl_comfort.config.composition.overrides import (
+    NAMES,
+    ROOTS,
+    TOO_DEEP,
+    check_overrides,
+    choices,
+    config_dir,
+    one_line,
+    override,
+    parse,
+)
+from hrl_comfort.config.composition.run_config import trained_environment
+from hrl_comfort.config.composition.stages import stages_of, with_budget
+from hrl_comfort.config.composition.structured import freeze
+
+C = TypeVar("C", bound=CommandConfig)
+_ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
+AS_TRAINED: dict[str, tuple[str, ...]] = {
+    "evaluate": _ALL_BUT_ENGINE,
+    "studio": _ALL_BUT_ENGINE,
+    "export": _ALL_BUT_ENGINE,
+    "deploy": ("robot.name", "cell", "human.clipping", "human.masked", "human.spawns_m", "comfort", "task", "reward"),
+    "train_meta_controller": ("robot", "cell", "human"),
+}
+"""Sections and keys that take their defaults from the run of the given policy, by root."""
+
+
+def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
+    """Return the configuration `root` with Hydra `overrides`.
+
+    With a policy that belongs to a run, the sections AS_TRAINED default to those of the run. Overrides win. A process
+    reads the files of `conf/` once for the same choices.
+
+    Raises:
+      ConfigError: an unknown key or choice, or a value that is not allowed.
+    """
+    return _frozen(ROOTS.get(root, CommandConfig), root, overrides)
+
+
+def compose_environment(root: str, overrides: Iterable[str] = ()) -> EnvConfig:
+    """Return the sections of an environment alone, as in `compose`, which raises the same errors."""
+    return _frozen(EnvConfig, root, overrides)
+
+
+def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
+    with ALONE:
+        known = check_overrides(root, overrides)
+        try:
+            run = _run_of(known) if root in AS_TRAINED else None
+            return _validated(cls, root, known if run is None else _with_sections(root, run, known))
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(one_line(error)) from error
+        except RecursionError:
+            raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
+        except OverflowError as error:
+            raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+
+
+def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
+    """Return the configuration `cls` of `root` with its stages checked and their budget settled.
+
+    A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum. The overrides of
+    a controller's training become its configuration.
+    """
+    node, words = composed(root, overrides), []
+    if cls is EnvConfig:
+        node = OmegaConf.masked_copy(node, [field.name for field in dataclasses.fields(cls)])
+    elif cls is HierarchyTrainConfig:
+        words, node.hierarchy.controller = node.hierarchy.controller, None
+    config = freeze(cls, node)
+    if isinstance(config, EnvConfig):
+        for group, section in NAMES.items():
+            part_name(section, str(attrgetter(section)(config)), choices(group))
+    if isinstance(config, HierarchyTrainConfig) and words:
+        config = dataclasses.replace(config, hierarchy=_with_controller(config, words))
+    if not isinstance(config, TrainConfig):
+        return config
+    stages_of(config)
+    total = sum(stage.policy_steps for stage in config.curriculum.stages)
+    if not total:
+        return config
+    asked = config.agent.policy_steps
+    if not any(line.startswith("agent.policy_steps=") for line in overrides):
+        return dataclasses.replace(config, agent=dataclasses.replace(config.agent, policy_steps=total))
+    return with_budget(config, asked)
+
+
+def _with_controller(config: HierarchyTrainConfig, words: Iterable[str]) -> HierarchyConfig:
+    """Return the section with the controller's training of overrides `words`, beside the robot and people there."""
+    root = "train_meta_controller"
+    if not isinstance(words, ListConfig):
+        raise ConfigError(f"hierarchy.controller={words!r} is not a list of overrides, such as ['human=patrol']")
+    known = check_overrides(root, [*map(str, words), "output=controller"])
+    controller = _validated(MetaControllerTrainConfig, root, _with_sections(root, config, known))
+    return dataclasses.replace(config.hierarchy, controller=controller)
+
+
+def _run_of(overrides: list[str]) -> EnvConfig | None:
+    """Return the environment that the given policy was trained in, of the first policy of which it is known."""
+    parsed = {o.key_or_group: o.value() for o in map(parse, overrides)}
+    given = {key: value for key, value in parsed.items() if key.split(".")[0] in ("policy", "policies")}
+    # The environment of a learned controller comes before those of its skills.
+    sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta_controller")]
+    return next((found for source in sources if (found := trained_environment(str(source)))), None)
+
+
+def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]:
+    """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
+
+    For a group chosen in `overrides`, keys that any file of the group sets are left out.
+    """
+    chosen, trained = {parse(line).key_or_group for line in overrides}, []
+    for part in AS_TRAINED[root]:
+        stated, group = set(), part.split(".")[0]
+        if group in chosen:
+            files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
+            stated = {str(key) for file in files for key in OmegaConf.load(file)}
+        for key, value in _fields(part, attrgetter(part)(run)):
+            if key.split(".")[1] not in stated:
+                trained.append(override(key, value))
+    return [*trained, *overrides]
+
+
+def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the fields of nested dataclasses by their dotted keys."""
+    if not dataclasses.is_dataclass(value):
+        yield key, value
+        return
+    for field in dataclasses.fields(value):
+        yield from _fields(f"{key}.{field.name}", getattr(value, field.name))
