@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -35,8 +36,20 @@ def unraisable(error: Any) -> None:
     sys.__unraisablehook__(error)
 
 
+def prepare_streams() -> None:
+    """Open the standard streams that are closed, whose numbers other files would get; let each say any text."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            setattr(sys, name, open(number, "w" if number else "r"))  # noqa: SIM115  as long as the process
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def console() -> NoReturn:
     """Run as the installed command."""
+    prepare_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as under nohup
         signal.signal(signal.SIGINT, interrupt)
         sys.unraisablehook = unraisable

@@ -90,7 +90,13 @@ def huge(path: Path, rng: random.Random) -> None:
     """Let the file claim, or unpack to, more than memory holds."""
     match path.suffix:
         case ".csv":
-            path.write_bytes(path.read_bytes() + b'"' + b"9" * rng.choice([10**5, 2 * 10**5, 10**7]) + b'"\n')
+            kind = rng.choice(["cell", "columns", "sparse"])
+            if kind == "cell":
+                path.write_bytes(path.read_bytes() + b'"' + b"9" * rng.choice([10**5, 2 * 10**5, 10**7]) + b'"\n')
+            elif kind == "columns":
+                path.write_text("".join(line + ",x" * 10**6 + "\n" for line in path.read_text().splitlines()[:2]))
+            else:
+                os.truncate(path, rng.choice([3 * 10**8, 3 * 10**9]))
         case ".npz" | ".pt":
             bomb = zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED)
             with bomb, bomb.open(rng.choice(["orange.npy", "archive/data.pkl", "x"]), "w", force_zip64=True) as file:
@@ -141,6 +147,7 @@ TENSORS: list[Callable[[], Any]] = [
     lambda: torch.zeros(0),
     lambda: torch.empty(7, device="meta"),
     lambda: torch.zeros(16, dtype=torch.int8),
+    lambda: torch.nested.nested_tensor([torch.zeros(2), torch.zeros(3)]),
     lambda: torch.quantize_per_tensor(torch.ones(4), 0.1, 0, torch.qint8),
 ]
 

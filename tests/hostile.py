@@ -17,7 +17,7 @@ OUTPUTS = [
 FILES = [
     "foreign/fifo", "foreign/zero", "/dev/zero", "foreign", "foreign/loop", "walk.csv", "run/config.yaml",
     "/proc/self/mem", "run/policy.pt", "nowhere", "", "starts.npz", "json:dumps", "sb3:foreign/notes.txt",
-    "sb3:/dev/zero", "sb3:foreign/fifo", "os:nowhere", "a b",
+    "x.onnx", "sb3:/dev/zero", "sb3:foreign/fifo", "os:nowhere", "a b",
 ]  # fmt: skip
 READING = [
     "policy", "initial_policy", "agent.next_skill", "agent.demonstrator", "task.start", "human.file", "comfort.file",

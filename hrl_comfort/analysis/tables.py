@@ -39,7 +39,8 @@ HEADLINE = {
     "success": Quantity("success (%)", 100, 1),
     "steps": Quantity("steps", digits=0),
     "human_distance_mean_m": Quantity("distance (m)", digits=2),
-    "contact": Quantity("contacts (%)", 100, 1),
+    "contact": Quantity("contact (%)", 100, 1),
+    "unsafe_contact": Quantity("unsafe contact (%)", 100, 1),
     "other_collision": Quantity("other collisions (%)", 100, 1),
 }
 """Metrics of a group of episodes that every table of evaluations shows."""
@@ -105,7 +106,10 @@ def of_groups(groups: Sequence[Mapping[str, Any]]) -> Table:
         }
         lines.append([*line, str(group["episodes"]), *cells(means, HEADLINE)])
     labels = [SHOWN.get(name, name.removesuffix("_m")) for name in shown]
-    return in_terminal(labels, ["n", *(each.label.replace("collisions", "coll.") for each in HEADLINE.values())], lines)
+    heads = " | ".join(each.label for each in HEADLINE.values())
+    for word, short in ("collisions", "coll."), ("distance", "dist."), ("unsafe contact", "unsafe"):
+        heads = heads.replace(word, short)
+    return in_terminal(labels, ["n", *heads.split(" | ")], lines)
 
 
 def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:

@@ -13,11 +13,11 @@ from pathlib import Path
 from hrl_comfort import __version__
 from hrl_comfort.cli import help as help_texts
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
-from hrl_comfort.cli.first_checks import check, completed
+from hrl_comfort.cli.first_checks import BARE, check, completed
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.compose import compose, yaml_of
-from hrl_comfort.config.overrides import check_overrides, root_of
+from hrl_comfort.config.overrides import at_home, check_overrides, near, root_of
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.sweeps.subprocesses import ERRORS
@@ -95,18 +95,19 @@ def command_of(words: list[str]) -> tuple[str, list[str]]:
     """
     verb, *rest = words
     if verb not in VERBS:
-        raise ConfigError(f"{verb} is not a verb; choose one of {', '.join(VERBS)}")
+        raise ConfigError(f"{verb} is not a verb{near(verb, VERBS)}; choose one of {', '.join(VERBS)}")
     if rest and f"{verb} {rest[0]}" in RUN:
         return f"{verb} {rest[0]}", rest[1:]
-    if verb not in RUN:
-        what = rest[0] if rest else "(nothing)"
-        raise ConfigError(f"{verb} {what} is not known; choose one of {', '.join(parts_of(verb))}")
+    parts, what = parts_of(verb), rest[0] if rest else "(nothing)"
+    if verb not in RUN or (parts and verb not in BARE and what.isidentifier()):
+        alone = "" if verb not in RUN else ", or give key=value"
+        raise ConfigError(f"{verb} {what} is not known{near(what, parts)}; choose one of {', '.join(parts)}{alone}")
     return verb, rest
 
 
 def execute(words: list[str]) -> None:
     """Do what the command line asks for."""
-    flags, rest = set(words) & set(FLAGS), [word for word in words if word not in FLAGS]
+    flags, rest = set(words) & set(FLAGS), [at_home(word) for word in words if word not in FLAGS]
     if "--overwrite" in flags:
         os.environ[OVERWRITE] = "1"
     asked, swept = bool(flags & {"-h", "--help"}), bool(flags & {"-m", "--multirun"})
@@ -136,7 +137,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         execute(list(sys.argv[1:] if words is None else words))
     except ERRORS as error:
-        line = " ".join(str(error).split())
+        line = " ".join(str(error).split()) or "out of memory"
         if len(line) > LONGEST:
             line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
         print(f"hrl-comfort: {line}", file=sys.stderr)

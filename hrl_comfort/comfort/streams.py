@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import ComfortConfig, ConfigError
+from hrl_comfort.files.reading import read_text
 from hrl_comfort.streams import LslStream, UdpStream
 
 CAUTIOUS = 1
@@ -133,9 +134,8 @@ def read_recording(config: ComfortConfig) -> Recording:
     try:
         if not Path(config.file or "").is_file():
             raise FileNotFoundError("no such file")
-        with Path(config.file or "").open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(read_text(Path(config.file or "")).splitlines(), strict=True))
+    except (OSError, ValueError, csv.Error) as error:
         raise ConfigError(f"{name} cannot be read: {error}; it must be a CSV of t,value") from error
     while rows and not "".join(rows[-1]).strip():
         rows.pop()

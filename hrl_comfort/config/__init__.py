@@ -27,6 +27,7 @@ from hrl_comfort.config.constants import (
     EVALUATION_EPISODES,
     FAR_AWAY_M,
     FIRST_SEED,
+    HIERARCHY,
     POLICIES,
     SCRIPTED_POLICIES,
     SPLITS,
@@ -48,7 +49,7 @@ from hrl_comfort.config.training import (
 
 __all__ = [
     "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "POLICIES", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
+    "HIERARCHY", "POLICIES", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
     "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
     "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
     "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig", "MetaControllerConfig",

@@ -62,7 +62,8 @@ class EvaluateConfig(EnvConfig):
     """With a meta-controller: the policy of each subtask (`policies.pick=…` and so on); for a learned controller, also
     its run folder or file (`policies.meta_controller=…`)."""
     checkpoints: Annotated[str, choice("none", "all")]
-    """`all` evaluates every checkpoint of the run in `policy`."""
+    """`all` evaluates every checkpoint of the run in `policy`, or of the runs in `policies`: at each checkpoint of the
+    one that has most, the others join with the checkpoint nearest in fraction of their own training."""
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
     `validation` has people and places of its own. `test`: people, places, arm starts that no training with
@@ -97,10 +98,8 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
-        if self.checkpoints == "all" and (chained or self.record or self.terminal_states is not None):
-            raise ConfigError(
-                "checkpoints=all goes with meta_controller=none, record=false and without terminal_states="
-            )
+        if self.checkpoints == "all" and (self.record or self.terminal_states is not None):
+            raise ConfigError("checkpoints=all goes with record=false and without terminal_states=")
         if self.checkpoints == "all" and self.split == "test":
             raise ConfigError("checkpoints=all chooses among checkpoints, which split=test is not for; use validation")
         if self.terminal_states is not None and self.split == "test":
@@ -141,8 +140,6 @@ class EvaluateConfig(EnvConfig):
             raise ConfigError(f"{said} does not go with comfort.source={source}; choose none, fixed or random")
         if self.terminal_states is not None:
             raise ConfigError(f"{said} does not go with terminal_states=; choose a comfort.source")
-        if self.checkpoints == "all":
-            raise ConfigError(f"{said} does not go with checkpoints=all; choose a comfort.source")
 
 
 @dataclass(frozen=True)

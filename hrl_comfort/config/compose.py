@@ -25,6 +25,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from hrl_comfort.config import (
+    HIERARCHY,
     ConfigError,
     EnvConfig,
     HierarchyConfig,
@@ -348,9 +349,12 @@ def warn_unfinished(policy: str | None) -> None:
         warnings.warn(line, stacklevel=3)
 
 
-def _evaluation_folder(policy: str | None, task: str, split: str) -> str:
+def _evaluation_folder(policy: str | None, task: str, split: str, policies: Mapping[str, str]) -> str:
     suffix = "" if split == "paper" else f"_{split}"
     folder = run_folder(policy) if policy else None
+    parents = {run and run.parent for run in map(run_folder, map(str, policies.values()))}
+    if len(parents) == 1 and (parent := parents.pop()) and (parent / HIERARCHY).is_file():
+        folder = parent / task
     if folder:
         return str(folder / f"eval{suffix}")
     name = re.sub(r"\W+", "_", re.sub(r"\.(pt|zip)$", "", Path(policy).name)) if policy else "chain"

@@ -13,6 +13,8 @@ POLICIES = (
     f"{' or '.join(SCRIPTED_POLICIES)}"
 )
 """The forms of `policy=`."""
+HIERARCHY = "hierarchy.yaml"
+"""Configuration of a hierarchy, in its folder."""
 FAR_AWAY_M = 50.0
 """x coordinate of everything that is not in the cell, m."""
 

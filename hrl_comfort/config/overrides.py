@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import is_dataclass
@@ -114,6 +115,11 @@ def _quoted(value: object) -> str:
     return f"'{escaped}'"
 
 
+def at_home(line: str) -> str:
+    """Return an override with the path of the user's home where a value begins with `~/`, as shells do."""
+    return re.sub(r"(?<=[=,\['\":])~(?=/|['\"]|$)", lambda _: os.path.expanduser("~"), line)
+
+
 def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) -> list[str]:
     """Return `overrides` in the form that Hydra composes; with `sweep`, a key may have several values.
 
@@ -190,8 +196,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
                 if key == "experiment" and value in choices(key):
                     verb = "train" if root == "train_hierarchy" else "train hierarchy"
                     raise ConfigError(f"{line} is for another command: hrl-comfort {verb} {line}")
-                near = _near(value, allowed[key])
-                raise ConfigError(f"{key}={value} is not a choice{near}; choose one of {', '.join(allowed[key])}")
+                meant = near(value, allowed[key])
+                raise ConfigError(f"{key}={value} is not a choice{meant}; choose one of {', '.join(allowed[key])}")
         return line
     kind: Any = ROOTS[root]
     for depth, name in enumerate(parts := key.split(".")):
@@ -204,8 +210,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         if name not in fields:
             inside = ".".join(parts[:depth]) or root.replace("_", " ")
             names = sorted({*fields, *(allowed if depth == 0 else ())})
-            near = _meant(root, name) or _near(name, names)
-            line = f"{key} is not a key{near}; {inside} has {', '.join(names) or 'none'}"
+            meant = _meant(root, name) or near(name, names)
+            line = f"{key} is not a key{meant}; {inside} has {', '.join(names) or 'none'}"
             raise UnknownKeyError(line, key)
         kind = fields[name]
     if parsed.is_delete():
@@ -229,7 +235,8 @@ def _keys(kind: Any, before: str) -> Iterator[str]:
             yield from _keys(hint, f"{before}{name}.")
 
 
-def _near(word: str, words: Iterable[str]) -> str:
+def near(word: str, words: Iterable[str]) -> str:
+    """Return a hint at the one of `words` that is most like `word`; empty where none is."""
     close = difflib.get_close_matches(word, list(words), n=1)
     return f", did you mean {close[0]}?" if close else ""
 

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, Typ
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
+from hrl_comfort.files.reading import read_bytes, read_text
 from hrl_comfort.files.relative_paths import resolved
 
 MOST_BYTES = 10**6
@@ -97,9 +98,11 @@ def read_json(path: Path, kind: type[T]) -> T:
     if not path.is_file():
         raise ConfigError(f"{path} does not exist")
     try:
-        return TypeAdapter(kind).validate_json(path.read_bytes())
+        return TypeAdapter(kind).validate_json(read_bytes(path))
     except ValidationError as error:
         raise damaged(path, first_error(error)) from None
+    except ValueError as error:
+        raise damaged(path, error) from None
 
 
 def read_config(path: Path) -> tuple[str, dict[str, Any]]:
@@ -124,15 +127,13 @@ def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
       ConfigError: it is not UTF-8, not YAML, not a mapping, too large, or has aliases, by which few lines stand for
         any number.
     """
-    if not path.is_file() or path.stat().st_size > MOST_BYTES:
-        raise damaged(path, f"it is not a regular file of at most {MOST_BYTES} bytes")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MOST_BYTES)
         aliases = [event for event in yaml.parse(text, yaml.CSafeLoader) if isinstance(event, yaml.AliasEvent)]
         # libyaml's limit of the depth keeps it off the end of the stack.
         content = None if aliases else yaml.load(text, yaml.CSafeLoader)
     # Of tags on other values, such as `!!int ''`, the parser lets errors of Python through.
-    except (ValueError, OverflowError, RecursionError, LookupError, AttributeError, yaml.YAMLError) as error:
+    except (ValueError, OverflowError, RecursionError, LookupError, AttributeError, OSError, yaml.YAMLError) as error:
         raise damaged(path, error) from None
     if aliases:
         raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")

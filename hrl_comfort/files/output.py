@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,6 +41,15 @@ def held_folder(folder: Path) -> Iterator[None]:
             yield
         finally:
             os.close(descriptor)
+
+
+def in_use(folder: Path) -> bool:
+    """Return whether another process holds a folder."""
+    try:
+        with held_folder(folder):
+            return False
+    except ConfigError:
+        return True
 
 
 @contextmanager
@@ -85,7 +95,7 @@ def output_file(path: Path, *suffixes: str) -> Iterator[None]:
         lock = path.with_name(f".{path.name}.lock")
         try:
             found = [each for each in map(target_of, (path, *map(path.with_suffix, suffixes))) if each.exists()]
-            own = path.is_file() and SIGNATURE in path.read_bytes()[:1024]
+            own = path.is_file() and SIGNATURE in _beginning(path)
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:
             raise _unwritable(path, error) from error
@@ -99,6 +109,11 @@ def output_file(path: Path, *suffixes: str) -> Iterator[None]:
                 lock.unlink(missing_ok=True)
         finally:
             os.close(descriptor)
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(1024)
 
 
 @contextmanager
@@ -128,3 +143,6 @@ def _lock(descriptor: int, path: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise ConfigError(f"{path} is in use by another process; choose another output") from None
+    except OSError as error:
+        said = f"{path}: its file system has no locks ({error.strerror}); let no other process write there"
+        warnings.warn(said, stacklevel=3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ ORDER = ("pick", "place", "return", "pick_place", "cycle")
 """Runs appear in the order of the work, then by name."""
 LOGS = ("metrics.csv", "meta_controller_metrics.csv")
 """Logs of a training: of a policy and of a meta-controller."""
-MARKS = (*LOGS, "config.yaml", *(f"{at}episodes.{kind}" for at in ("", "eval/") for kind in ("csv", "parquet")))
-"""A folder that holds one of these files is a run."""
+EVALUATED = ("episodes.csv", "episodes.parquet", "checkpoints.csv")
+"""A folder that holds one of these files is an evaluation."""
 Recorded = tuple[int, int | None]
 """A recorded episode: its index and the comfort level that it began with, None without one."""
 
@@ -33,6 +33,8 @@ class Run:
     folder: Path
     configs: dict[str, str] = field(default_factory=dict)
     """Text of the config.yaml of training and of evaluation, where there is one."""
+    evaluation: Path | None = None
+    """Folder of the evaluation."""
     config: dict[str, Any] = field(default_factory=dict)
     """Configuration of the evaluation, or else of the training; empty without a config.yaml."""
     provenance: Provenance | None = None
@@ -49,17 +51,27 @@ class Run:
     paths: Path | None = None
 
 
+def evaluations(folder: Path) -> list[Path]:
+    """Return the evaluations in the folder of a run: `eval`, `eval_validation` and so on."""
+    return sorted(path for path in folder.glob("eval*") if is_evaluation(path))
+
+
+def is_evaluation(folder: Path) -> bool:
+    """Return whether an evaluation was written to `folder`."""
+    return any((folder / name).is_file() for name in EVALUATED)
+
+
 def read_run(folder: Path) -> Run:
-    """Read a run folder with its `eval/`, or a folder that an evaluation alone has written.
+    """Read a run folder with the first of its evaluations, or a folder that an evaluation alone has written.
 
     Raises:
       ConfigError: a file in it is damaged.
     """
-    evaluation = folder / "eval" if (folder / "eval").is_dir() else folder
+    evaluation = next(iter(evaluations(folder)), folder)
     episodes = read_table(evaluation / "episodes.csv")
     files = {"training": folder / "config.yaml", "evaluation": evaluation / "config.yaml"}
     if evaluation == folder:
-        del files["training" if episodes is not None else "evaluation"]
+        del files["training" if is_evaluation(folder) else "evaluation"]
     configs = {name: read_config(file) for name, file in files.items() if file.is_file()}
     provenance = read_provenance(folder) if (folder / "provenance.json").is_file() else None
     summary = evaluation / "summary.json"
@@ -69,6 +81,7 @@ def read_run(folder: Path) -> Run:
         name=folder.resolve().name,
         folder=folder,
         configs={name: text for name, (text, _) in configs.items()},
+        evaluation=evaluation if is_evaluation(evaluation) else None,
         config=list(configs.values())[-1][1] if configs else {},
         provenance=provenance,
         unfinished=unfinished(folder),
@@ -93,21 +106,29 @@ def _minutes(folder: Path, provenance: Provenance | None) -> float | None:
 
 
 def find_runs(folder: Path) -> list[Run]:
-    """Return the run that `folder` is, or the runs in it; raise ConfigError if there is none."""
+    """Return the run that `folder` is, or the runs in it, each with its further evaluations after it.
+
+    Raises:
+      ConfigError: there is none, or a file is damaged.
+    """
 
     def is_run(path: Path) -> bool:
-        return any((path / mark).is_file() for mark in MARKS)
+        return any((path / mark).is_file() for mark in (*LOGS, "config.yaml", *EVALUATED)) or bool(evaluations(path))
+
+    def read(path: Path) -> list[Run]:
+        others = [replace(read_run(each), name=f"{path.resolve().name}/{each.name}") for each in evaluations(path)[1:]]
+        return [read_run(path), *others]
 
     if not folder.is_dir():
         raise ConfigError(f"run={str(folder)!r} is not a folder")
     if is_run(folder):
-        return [read_run(folder)]
-    inside = [path for path in folder.iterdir() if path.is_dir() and is_run(path)]
+        return read(folder)
+    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and is_run(path)]
     if not inside:
         raise ConfigError(f"run={str(folder)!r} holds no run: neither config.yaml nor eval/episodes.csv is in it")
     place = {name: i for i, name in enumerate(ORDER)}
     inside.sort(key=lambda path: (place.get(path.name, len(ORDER)), path.name))
-    return [read_run(path) for path in inside]
+    return [run for path in inside for run in read(path)]
 
 
 def recorded_paths(

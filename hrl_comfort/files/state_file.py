@@ -36,6 +36,8 @@ def load(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing, cut short, or not one of ours.
     """
+    if path.suffix == ".onnx":
+        raise ConfigError(f"{path}: ONNX files are for other programs; give the policy.pt that it was exported from")
     try:
         check_archive(path)
         state = torch.load(path, map_location="cpu", weights_only=True)

@@ -21,6 +21,7 @@ from pyarrow.parquet import ParquetFile
 from hrl_comfort.config.checks import FARTHEST
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import damaged
+from hrl_comfort.files.reading import read_text
 
 Floats = NDArray[np.float64]
 DTYPES = {
@@ -51,11 +52,13 @@ KNOWN: dict[str, dict[str, str]] = {
     | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
     | dict.fromkeys(("steps", "policy_steps", "balls_placed", "protective_stops"), "int?")
     | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated"), "bool?"),
+    "checkpoints": {"task": "text?", "human": "text?", "split": "text?", "comfort_level": "int?"},
     "options": {"comfort_level": "int?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""
 MOST_CELLS = 5 * 10**7
 """Largest parquet table: 0.4 GB of floats."""
+MOST_COLUMNS = 5000
 INT_END = 2.0**63
 """First whole number that int64 does not hold."""
 TRUTH = {"true": "1", "false": "0"}
@@ -78,25 +81,24 @@ def read_table(path: Path) -> DataFrame | None:
 
 
 def _read_parquet(path: Path) -> DataFrame:
-    """Return the table of a parquet file; raise ValueError where it unpacks to more than MOST_CELLS."""
+    """Return the table of a parquet file; raise ValueError where it has more than MOST_CELLS or MOST_COLUMNS."""
     with ParquetFile(path) as file:
         cells = file.metadata.num_rows * file.metadata.num_columns
         if cells > MOST_CELLS:
             raise ValueError(f"it unpacks to {cells} cells; at most {MOST_CELLS} are allowed")
+        if file.metadata.num_columns > MOST_COLUMNS:
+            raise ValueError(f"it has {file.metadata.num_columns} columns; at most {MOST_COLUMNS} are read")
     return pd.read_parquet(path)
 
 
 def _read_csv(path: Path) -> DataFrame:
     """Return the cells of a CSV; raise ValueError where it is not UTF-8 or a line is cut short."""
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"line {line}: byte {data[error.start]:#04x} is not UTF-8") from None
+    text = read_text(path)
     lines = text.splitlines()
     if not lines:
         raise ValueError("it is empty")
+    if (count := lines[0].count(",") + 1) > MOST_COLUMNS:
+        raise ValueError(f"it has {count} columns; at most {MOST_COLUMNS} are read")
     cells = [line.count(",") for line in lines] if '"' not in text else [len(row) - 1 for row in csv.reader(lines)]
     for number, count in enumerate(cells, start=1):
         if count != cells[0]:
@@ -187,8 +189,8 @@ class GrowingTable:
         try:
             if rows and not self._path.is_file():
                 raise FileNotFoundError("it does not exist")
-            lines = self._path.read_text(encoding="utf-8").splitlines(keepends=True)[1 : rows + 1] if rows else []
-        except (OSError, UnicodeDecodeError) as error:
+            lines = read_text(self._path).splitlines(keepends=True)[1 : rows + 1] if rows else []
+        except (OSError, ValueError) as error:
             raise damaged(self._path, error) from None
         if len(lines) < rows:
             raise damaged(self._path, f"it holds {len(lines)} rows; its checkpoint was written after {rows}")

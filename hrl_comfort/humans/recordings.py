@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.config.checks import FARTHEST
+from hrl_comfort.files.reading import read_text
 from hrl_comfort.humans import body
 from hrl_comfort.humans.walk import Array, length
 
@@ -84,8 +85,8 @@ def _recordings_in(folder: Path) -> list[Path]:
 def read_recording(file: Path) -> Recording:
     """Return the recording of one file; raise ConfigError where it cannot be read."""
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
+        text = read_text(file)
+    except (OSError, ValueError) as error:
         raise ConfigError(f"human.file={str(file)!r} cannot be read: {error}; it must be {FORMS}") from error
     read = _read_bvh if file.suffix.lower() == ".bvh" else _read_csv
     return read(f"human.file={str(file)!r}", text)

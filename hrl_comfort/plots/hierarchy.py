@@ -63,7 +63,8 @@ def timeline(options: DataFrame, episodes: Sequence[int] = ()) -> Figure:
         drawn = set(kinds)
         handles: list[Any] = [Patch(color=colour, label=name) for name, colour in colours.items() if name in drawn]
         mark: dict[str, Any] = {"color": BLACK, "linestyle": ""}
-        handles += [Line2D([], [], marker=marker, label=label, **mark) for label, marker in MARKS.items()]
+        ends = set(options["termination"])
+        handles += [Line2D([], [], marker=marker, label=end, **mark) for end, marker in MARKS.items() if end in ends]
         figure.legend(handles=handles, loc="outside right upper")
         return figure
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,7 +117,7 @@ def overview(
         gap.set_ylim(bottom=0)
         if not gap.lines:
             gap.text(0.5, 0.5, "no human in these episodes", transform=gap.transAxes, ha="center", color="#666666")
-        _legend(figure, columns=9)
+        _legend(figure, 9, tracks, bool(precision and cell))
         return figure
 
 
@@ -204,6 +204,7 @@ def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figur
     with styled():
         figure = Figure()
         axes = figure.subplots(1, len(chosen), squeeze=False, sharex=True, sharey=True)[0]
+        every = []
         for axis, episode in zip(axes, chosen, strict=True):
             tracks = [
                 _track(name, colour, run, rows.loc[episode].to_dict())
@@ -211,16 +212,17 @@ def _draw(found: Runs, colours: Sequence[Any], episodes: Sequence[int]) -> Figur
             ]
             _panel(axis, tracks, cell, precision)
             axis.set_aspect("equal", adjustable="box")
+            every += tracks
         axes[0].set_ylabel("y (m)")
         (left, right), (low, high) = axes[0].get_xlim(), axes[0].get_ylim()
         height = min(PANEL_IN * (high - low) / (right - left), 2 * PANEL_IN)  # both axes have one scale
-        figure.set_size_inches(0.5 + PANEL_IN * len(chosen), height + 1.7 + 0.17 * -(-len(found) // 2))
-        _legend(figure, columns=5 * len(chosen))
+        figure.set_size_inches(0.5 + PANEL_IN * len(chosen), height + 1.7 + 0.17 * -(-len(found) // _columns(every)))
+        _legend(figure, 5 * len(chosen), every, bool(precision and cell))
         return figure
 
 
-def _legend(figure: Figure, columns: int) -> None:
-    """Say under a figure what its lines and marks are."""
+def _legend(figure: Figure, columns: int, tracks: Sequence[Track], tolerances: bool) -> None:
+    """Say under a figure what its lines and marks are, those that it has."""
     tool: dict[str, Any] = {"linestyle": "", "color": BLACK}
     person: dict[str, Any] = {"linestyle": "", "color": GREY, "marker": "o"}
     handles = [
@@ -229,11 +231,15 @@ def _legend(figure: Figure, columns: int) -> None:
         Line2D([], [], marker="o", markersize=5, label="success", **tool),
         Line2D([], [], marker="X", markersize=7, label="failure", **tool),
         Line2D([], [], marker=".", markersize=5, label=f"every {MARK_S:g} s", **tool),
-        Line2D([], [], color=BLACK, linewidth=0.9, linestyle=":", label="tolerance"),
-        Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
-        Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
-        Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
     ]
+    if tolerances:
+        handles += [Line2D([], [], color=BLACK, linewidth=0.9, linestyle=":", label="tolerance")]
+    if any(len(_walk(track.path)) for track in tracks):
+        handles += [
+            Line2D([], [], color=GREY, linewidth=0.9, label="person's walk"),
+            Line2D([], [], markerfacecolor="white", markersize=9, label="at start", **person),
+            Line2D([], [], alpha=0.4, markersize=10, label="at the end", **person),
+        ]
     spaces: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 1.1}
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, **spaces)
 
@@ -270,12 +276,17 @@ def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precisi
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         bbox_transform=axis.transAxes + ScaledTranslation(0, -UNDER_IN, axis.figure.dpi_scale_trans),
-        ncols=2,
+        ncols=_columns(tracks),
         columnspacing=1.0,
         handlelength=1.4,
         title="mean distance to person, control steps",
         title_fontsize=7.5,
     )
+
+
+def _columns(tracks: Iterable[Track]) -> int:
+    """Return the columns of a panel's legend: one where it says how an episode failed."""
+    return 2 if all(track.row["ended"] == "success" for track in tracks) else 1
 
 
 def _words(track: Track) -> str:

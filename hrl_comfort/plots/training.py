@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from pandas import DataFrame
 
 from hrl_comfort.analysis.learning_curve import curve_of
 from hrl_comfort.files.tables import Floats, column
-from hrl_comfort.plots.style import BLACK, BLUE, GREEN, GREY, OUTLINE, PURPLE, VERMILLION, curve, panels, points, styled
+from hrl_comfort.plots.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    OUTLINE,
+    PURPLE,
+    SMOOTHED_FROM,
+    VERMILLION,
+    curve,
+    panels,
+    points,
+    styled,
+)
 
 DIAGNOSTICS = (("return", "return", BLUE), ("q_mean", "mean Q", GREEN), ("entropy", "entropy (nats)", PURPLE))
 CONTROLLER = (("success", "success (share)", BLUE), ("steps", "steps", GREEN), ("return", "return", PURPLE))
@@ -23,9 +39,13 @@ def _thousands(table: DataFrame) -> Floats:
     return column(table, curve_of(table).progress) / 1000
 
 
+def _several_stages(table: DataFrame) -> bool:
+    return "stage" in table and bool(table["stage"].nunique() > 1)
+
+
 def _stages(axes: Sequence[Axes], table: DataFrame) -> None:
     """Draw a line at every boundary of curriculum stages, with the name of each stage in the last axis."""
-    if "stage" not in table or table["stage"].nunique() < 2:
+    if not _several_stages(table):
         return
     x, names = _thousands(table), table["stage"].fillna("").to_numpy()
     begins = np.flatnonzero(names[1:] != names[:-1]) + 1
@@ -56,8 +76,16 @@ def learning_curves(tables: Mapping[str, DataFrame]) -> Figure:
             _stages((top, below), table)
         axes[0, 0].set_ylabel("episodes (%)")
         axes[1, 0].set_ylabel("precision (cm)")
-        axes[0, 0].legend(loc="center right")
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         return figure
+
+
+def notes(tables: Iterable[DataFrame]) -> str:
+    """Return what a caption says of lines that not every figure of logs has."""
+    tables = list(tables)
+    smooth = "Thin lines are logged values, thick ones trailing means. "
+    stages = "Dotted lines separate curriculum stages."
+    return smooth * any(len(each) > SMOOTHED_FROM for each in tables) + stages * any(map(_several_stages, tables))
 
 
 def over_training(tables: Mapping[str, DataFrame], rows: Sequence[tuple[str, str, str]]) -> Figure:
@@ -76,14 +104,37 @@ def over_training(tables: Mapping[str, DataFrame], rows: Sequence[tuple[str, str
         return figure
 
 
-def success_by_checkpoint(tables: Mapping[str, DataFrame]) -> Figure:
-    """Draw success of every kept checkpoint by run, at one precision, with its 95 % interval."""
+def checkpoint_notes(tables: Iterable[DataFrame]) -> str:
+    """Return what a caption says of levels and of chains, whose last columns are the policy steps of their parts."""
+    tables = list(tables)
+    levels = "Levels are drawn a little beside each other. "
+    chain = "Policy steps of a chain are those of all its parts, each at the same fraction of its training."
+    several = any(len(np.unique(column(each, "comfort_level"))) > 1 for each in tables)
+    return levels * several + chain * any(each.columns[-1] != "unsafe_contact_high" for each in tables)
+
+
+def by_checkpoint(tables: Mapping[str, DataFrame]) -> Figure:
+    """Draw success, and below it unsafe contacts, of every checkpoint: a column an evaluation, a line a level."""
+    levels = np.unique(np.concatenate([column(table, "comfort_level") for table in tables.values()]))
+    colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.87, len(levels))) if len(levels) > 1 else [BLUE]
+    looks = dict(zip(levels, zip(colours, cycle("osD^v<>pXh"), strict=False), strict=True))
+    shares = {"success": "success (%)", "unsafe_contact": "unsafe\ncontact (%)"}
     with styled():
-        figure, axes = panels(len(tables), (1,), 2.6)
-        for axis, (name, table) in zip(axes[0], tables.items(), strict=True):
-            share = (100 * column(table, each) for each in ("success", "success_low", "success_high"))
-            points(axis, _thousands(table), *share, color=BLUE)
-            at = f", {100 * table['precision_m'].iloc[0]:g} cm" if "precision_m" in table else ""
-            axis.set(title=f"{name}{at}", xlabel="policy steps (thousands)", ylim=(-2, 102))
-        axes[0, 0].set_ylabel("success (%)")
+        figure, axes = panels(len(tables), (2.2, 1.0), 4.2)
+        for (name, table), below in zip(tables.items(), axes.T, strict=True):
+            for level, (colour, marker) in looks.items():
+                rows = table[np.isclose(column(table, "comfort_level"), level, equal_nan=True)]
+                aside = 0.01 * _thousands(table).max() * (list(looks).index(level) - (len(looks) - 1) / 2)
+                for axis, share in zip(below, shares, strict=True):
+                    estimates = (100 * column(rows, f"{share}{end}") for end in ("", "_low", "_high"))
+                    points(axis, _thousands(rows) + aside, *estimates, color=colour, marker=marker, linewidth=1.2)
+            below[0].set_title(name)
+            below[1].set_xlabel("policy steps (thousands)")
+        for axis, label, least in zip(axes[:, 0], shares.values(), (100, 10), strict=True):
+            most = max(least, axis.get_ylim()[1])
+            axis.set(ylabel=label, ylim=(-0.04 * most, 1.04 * most))
+        if len(levels) > 1:
+            names = ["no level" if np.isnan(level) else f"level {level:g}" for level in levels]
+            lines = [Line2D([], [], color=colour, marker=marker, markersize=4) for colour, marker in looks.values()]
+            figure.legend(lines, names, loc="outside upper right", ncols=5)
         return figure

@@ -1,12 +1,13 @@
 // Recorded episodes on a canvas. In parallel projection a capsule is exactly a thick line with round ends.
 (() => {
   const PIECE = 120, WIDE = 3300, HIGH = 2250, ELEVATION = 0.42, FARTHEST = 30000; // mm, rad
-  const TOOL = "rgb(214, 96, 10)", PERSON = "rgb(50, 90, 165)";
+  const TOOL = "rgb(214, 96, 10)", PERSON = "rgb(50, 90, 165)", TAKES = ["#0072B2", "#D55E00"], INK = "#1b1b1b", SOFT = "#5c5c5c";
   const root = document.getElementById("replay");
   const data = JSON.parse(document.getElementById("replay-data").textContent);
   const [canvas, choice, run, line, clock] =
     ["canvas", "select", "button", "input", "output"].map((tag) => root.querySelector(tag));
-  const pen = canvas.getContext("2d");
+  const chart = root.querySelector(".series");
+  let pen = canvas.getContext("2d");
   let episode, duration, turn = 0, tilt = ELEVATION, time = 0, began = null;
 
   const decode = (text) => new Int16Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -80,12 +81,19 @@
     pen.stroke();
   }
 
+  /** Returns the last picture of a take that is not after the time. */
+  const frameAt = ({ times }) => Math.max(0, times.findLastIndex((at) => at <= time));
+
+  /** Returns the next number from `value` on that is 1, 2, 3 … 9 times a power of ten; 1 for 0. */
+  function roundUp(value) {
+    const unit = 10 ** Math.floor(Math.log10(value || 1));
+    return +(Math.ceil((value || 1) / unit - 1e-9) * unit).toPrecision(3);
+  }
+
   function drawTake(take, scene, left, width, height) {
     const scale = Math.min(width / WIDE, height / HIGH);
     const project = projection(episode.azimuth + turn, left + width / 2, height * 0.5, scale);
-    const { times, pictures } = take;
-    let frame = times.length - 1;
-    while (frame > 0 && times[frame] > time) frame--;
+    const { times, pictures } = take, frame = frameAt(take);
     const next = Math.min(frame + 1, times.length - 1);
     const share = next === frame ? 0 : Math.min(1, (time - times[frame]) / (times[next] - times[frame]));
     pen.save();
@@ -106,19 +114,75 @@
     });
     parts.sort((one, other) => other[0] - one[0]).forEach(([, draw]) => draw());
     trail(take, project, frame, 0, TOOL);
-    pen.fillStyle = "#1b1b1b";
+    pen.fillStyle = INK;
     pen.font = `${13 * (window.devicePixelRatio || 1)}px sans-serif`;
     pen.fillText(take.title, left + 0.02 * width, 0.06 * height);
     pen.restore();
   }
 
-  function draw() {
+  /** Sizes a canvas to its place on the page and clears it; returns width, height and pixels a CSS pixel. */
+  function clear(on) {
     const ratio = window.devicePixelRatio || 1;
-    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    const width = Math.round(on.clientWidth * ratio), height = Math.round(on.clientHeight * ratio);
+    if (on.width !== width || on.height !== height) [on.width, on.height] = [width, height];
+    pen = on.getContext("2d");
     pen.clearRect(0, 0, width, height);
+    return [width, height, ratio];
+  }
+
+  function stroke(from, to, style) {
+    pen.strokeStyle = style;
+    pen.beginPath();
+    pen.moveTo(...from);
+    pen.lineTo(...to);
+    pen.stroke();
+  }
+
+  /** Draws each quantity over time in a row of its own, a colour a take, and a mark at the time of the picture. */
+  function drawSeries() {
+    const [width, height, ratio] = clear(chart);
+    const names = Object.keys(episode.takes[0].series);
+    const [left, right, foot] = [34 * ratio, width - 8 * ratio, 34 * ratio];
+    const high = (height - foot) / names.length;
+    const x = (at) => left + ((right - left) * at) / (duration || 1);
+    const write = (text, at, down, style, align) => {
+      [pen.fillStyle, pen.textAlign, pen.font] = [style, align, `${12 * ratio}px sans-serif`];
+      pen.fillText(text, at, down);
+    };
+    names.forEach((name, row) => {
+      const [top, bottom] = [row * high + 18 * ratio, (row + 1) * high - 4 * ratio];
+      const most = roundUp(Math.max(...episode.takes.flatMap((take) => take.series[name])));
+      const y = (value) => bottom - ((bottom - top) * value) / most;
+      pen.lineWidth = ratio;
+      for (const value of [0, most]) {
+        stroke([left, y(value)], [right, y(value)], "#dddddd");
+        write(`${value}`, left - 4 * ratio, y(value) + 4 * ratio, SOFT, "right");
+      }
+      write(name, left + 4 * ratio, top - 6 * ratio, INK, "left");
+      episode.takes.forEach((take, k) => {
+        const values = take.series[name];
+        [pen.strokeStyle, pen.lineWidth] = [TAKES[k], 1.6 * ratio];
+        pen.setLineDash(k ? [5 * ratio, 3 * ratio] : []);
+        pen.beginPath();
+        values.forEach((value, frame) => pen[frame ? "lineTo" : "moveTo"](x(take.times[frame]), y(value)));
+        pen.stroke();
+        pen.setLineDash([]);
+        write(`${+values[frameAt(take)].toPrecision(3)}`, right - (episode.takes.length - 1 - k) * 60 * ratio, top - 6 * ratio, TAKES[k], "right");
+      });
+    });
+    const step = roundUp(duration / 6);
+    for (let at = 0; at <= duration; at += step) write(`${+at.toFixed(2)} s`, x(at), height - foot + 14 * ratio, SOFT, "center");
+    if (episode.takes.length > 1) episode.takes.forEach(({ title }, k) =>
+      write(`${k ? "- -" : "—"} ${title}`, left + k * 0.45 * width, height - 4 * ratio, TAKES[k], "left"));
+    pen.lineWidth = ratio;
+    stroke([x(time), 4 * ratio], [x(time), height - foot], INK);
+  }
+
+  function draw() {
+    const [width, height] = clear(canvas);
     const each = width / episode.takes.length;
     episode.takes.forEach((take, k) => drawTake(take, data.scenes[episode.scene], k * each, each, height));
+    drawSeries();
     line.value = time;
     clock.value = `${time.toFixed(1)} s of ${duration.toFixed(1)} s`;
   }
@@ -150,6 +214,12 @@
     if (!event.buttons) return;
     turn -= event.movementX / 150;
     tilt = Math.min(1.5, Math.max(0.05, tilt + event.movementY / 200));
+    draw();
+  };
+  chart.onpointerdown = chart.onpointermove = (event) => {
+    if (!event.buttons) return;
+    const at = (event.offsetX - 34) / (chart.clientWidth - 42);
+    stop(duration * Math.min(1, Math.max(0, at)));
     draw();
   };
   choice.onchange = () => {

@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError
 from hrl_comfort.files.run_folder import Run
+from hrl_comfort.files.tables import column
 from hrl_comfort.plots.clip import set_pose
 from hrl_comfort.plots.tape import Recording, Take, Tape
 from hrl_comfort.plots.video import azimuth_deg
@@ -55,11 +56,35 @@ def replays(runs: Sequence[Run]) -> tuple[dict[str, Any] | None, str]:
             takes = [shapes.take(take) for take in recording.ends]
             left -= sum(len(take["frames"]) for take in takes)
             if left < 0 and episodes:
-                return {"scenes": scenes, "episodes": episodes}, ""
+                return _page(scenes, episodes), ""
             azimuth = math.radians(azimuth_deg(recording.takes[0].path))
             title = f"{run.name}, {recording.title}"
             episodes.append({"title": title, "scene": len(scenes) - 1, "azimuth": azimuth, "takes": takes})
-    return ({"scenes": scenes, "episodes": episodes}, "") if episodes else (None, why)
+    return (_page(scenes, episodes), "") if episodes else (None, why)
+
+
+def _page(scenes: list[dict[str, Any]], episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what replay.js draws, and what the caption says: the quantities over time, and whether levels differ."""
+    takes = [take for episode in episodes for take in episode["takes"]]
+    names = list(dict.fromkeys(name for take in takes for name in take["series"]))
+    return {"scenes": scenes, "episodes": episodes, "series": names, "levels": len(takes) > len(episodes)}
+
+
+def series(take: Take, rows: Sequence[int]) -> dict[str, NDArray[np.float64]]:
+    """Return quantities over time by their label, (frames,): the worst value from each picture to the next.
+
+    A person who is not there has no distance, an arm without a shield no share of the speed that it passes.
+    """
+    found = {}
+    distance = column(take.path, "human_distance_m")
+    if (distance < FAR_AWAY_M / 2).all():
+        found["horizontal distance to the person (m)"] = np.minimum.reduceat(distance, rows)
+    speed = np.linalg.norm(np.diff(take.tool, axis=0, prepend=take.tool[:1]), axis=1) / CONTROL_STEP_S
+    found["speed of the tool (m/s)"] = np.maximum.reduceat(speed, rows)
+    if take.tape.run.config.get("safety", {}).get("kind", "none") != "none":
+        share = np.nan_to_num(column(take.path, "shield_share"), nan=1.0)
+        found["speed that the shield passes (%)"] = np.minimum.reduceat(100 * share, rows)
+    return found
 
 
 def chosen(tape: Tape) -> list[Recording]:
@@ -119,6 +144,7 @@ class Shapes:
             "title": take.title,
             "times": [round(float(row * CONTROL_STEP_S), 2) for row in rows],
             "frames": base64.b64encode(frames.tobytes()).decode("ascii"),
+            "series": {name: np.round(values, 3).tolist() for name, values in series(take, rows).items()},
         }
 
     def _looks(self, shapes: NDArray[np.intp]) -> list[list[Any]]:

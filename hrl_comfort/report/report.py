@@ -1,6 +1,6 @@
 """One self-contained HTML page about a run, or about all runs in a folder.
 
-What a run folder lacks is named on the page with the command that would write it; nothing missing
+What a run folder lacks is named on the page with the command that writes it; nothing missing
 makes the report fail, and a damaged file is named. Figures are inlined as SVG, the video as mp4: the page
 needs no other file.
 """
@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,16 +26,20 @@ from hrl_comfort.config import ReportConfig
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
+from hrl_comfort.files.tables import column
 from hrl_comfort.plots import hierarchy, training
 from hrl_comfort.plots.paths import at_levels, overview
 from hrl_comfort.plots.style import data_uri
 from hrl_comfort.report.sweeps import render, sweep_report
+from hrl_comfort.report.texts import missing, summary
 from hrl_comfort.report.videos import videos
 
 SHOWN_PATHS = 4
 SHOWN_FAILURES = 40
 FAILURE = ["run", "episode", "colour", "spawn_id", "motion_id", "seen", "steps", "ended"]
 """Columns of the table of failures."""
+CONTACTS = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact"}
+"""Columns of episodes.csv that the table of endings counts too, whatever ended the episode."""
 HEADS = [each.label for each in HEADLINE.values()]
 OPTION_ENDS = ["success", "failure", "preempted"]
 
@@ -68,26 +71,15 @@ def headline(runs: Sequence[Run]) -> list[dict[str, str]]:
     return rows
 
 
-def levels(runs: Sequence[Run]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Return, for each run evaluated at several levels, its name and a table with a column a level."""
-    found = []
-    for run in runs:
-        groups = [each for each in with_totals(run.groups or [], run.episodes) if each.get("seen") in (None, "all")]
-        at = [str(group.get("comfort_level")) for group in groups]
-        if 1 < len(at) == len(set(at)):
-            columns = [cells(group["metrics"], HEADLINE) for group in groups]
-            lines = [[head, *line] for head, line in zip(HEADS, zip(*columns, strict=True), strict=True)]
-            found.append((run.name, ["", *(f"level {level}" for level in at)], lines))
-    return found
-
-
 def _curves(runs: Sequence[Run]) -> dict[str, str]:
     """Return the figures of training that the runs have data for, as data URIs."""
     logs = {run.name: run.metrics for run in runs if run.metrics is not None and len(run.metrics) > 1}
     policies = {name: log for name, log in logs.items() if curve_of(log) is POLICY}
     controllers = {name: log for name, log in logs.items() if name not in policies}
     checkpoints = {
-        run.name: run.checkpoints for run in runs if run.checkpoints is not None and len(run.checkpoints) > 1
+        _title(run.name, run.checkpoints): run.checkpoints
+        for run in runs
+        if run.checkpoints is not None and run.checkpoints["policy_steps"].nunique() > 1
     }
     figures = {}
     if policies:
@@ -96,8 +88,14 @@ def _curves(runs: Sequence[Run]) -> dict[str, str]:
     if controllers:
         figures["controllers"] = training.over_training(controllers, training.CONTROLLER)
     if checkpoints:
-        figures["checkpoints"] = training.success_by_checkpoint(checkpoints)
+        figures["checkpoints"] = training.by_checkpoint(checkpoints)
     return {name: data_uri(figure) for name, figure in figures.items()}
+
+
+def _title(name: str, checkpoints: DataFrame) -> str:
+    """Return the title of a panel of checkpoints: the run, and what makes panels differ."""
+    first = checkpoints.iloc[0]
+    return f"{name}\n{first.get('split')}, human={first.get('human')}, {100 * first.get('precision_m'):g} cm"
 
 
 def _ends(run: Run, recorded: Iterable[Recorded]) -> dict[Recorded, str]:
@@ -161,7 +159,7 @@ def report(config: ReportConfig) -> Path:
             if run.unfinished:
                 warnings.warn(run.unfinished, stacklevel=2)
         with output_file(output):
-            _write_page(runs, folder.resolve().name, output, config)
+            _write_page(runs, folder, output, config)
         totals = {run.name: with_totals(run.groups or [], run.episodes) for run in runs}
         if groups := [{"run": name, **group} for name, each in totals.items() for group in each]:
             Console().print(of_groups(groups))
@@ -169,44 +167,65 @@ def report(config: ReportConfig) -> Path:
     return output
 
 
-def _replays(runs: list[Run]) -> tuple[dict[str, Any] | None, str]:
-    """Return what replay.js draws, and why there is nothing."""
-    if not any(run.paths for run in runs):
-        return None, "No replay: evaluate with record=true."
-    from hrl_comfort.report.replay import replays  # seconds, for torch and mujoco
+def _endings(episodes: DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Return head and lines of a table of how many episodes of each run ended how, and had a contact."""
+    kinds = [kind for kind in [*TERMINATIONS, "other"] if kind in {"success", *episodes["ended"]}]
+    lines = _counts(episodes["run"], episodes["ended"], kinds)
+    runs = {str(name): each for name, each in episodes.groupby("run", sort=False)}
+    for line in lines:
+        line[1:] = [str(len(runs[line[0]])), *line[1:]]
+        line += [f"{column(runs[line[0]], name).sum():.0f}" for name in CONTACTS]
+    return ["run", "episodes", *kinds, *CONTACTS.values()], lines
 
-    return replays(runs)
+
+def _provenance(run: Run) -> list[list[str]]:
+    """Return the lines of provenance.json; without `best`, the success of a training that explores."""
+    content = run.provenance.model_dump(exclude={"best"}) if run.provenance else {}
+    return [
+        [key.replace("_", " "), ", ".join(f"{k} {v}" for k, v in each.items()) if isinstance(each, dict) else str(each)]
+        for key, each in content.items()
+    ]
 
 
-def _write_page(runs: list[Run], title: str, output: Path, config: ReportConfig) -> None:
+def _write_page(runs: list[Run], folder: Path, output: Path, config: ReportConfig) -> None:
+    lacks = missing(folder, runs)
     found, no_video = videos(runs, config)
-    replay, no_replay = _replays(runs)
+    replay, no_replay = None, "No replay: it needs eval/paths.csv (evaluate with record=true)."
+    if any(run.paths for run in runs):
+        from hrl_comfort.report.replay import replays  # seconds, for torch and mujoco
+
+        replay, no_replay = replays(runs)
+    lacks += [(why, "") for why in ("" if found else no_video, no_replay) if why]
+    evaluated = [run for run in runs if run.groups]
+    logs = [run.metrics for run in runs if run.metrics is not None]
+    checkpoints = [run.checkpoints for run in runs if run.checkpoints is not None]
     tables = [
         run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
     ]
     episodes = pd.concat(tables) if tables else DataFrame(columns=FAILURE)
-    kinds = list(dict.fromkeys([*TERMINATIONS, *episodes["ended"]]))
     failed = episodes[episodes["ended"] != "success"].reindex(columns=FAILURE)
     shown = failed.head(SHOWN_FAILURES)
     page = render(
         "report.html.j2",
-        title=title,
+        title=folder.resolve().name,
+        here=Path.cwd(),
+        missing=lacks,
+        summary=summary(evaluated[-1]) if evaluated else "Nothing is evaluated yet.",
         runs=runs,
         headline=headline(runs),
         curves=_curves(runs),
-        levels=levels(runs),
+        notes=training.notes(logs),
+        checkpoint_notes=training.checkpoint_notes(checkpoints),
         paths=_paths(runs),
         level_paths=_level_paths(runs),
         timelines=_timelines(runs),
-        kinds=kinds,
-        terminations=_counts(episodes["run"], episodes["ended"], kinds),
+        endings=_endings(episodes) if tables else None,
         failures=shown.astype("str").mask(shown.isna(), "–").to_numpy().tolist(),
         failed=len(failed),
+        provenance={run.name: _provenance(run) for run in runs},
         shown_timelines=hierarchy.SHOWN_TIMELINES,
         videos=found,
-        no_video=no_video,
         replay=replay,
-        no_replay=no_replay,
         script=Markup(resources.files("hrl_comfort.report").joinpath("replay.js").read_text(encoding="utf-8")),
     )
     write_text(output, page)

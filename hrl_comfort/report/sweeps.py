@@ -5,6 +5,7 @@ Beside the page lie the table as CSV and as Markdown, and the figure as PNG, by 
 
 from __future__ import annotations
 
+import shlex
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,8 @@ def _write(sweep: Sweep, folder: Path, output: Path) -> None:
     page = render(
         "sweep.html.j2",
         title=folder.resolve().name,
-        folder=folder,
+        evaluate=f"hrl-comfort evaluate -m {shlex.quote(str(folder))}/*/ split=validation",
+        here=Path.cwd(),
         alike=sweep.alike,
         words=len(heads) if not sweep.rows[0].combination else len(sweep.rows[0].combination),
         heads=heads,

@@ -37,7 +37,7 @@ def videos(runs: Sequence[Run], config: ReportConfig) -> tuple[list[tuple[str, s
         except PicturesUnavailableError as error:
             return [], str(error)
     for run in reversed(runs):
-        folder = run.paths.parent if run.paths else run.folder / "eval"
+        folder = run.evaluation or run.folder / "eval"
         if found := [folder / name for name in FILES.values() if (folder / name).is_file()]:
             return [_data(file, f"{run.name}: a recorded episode.") for file in found], NONE
     return [], NONE if config.video else "No video: video=false, and none was drawn before."

@@ -15,9 +15,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.reading import read_text
 from hrl_comfort.scene.ur import JOINTS, UR_ARMS, Deltas, Six, UrModel, link_poses
 
 SECTION = "mounting"
+MOST_BYTES = 10**6
 FINISHED = 2
 """Value of `calibration_status` of a calibrated arm ("linearised")."""
 FARTHEST_M, FARTHEST_RAD = 0.03, math.radians(3.0)
@@ -52,7 +54,7 @@ def read_deltas(path: str) -> Deltas:
     """
     said, parser = f"robot.calibration={path!r}", ConfigParser(inline_comment_prefixes=("#",), interpolation=None)
     try:
-        parser.read_string(Path(path).read_text(encoding="utf-8"))
+        parser.read_string(read_text(Path(path), MOST_BYTES))
     except (OSError, ValueError, Error) as error:
         raise ConfigError(f"{said} cannot be read: {' '.join(str(error).split())}") from error
     if not parser.has_section(SECTION):

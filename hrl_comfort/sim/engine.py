@@ -6,7 +6,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from mujoco import rollout
 from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
@@ -16,6 +15,7 @@ from hrl_comfort.scene.workcell import CONTROL_SPEC, build_scene
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
+from hrl_comfort.threads import Threads
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Engine:
         self._models = [copy(self.scene.model) for _ in range(rows if config.randomise.links else 0)]
         """One a row, where links differ from the model."""
         self._data = [mujoco.MjData(self.scene.model) for _ in range(config.engine.threads)]
-        self._rollout = rollout.Rollout(nthread=config.engine.threads if config.engine.threads > 1 else 0)
+        self._rollout = Threads(config.engine.threads)
         self.physics = np.zeros((rows, self.scene.nstate))
         """(N, nstate) mjSTATE_FULLPHYSICS: time, qpos, qvel."""
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 
-from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
+from hrl_comfort.config import HIERARCHY, ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
 from hrl_comfort.config.compose import compose, is_same, load_config
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.atomic import overwrites
@@ -20,7 +20,7 @@ from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
+from hrl_comfort.training.run_state import RunState, run_state
 
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
@@ -28,6 +28,10 @@ OUTCOMES = {RunState.NEW: "done", RunState.STOPPED: "resumed", RunState.FINISHED
 """What a sweep reports of a job that ended well, by its state before."""
 LOCAL_LAUNCHERS = ("basic", "joblib")
 """Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
+
+
+WORKERS = ("joblib", "submitit_local", "ray")
+"""Launchers that give up a sweep when one of their processes is killed: jobs run in subprocesses of those."""
 
 
 class OtherRunError(ConfigError):
@@ -57,7 +61,7 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
     folder = Path(hydra.runtime.output_dir)
     overrides = tuple(str(line) for line in hydra.overrides.task)
     launcher, sweeper = (hydra.runtime.choices[f"hydra/{each}"] for each in ("launcher", "sweeper"))
-    in_worker = launcher == "joblib" and hydra.launcher.n_jobs != 1
+    in_worker = launcher in WORKERS and hydra.launcher.get("n_jobs") != 1
     words = [*overrides, override("output", folder)]
     record = Job(verb, overrides, "running", command=command)
     try:

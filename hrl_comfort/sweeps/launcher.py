@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import uuid
 from collections.abc import Callable
 from functools import partial
@@ -19,11 +20,12 @@ from hrl_comfort.config.compose import hydra_over_conf, run_folder
 from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
 from hrl_comfort.files.documents import read_yaml
-from hrl_comfort.files.output import INSIST
+from hrl_comfort.files.output import INSIST, in_use
 from hrl_comfort.files.sweep_record import find_jobs, planned
 from hrl_comfort.sweeps.job import Command, job
 from hrl_comfort.sweeps.subprocesses import ERRORS, end_with_parent
 
+POLL_S = 1.0
 EXTRAS = {
     "hydra/launcher": {
         "submitit_local": ("submitit", "hydra_plugins.hydra_submitit_launcher"),
@@ -46,6 +48,7 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     rest = [*checked, *(line for each in outputs for line in _folder_overrides(each))]
     if verb == "evaluate" and not outputs and _of_runs(checked):
         rest.append("hydra.sweep.subdir='${absolute:${output}}'")  # the eval/ of each
+    os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's own 15 lets a busy machine starve the jobs
     command, batches, crash = uuid.uuid4().hex, None, ""
     task = partial(job, verb, run, command)
     root = root_of(verb)
@@ -67,6 +70,8 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     except Exception as error:  # noqa: BLE001  launchers and sweepers of extras raise classes of their own
         crash = f"{type(error).__name__}: {' '.join(str(error).split())}"
     if batches is None:
+        if crash:
+            _wait(folder, command)
         _report_records(folder, command, crash)
         return
     results = [(each.overrides or (), each.return_value) for batch in batches for each in batch]
@@ -75,6 +80,13 @@ def multirun(verb: str, run: Command, checked: list[str], outputs: list[str]) ->
     failed = sum(result.error is not None for _, result in results)
     if failed:
         raise ConfigError(f"{failed} of {len(results)} jobs failed")
+
+
+def _wait(folder: Path, command: str) -> None:
+    """Wait for the jobs that still run on this machine: a launcher that raised has left them."""
+    for where, each in find_jobs(folder).items():
+        while each.command == command and each.state == "running" and in_use(where):
+            time.sleep(POLL_S)
 
 
 def _report_records(folder: Path, command: str, crash: str) -> None:

@@ -1,7 +1,7 @@
 """Runs of the command in a subprocess, for the jobs of a sweep.
 
-joblib gives up a sweep if one of its workers is killed, for example for want of memory. A worker therefore runs each
-job in a subprocess and waits; a killed job leaves the others alone.
+joblib, submitit and Ray give up a sweep if one of their workers is killed, for example for want of memory. A worker
+therefore runs each job in a subprocess and waits; a killed job leaves the others alone.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class KilledError(Exception):
     """A subprocess was killed by a signal."""
 
 
-ERRORS = (ConfigError, FloatingPointError, KilledError, OSError)
+ERRORS = (ConfigError, FloatingPointError, KilledError, MemoryError, OSError)
 """Errors that are reported by their message alone."""
 
 

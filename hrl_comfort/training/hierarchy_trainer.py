@@ -15,6 +15,7 @@ from rich.console import Console
 
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import (
+    HIERARCHY,
     ConfigError,
     EnvConfig,
     EvaluateConfig,
@@ -32,7 +33,7 @@ from hrl_comfort.files.provenance import is_finished, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
-from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
+from hrl_comfort.training.run_state import RunState, run_state
 from hrl_comfort.training.trainer import train
 
 EPISODE_LENGTH = {"cycle": 3}

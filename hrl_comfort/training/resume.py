@@ -12,12 +12,12 @@ import torch
 import torchrl
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.config import ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
+from hrl_comfort.config import HIERARCHY, ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
 from hrl_comfort.config.compose import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import is_finished
 from hrl_comfort.training.loop import TrainingLoop
-from hrl_comfort.training.run_state import HIERARCHY, RunState, run_state
+from hrl_comfort.training.run_state import RunState, run_state
 
 C = TypeVar("C", bound=TrainingConfig)
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {

@@ -5,10 +5,8 @@ from __future__ import annotations
 from enum import Enum
 from pathlib import Path
 
+from hrl_comfort.config import HIERARCHY
 from hrl_comfort.files.provenance import is_finished
-
-HIERARCHY = "hierarchy.yaml"
-"""Configuration of a hierarchy, in its folder."""
 
 
 class RunState(Enum):

@@ -14,7 +14,9 @@ from hrl_comfort.config.compose import compose
 
 WRONG = {
     "": "",
-    "evalute": "evalute is not a verb",
+    "evalute": "evalute is not a verb, did you mean evaluate?; choose one of train, evaluate",
+    "train hierachy": "train hierachy is not known, did you mean hierarchy?; choose one of hierarchy",
+    "bench trian": "bench trian is not known, did you mean train?; choose one of env",
     "train taks=pick": "did you mean task?",
     "train seed=3": "did you mean train_seed?",
     "evaluate seed=3": "did you mean episode_seed?",

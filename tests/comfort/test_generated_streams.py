@@ -147,7 +147,7 @@ def test_no_schedule_crashes_and_its_levels_are_of_the_range(times: list[float],
     found = tried(
         lambda: make_source(
             replace(COMFORT, source="schedule", schedule_s=times, schedule_levels=levels), len(TIMES)
-        ).at(TIMES)
+        ).levels(TIMES, TIMES)
     )
     if found is not None:
         of_range(found)

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose
-from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.config.overrides import override
+from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate, policy_steps
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
 
@@ -230,6 +232,23 @@ def test_a_folder_that_cannot_be_written_is_found_out_before_the_work(
     (tmp_path / "run" / "checkpoints" / "step_000000001.pt").touch()
     with pytest.raises(ConfigError, match=rf"output='{tmp_path}/file/eval.*{tmp_path}/file: Not a directory"):
         run(tmp_path / "file" / "eval", f"policy='{tmp_path}/run'", *words)
+
+
+def test_checkpoints_of_a_chain_are_taken_at_equal_fractions_of_training(tmp_path: Path) -> None:
+    kept = {"pick": (10, 20), "place": (25, 50, 75, 100), "return": ()}
+    for part, steps in kept.items():
+        (tmp_path / part / "checkpoints").mkdir(parents=True)
+        for at in steps:
+            checkpoint.step_path(tmp_path / part / "checkpoints", at).touch()
+    words = [override(f"policies.{part}", tmp_path / part) for part in kept]
+    config = compose("evaluate", ["task=cycle", "meta_controller=scripted", "checkpoints=all", *words])
+    assert isinstance(config, EvaluateConfig)
+    found = [{part: policy_steps(file) for part, file in each.items()} for each in checkpoints_of(config)]
+    assert [each["place"] for each in found] == [25, 50, 75, 100] and "return" not in found[0]
+    assert [each["pick"] for each in found] == [10, 10, 10, 20]
+    config = compose("evaluate", [override("policy", tmp_path / "pick"), "checkpoints=all", "levels=[1,10]"])
+    assert isinstance(config, EvaluateConfig)
+    assert [policy_steps(each["policy"]) for each in checkpoints_of(config)] == [10, 20]
 
 
 def test_all_checkpoints_of_a_folder_without_any_are_refused(tmp_path: Path) -> None:

@@ -14,16 +14,20 @@ import pyarrow.parquet
 import pytest
 import torch
 
+from hrl_comfort import humans
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
+from hrl_comfort.cli.main import main
 from hrl_comfort.comfort.streams import read_recording
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.files.documents import read_json, read_yaml
+from hrl_comfort.files.output import output_file
 from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.files.sweep_record import planned
 from hrl_comfort.files.tables import GrowingTable, read_table
+from hrl_comfort.scene.calibration import read_deltas
 from hrl_comfort.sim.starts import recorded
 
 ALIASES = "a: &a [x, x]\nb: [*a, *a]\n"
@@ -58,6 +62,7 @@ def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path: Path
         torch.zeros(1).expand(10**5, 10**5),
         torch.sparse_coo_tensor(torch.zeros(2, 1, dtype=torch.int64), torch.ones(1), (9, 9), check_invariants=True),
         torch.empty(7, device="meta"),
+        torch.nested.nested_tensor([torch.zeros(2), torch.zeros(3)]),
     ],
 )
 def test_a_tensor_without_its_numbers_is_refused(tensor: torch.Tensor, tmp_path: Path) -> None:
@@ -71,6 +76,62 @@ def test_a_table_that_unpacks_to_more_than_memory_holds_is_refused(tmp_path: Pat
     pa.parquet.write_table(pa.table({"episode": zeros, "success": zeros}), tmp_path / "episodes.parquet")
     with pytest.raises(ConfigError, match="unpacks to 60000000 cells"):
         read_table(tmp_path / "episodes.csv")
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_table_of_too_many_columns_is_refused(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / f"episodes.{kind}"
+    if kind == "csv":
+        file.write_text("episode" + ",x" * 10**6 + "\n" + "0" + ",1" * 10**6 + "\n")
+    else:
+        pa.parquet.write_table(pa.table({f"x{k}": [0] for k in range(5001)}), file)
+    with pytest.raises(ConfigError, match=r"is damaged: it has (1000001|5001) columns; at most 5000 are read"):
+        read_table(tmp_path / "episodes.csv")
+
+
+def sparse(path: Path) -> Path:
+    path.touch()
+    os.truncate(path, 3 * 10**9)
+    return path
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "metrics.csv": read_table,
+    "timing.csv": lambda path: GrowingTable(path, ["a"]).begin(2),
+    "summary.json": lambda path: read_json(path, dict),
+    "config.yaml": read_yaml,
+    "walk.csv": humans.recordings.read_recording,
+    "walk.bvh": humans.recordings.read_recording,
+    "calibration.conf": lambda path: read_deltas(str(path)),
+    "levels.csv": lambda path: read_recording(
+        compose("train", ["comfort=conditioned", "comfort.source=file", f"comfort.file={path}"]).comfort
+    ),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_file_larger_than_memory_is_refused_before_it_is_read(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf"{name}.* is of 3000 MB; at most [\d.]+ MB are read"):
+        READERS[name](sparse(tmp_path / name))
+
+
+def test_the_beginning_of_a_large_file_tells_whether_it_is_ours(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is there already"), output_file(sparse(tmp_path / "page.html")):
+        pass
+
+
+def test_what_memory_does_not_hold_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    def full(words: list[str]) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("hrl_comfort.cli.main.execute", full)
+    assert main(["report"]) == 1 and capsys.readouterr().err == "hrl-comfort: out of memory\n"
+
+
+def test_an_exported_policy_is_told_apart_from_a_damaged_one(tmp_path: Path) -> None:
+    (tmp_path / "x.onnx").write_bytes(b"\x08\x0a\x12")
+    with pytest.raises(ConfigError, match=r"x\.onnx: ONNX files are for other programs; give the policy\.pt"):
+        checkpoint.load(tmp_path / "x.onnx")
 
 
 def test_a_cell_of_any_size_is_a_number_or_one_line(tmp_path: Path) -> None:

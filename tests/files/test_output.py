@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +12,10 @@ import pytest
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.compose import compose, save_config
+from hrl_comfort.config.overrides import at_home
 from hrl_comfort.files.atomic import all_or_none, write_text
 from hrl_comfort.files.output import output_file, output_folder
+from hrl_comfort.files.run_folder import find_runs
 
 EVALUATE = ("evaluate", "policy=random", "episodes=1", "task=reach", "human=none")
 TRAIN = ("train", "task=reach", "agent.policy_steps=16", "agent.learning_starts=8", "agent.hidden=[4]")
@@ -167,6 +170,39 @@ def write_both(*paths: Path) -> None:
         write_text(path, "new")
 
 
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_warned_of_and_written(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(*_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("hrl_comfort.files.output.fcntl.flock", flock)
+    with pytest.warns(UserWarning, match="run: its file system has no locks"), output_folder(tmp_path / "run", object):
+        (tmp_path / "run" / "done").touch()
+    with pytest.warns(UserWarning, match="page: its file system has no locks"), output_file(tmp_path / "page"):
+        write_text(tmp_path / "page", "whole")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["done", "page", "run"]
+
+
+@pytest.mark.parametrize("given", ["output=~/x", "output='~/x'", 'output="~/x"'])
+def test_a_path_in_the_home_folder_is_there(
+    given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "task=reach", given, "--dry-run"]) == 0
+    assert f"output: {tmp_path}/x\n" in capsys.readouterr().out
+
+
+def test_only_values_begin_in_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/me")
+    assert at_home("evaluations=[~/a,'~/b',c~/d]") == "evaluations=[/home/me/a,'/home/me/b',c~/d]"
+    assert at_home("policy=sb3:~/a,~") == "policy=sb3:/home/me/a,/home/me"
+    for line in ("~human.mixture.approach", "output=a~", "output=~me/x", "x=a/~/b", "hierarchy.controller=['~a.b']"):
+        assert at_home(line) == line
+
+
 def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "abc"]
     for path in paths:
@@ -191,3 +227,10 @@ def test_a_full_disk_leaves_the_evaluation_before(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("hrl_comfort.evaluation.rollout.write_json", full)
     assert main(words) == 1
     assert tree(tmp_path) == before
+
+
+def test_a_hidden_folder_is_no_run(tmp_path: Path) -> None:
+    for name in ("b", ".trash", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "episodes.csv").write_text("episode,success\n0,True\n")
+    assert [run.name for run in find_runs(tmp_path)] == ["a", "b"]

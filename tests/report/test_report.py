@@ -26,6 +26,7 @@ from hrl_comfort.plots.clip import gait, path_clip
 from hrl_comfort.plots.paths import overview
 from hrl_comfort.report import report
 from hrl_comfort.report import videos as module
+from hrl_comfort.report.texts import summary
 from hrl_comfort.report.videos import videos
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.scene.workcell import build_scene
@@ -212,15 +213,10 @@ def test_the_headline_holds_each_task_with_interval_and_training_minutes(demo):
 
 def test_a_run_without_anything_but_metrics_says_what_is_missing(tmp_path):
     make_training(tmp_path / "pick", np.random.default_rng(0), 5)
+    shutil.rmtree(tmp_path / "pick" / "eval")
     text = report.report(ReportConfig(run=str(tmp_path / "pick"), output=None, video=True)).read_text()
-    for name in (
-        "eval/summary.json",
-        "eval/paths.csv",
-        "eval/options.csv",
-        "eval/episodes.csv",
-        "config.yaml",
-    ):
-        assert re.search(rf"(no|needs) {name}", text, re.IGNORECASE), name
+    for name in ("eval/summary.json", "eval/paths.csv", "eval/episodes.csv", "config.yaml"):
+        assert re.search(rf"(no|needs|and) {name}", text, re.IGNORECASE), name
 
 
 def test_text_of_a_run_is_escaped(tmp_path):
@@ -271,6 +267,7 @@ def test_the_configuration_of_the_evaluation_rules_over_that_of_training(tmp_pat
     (tmp_path / "eval").mkdir()
     (tmp_path / "config.yaml").write_text("task: {name: pick}\n")
     (tmp_path / "eval" / "config.yaml").write_text("task: {name: cycle}\n")
+    (tmp_path / "eval" / "episodes.csv").write_text("episode,success\n0,True\n")
     run = run_folder.read_run(tmp_path)
     assert run.config["task"]["name"] == "cycle"
     assert list(run.configs) == ["training", "evaluation"]
@@ -349,17 +346,79 @@ def levels_of(demo, folder):
     return run_folder.find_runs(folder)
 
 
-def test_levels_stand_beside_each_other_with_totals_beside_seen_and_unseen(demo, tmp_path):
+def test_levels_have_totals_beside_seen_and_unseen_and_the_first_sentence_names_the_ends(demo, tmp_path):
     runs = levels_of(demo, tmp_path / "pick")
     rows = report.headline(runs)
     assert [(row["comfort level"], row["spawns"], row["episodes"]) for row in rows] == [
         (level, *of) for level in ("1", "4", "10") for of in (("unseen", "11"), ("seen", "10"), ("all", "21"))
     ]
-    ((name, heads, lines),) = report.levels(runs)
-    assert (name, heads) == ("pick", ["", "level 1", "level 4", "level 10"])
-    assert lines[0] == ["success (%)", *[rows[2]["success (%)"]] * 3]
     assert [len(report._level_paths(each)) for each in (runs, run_folder.find_runs(demo))] == [1, 0]
-    assert not report.levels(run_folder.find_runs(demo))
+    said = summary(runs[0])
+    assert said.startswith("Pick at level 1 beside people (random_walk) succeeds in 85.7 % [")
+    assert "Pick at level 10 " in said and "level 4" not in said
+
+
+def test_the_first_sentence_says_success_steps_and_contacts_with_their_intervals(demo, page):
+    (cycle,) = (run for run in run_folder.find_runs(demo) if run.name == "cycle")
+    number = r"\d+\.\d % \[\d+\.\d, \d+\.\d\]"
+    wanted = (
+        rf"Cycle beside people \(random_walk\) succeeds in {number} of 21 episodes, after \d+ control steps \(.* s\)"
+    )
+    wanted += rf" on average; the arm touches the person in {number} and unsafely in {number}\."
+    assert re.fullmatch(wanted, summary(cycle)) and summary(cycle) in page
+    alone = [{**group, "human": "none"} for group in cycle.groups]
+    assert "touches" not in summary(replace(cycle, groups=alone, episodes=None))
+    busy = [{**group, "metrics": {**group["metrics"], "balls_per_min": {"mean": 3, "ci95": None}}} for group in alone]
+    assert "places 3.00 balls a minute in 21 episodes." in summary(replace(cycle, groups=busy, episodes=None))
+
+
+def test_both_tables_count_the_same_contacts_whatever_ended_the_episode(demo):
+    episodes = run_folder.find_runs(demo)[0].episodes.assign(run="pick")
+    late = episodes.assign(truncated=True, contact=episodes["episode"] < 9, unsafe_contact=False)
+    late["ended"] = terminations(late)
+    heads, (line,) = report._endings(late)
+    told = dict(zip(heads, line, strict=True))
+    assert "contact" not in told, "none ended an episode"
+    share = summarise(late, [], 500)["groups"][0]["metrics"]["contact"]["mean"]
+    assert (told["episodes"], told["with a contact"]) == ("21", f"{21 * share:.0f}") == ("21", "9")
+
+
+def test_captions_say_of_lines_what_is_there():
+    log = DataFrame({"policy_steps": range(5)})
+    assert training.notes([log]) == ""
+    assert "Thin lines" in training.notes([log, pd.concat([log] * 7)])
+    assert "Dotted lines" in training.notes([log.assign(stage=list("aaabb"))])
+    alone = DataFrame({"comfort_level": [1, 1], "unsafe_contact_high": 0.0})
+    assert training.checkpoint_notes([alone]) == ""
+    assert "Levels" in training.checkpoint_notes([alone.assign(comfort_level=[1, 2])])
+    assert "chain" in training.checkpoint_notes([alone.assign(pick=[1, 2])])
+
+
+def test_every_evaluation_of_a_run_is_found_and_checkpoints_are_drawn_by_level(demo, tmp_path):
+    folder = tmp_path / "pick"
+    shutil.copytree(demo / "pick", folder)
+    table = read_table(folder / "eval" / "checkpoints.csv")
+    assert table is not None
+    (folder / "eval_validation").mkdir()
+    levels = pd.concat([table.assign(comfort_level=level, split="validation") for level in (1, 10)])
+    levels.to_csv(folder / "eval_validation" / "checkpoints.csv", index=False)
+    runs = run_folder.find_runs(folder)
+    assert [run.name for run in runs] == ["pick", "pick/eval_validation"]
+    figure = training.by_checkpoint({run.name: run.checkpoints for run in runs if run.checkpoints is not None})
+    assert [text.get_text() for text in figure.legends[0].texts] == ["level 1", "level 10", "no level"]
+    drawn = [[line for line in axis.containers if line.has_yerr and len(line[0].get_xdata())] for axis in figure.axes]
+    assert [len(each) for each in drawn] == [1, 2, 1, 2], "panels of success, then of unsafe contacts"
+    for _, _, (bars,) in drawn[1]:
+        assert bars.get_segments()[0][:, 1] == pytest.approx([14, 24])
+    assert len({tuple(line[0].get_color()) for line in drawn[1]}) == 2
+
+
+def test_the_success_of_training_that_explores_does_not_stand_in_the_page(demo, tmp_path):
+    shutil.copytree(demo / "pick", tmp_path / "pick")
+    best = {"finished": True, "best": {"success": 0.546372819}, "machine": {"cores": 2}}
+    (tmp_path / "pick" / "provenance.json").write_text(json.dumps(best))
+    text = report.report(ReportConfig(run=str(tmp_path), output=None, video=False)).read_text()
+    assert "0.546372819" not in text and "cores 2" in text
 
 
 def test_the_split_is_told_and_spawns_only_where_episodes_have_them(demo, tmp_path):

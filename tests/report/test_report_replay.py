@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hrl_comfort.config import EvaluateConfig, ReportConfig
 from hrl_comfort.config.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_folder import read_run, recorded_paths
+from hrl_comfort.plots.tape import Tape
 from hrl_comfort.report import replay as module
 from hrl_comfort.report.replay import replays
 from hrl_comfort.report.report import report
@@ -64,6 +66,22 @@ def test_a_page_never_holds_more_than_its_share(evaluation: Path, monkeypatch: p
     monkeypatch.setattr(module, "MOST_BYTES", 1)
     found, _ = replays([read_run(evaluation)])
     assert found is not None and len(found["episodes"]) == 1
+
+
+def test_quantities_over_time_are_the_worst_between_two_pictures_and_only_those_there_are(evaluation: Path) -> None:
+    run = read_run(evaluation)
+    take = Tape(run).recordings[0].takes[0]
+    path = take.path.assign(human_distance_m=1.0, shield_share=1.0)
+    path.loc[path.index[5], ["human_distance_m", "shield_share"]] = 0.25, 0.5
+    rows = [0, 4, 8]
+    shielded = replace(take, tape=Tape(replace(run, config={**run.config, "safety": {"kind": "ssm"}})), path=path)
+    distance, speed, share = module.series(shielded, rows).values()
+    assert (distance.tolist(), share.tolist()) == ([1.0, 0.25, 1.0], [100.0, 50.0, 100.0])
+    tool = np.linalg.norm(np.diff(take.tool, axis=0), axis=1) / 0.02
+    assert speed == pytest.approx([tool[:3].max(), tool[3:7].max(), tool[7:].max()])
+    assert list(module.series(replace(take, path=path.assign(human_distance_m=50.0)), rows)) == [
+        "speed of the tool (m/s)"
+    ]
 
 
 def test_a_report_without_paths_or_with_a_foreign_cell_says_why(evaluation: Path, tmp_path: Path) -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
+import re
+import subprocess
 from importlib import resources
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from scipy import stats
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.learning_curve import training_end
 from hrl_comfort.analysis.sweeps import read_sweep
+from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.files.sweep_record import Job, find_jobs
 from hrl_comfort.plots import sweeps as sweep_figure
@@ -226,10 +230,23 @@ def test_a_training_that_took_no_number_of_seconds_is_named(tmp_path: Path) -> N
 
 def test_the_report_of_a_controllers_training_shows_its_curves(tmp_path: Path) -> None:
     make_controller(tmp_path / "meta_controller", 2.0)
+    (tmp_path / "meta_controller" / "meta_controller.pt").touch()
     page = reported(tmp_path / "meta_controller").read_text(encoding="utf-8")
     assert "control steps of an episode, and mean return" in page
     assert "No learning curves" not in page and "precision in force" not in page
-    assert "policies.meta_controller=RUN" in page and "policy=RUN" not in page, "it would be refused"
+    assert "policies.meta_controller=" in page and "evaluate policy=" not in page, "it would be refused"
+
+
+def test_the_command_that_compares_a_sweep_works_as_pasted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr("hrl_comfort.sweeps.launcher.multirun", lambda *given: asked.append(given[2]))
+    sweep = make_sweep(tmp_path / "my rates")
+    page = reported(sweep).read_text(encoding="utf-8")
+    (command,) = re.findall("<code>(hrl-comfort .*?)</code>", page)
+    done = subprocess.run(["bash", "-c", f"printf '%s\\n' {html.unescape(command)}"], capture_output=True, text=True)
+    assert main(done.stdout.splitlines()[1:]) == 0
+    ((policies, split),) = asked
+    assert str(sweep / "0") in policies and split == "split=validation"
 
 
 def test_runs_beside_a_sweep_are_named(tmp_path: Path) -> None:

@@ -13,13 +13,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.compose import compose, hydra_over_conf, save_config
-from hrl_comfort.files.sweep_record import find_jobs, read_job
+from hrl_comfort.files.output import held_folder
+from hrl_comfort.files.sweep_record import Job, find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
 from hrl_comfort.sweeps import launcher as sweep
 from hrl_comfort.sweeps import subprocesses
@@ -244,3 +246,34 @@ def test_evaluations_of_several_runs_go_to_the_runs(tmp_path: Path, monkeypatch,
     assert "add -m to evaluate each" in capsys.readouterr().err
     assert commands.main(["evaluate", "-m", "a", "hydra/launcher=basic", "human=arc,still"]) == 1
     assert len(find_jobs(max((tmp_path / "runs" / "sweep").iterdir()))) == 2
+
+
+def test_jobs_that_a_launcher_has_left_are_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "0").mkdir()
+    for command in ("mine", "another"):
+        (tmp_path / command).mkdir()
+        Job("train", ("task=reach",), "running", command=command).write(tmp_path / command)
+    waited = []
+    with contextlib.ExitStack() as runs:
+        runs.enter_context(held_folder(tmp_path / "another"))
+        mine = runs.enter_context(contextlib.ExitStack())
+        mine.enter_context(held_folder(tmp_path / "mine"))
+        monkeypatch.setattr(sweep.time, "sleep", lambda seconds: (waited.append(seconds), mine.close()))
+        sweep._wait(tmp_path, "mine")
+    assert waited == [sweep.POLL_S]
+
+
+@pytest.mark.parametrize("name", ["joblib", "submitit_local", "ray"])
+def test_jobs_of_launchers_that_give_up_with_a_worker_run_in_subprocesses(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = []
+    chosen = {"hydra/launcher": name, "hydra/sweeper": "basic"}
+    hydra = SimpleNamespace(
+        runtime=SimpleNamespace(output_dir=str(tmp_path / "0"), choices=chosen),
+        overrides=SimpleNamespace(task=["task=reach"]), launcher={},
+    )  # fmt: skip
+    monkeypatch.setattr(sweep_job.HydraConfig, "get", lambda: hydra)
+    monkeypatch.setattr(sweep_job, "run_in_subprocess", lambda verb, words: ran.append(words))
+    result = sweep_job.job("train", lambda words: pytest.fail("in the worker"), "mine", None)
+    assert result.error is None and ran == [["task=reach", f"output={tmp_path / '0'}"]]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import os
+import re
+import shlex
+import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +19,7 @@ from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
 from hrl_comfort.config.compose import compose, load_config
 from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.tables import read_table
 from hrl_comfort.sweeps.job import OtherRunError, state_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining
@@ -115,6 +120,38 @@ def test_a_finished_hierarchy_says_so_and_shows_its_table_and_report(whole, caps
     assert "already holds another hierarchy" in error and "is finished" not in out
 
 
+def test_checkpoints_of_the_chain_reach_the_report_and_its_commands_work_as_pasted(whole, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = Path("my runs/lr=0.1")
+    shutil.copytree(whole, folder, ignore=shutil.ignore_patterns("report.html", "paths.csv"))
+    shutil.rmtree(folder / "return" / "eval")
+    assert main(["report", override("run", folder), "video=false"]) == 0
+    commands = commands_of(folder)
+    assert len(commands) > 5
+    policy = override("policy", folder)
+    (own,) = (each for each in commands if {"checkpoints=all", policy} <= set(shlex.split(each)))
+    assert main([*shlex.split(own)[1:], "episodes=2", "levels=[1,10]"]) == 0
+    table = read_table(folder / "cycle" / "eval_validation" / "checkpoints.csv")
+    assert table is not None and table["comfort_level"].tolist() == [1, 10] * (len(table) // 2) and len(table) > 3
+    assert (table["policy_steps"] == table["pick_place"] + table["return"]).all()
+    assert set(table["split"]) == {"validation"} and set(table["episodes"]) == {2}
+    assert main(["report", override("run", folder), "video=false"]) == 0
+    assert "Success and unsafe contacts by checkpoint" in page_of(folder)
+    assert own not in html.unescape(page_of(folder))
+
+
+def page_of(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def commands_of(folder: Path) -> list[str]:
+    """Return the commands in the report of a folder; each is taken as pasted."""
+    commands = [html.unescape(each) for each in re.findall("<code>(hrl-comfort .*?)</code>", page_of(folder))]
+    for command in commands:
+        assert main([*shlex.split(command)[1:], "--dry-run"]) == 0, command
+    return commands
+
+
 def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole, tmp_path):
     assert state_of(small(whole)) is RunState.FINISHED
     with pytest.raises(OtherRunError, match="holds another run"):
@@ -142,6 +179,11 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
     assert load_config(folder / "controller").task.balls == 2
     for name in ("pick", "place", "return", "cycle", "sort_scripted", "sort_learned"):
         assert (folder / name / "eval" / "summary.json").is_file()
+    for page in (folder, folder / "controller"):
+        assert main(["report", override("run", page), "video=false"]) == 0
+    assert "policies.meta_controller" not in str(commands_of(folder)), "it is evaluated"
+    (alone,) = commands_of(folder / "controller")
+    assert override("policies.pick", folder / "pick") in shlex.split(alone)
 
 
 def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_path, capsys):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hrl_comfort.config import SORTING, ConfigError, HierarchyTrainConfig, StudioConfig
+from hrl_comfort.config import HIERARCHY, SORTING, ConfigError, HierarchyTrainConfig, StudioConfig
 from hrl_comfort.config.compose import load_config, trained_environment
 from hrl_comfort.config.overrides import override
 
@@ -20,11 +20,11 @@ CYCLE = ("pick", "place", "return")
 def options_in(folder: Path) -> tuple[str, ...]:
     """Return the options of the hierarchy in `folder`, each a run of that name; none if it holds no chain."""
     names: Sequence[str] = CYCLE
-    if (folder / "config.yaml").is_file():
-        config = load_config(folder)
-        if not isinstance(config, HierarchyTrainConfig):
-            return ()
-        names = config.meta_controller.options
+    if (folder / HIERARCHY).is_file():
+        config = load_config(folder / HIERARCHY)
+        names = config.meta_controller.options if isinstance(config, HierarchyTrainConfig) else ()
+    elif (folder / "config.yaml").is_file():
+        return ()
     return tuple(names) if all((folder / name / "policy.pt").is_file() for name in names) else ()
 
 
