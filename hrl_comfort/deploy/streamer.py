@@ -50,7 +50,8 @@ class Limits:
         """Return the limits of the arm of `config`, whose servos are as late as the shield allows for."""
         rating = rating_of(config.robot)
         following = following_bound(rating, config.safety.lag_s + config.safety.latency_s)
-        return cls(rating, ArmGeometry(scene), *scene.joint_range.T, following)
+        low, high = scene.joint_range.T
+        return cls(rating, ArmGeometry(scene), low, high, following)
 
     def broken(self, before: Array, velocity: Array, angles: Array) -> str:
         """Return which limit the set-point `angles` (J,) breaks after `before` (J,) rad; empty for none.

@@ -9,6 +9,7 @@ safe. docs/safety.md has the proof, ISO/TS 15066 section 5.5.4 the method.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -99,7 +100,8 @@ class Shield:
         No brake of the set-points hinders that: they must be taken back to the arm.
         """
         clear = now.apart > motion.way + self._bound(self._settled_s, self._pace(now)) + self._config.margin_m
-        calm: NDArray[np.bool_] = np.logical_or(motion.speed <= self._config.safe_speed_m_s, clear).all(axis=0)
+        fast: NDArray[np.bool_] = motion.speed > self._config.safe_speed_m_s
+        calm: NDArray[np.bool_] = np.logical_or(~fast, clear).all(axis=0)
         return ~calm
 
     def step(
@@ -155,7 +157,7 @@ class Shield:
         pace: Array = norm(now.person - self.memory.seen).max(axis=(0, 1)) / CONTROL_STEP_S
         return pace
 
-    def _bound(self, time_s: Array | float, speed: Array) -> Array:
+    def _bound(self, time_s: Array | float, speed: Array) -> Any:
         """Return how far (...,) m any part of the person gets within `time_s` (...,) s, measured at `speed` (...,) m/s.
 
         `worst`: `human_speed_m_s` in any direction at any time. `observed`: the measured speed grows by at most

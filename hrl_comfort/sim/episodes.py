@@ -84,8 +84,10 @@ class Episodes:
         self.source = make_source(config.comfort, rows)
         paid = source == "frightened" or (config.comfort.distance == "arm" and source != "none")
         self._separation = Separation(scene)
-        self._sensors = Sensors(scene, self._separation, measure_arm or paid)
         self.drive = make_drive(scene, self._separation, config, rows)
+        self._people_stop = config.task.terminate_on == "unsafe_contact"
+        pushing = self.drive is None and not self._people_stop
+        self._sensors = Sensors(scene, self._separation, measure_arm or paid, pushing)
         self._disturbance = Disturbance(disturbance, rows)
         self._servos = Servos(config.randomise, rows, len(scene.joints), config.engine.substeps)
         self._tracker = Tracker(config.randomise, rows)
@@ -93,7 +95,6 @@ class Episodes:
         self._planning: list[Servos | Tracker | Drive] = [part for part in parts if part is not None]
         self._parts: list[Any] = [self.source, self._disturbance, *self._planning]
         """Parts with a state that an exact continuation needs."""
-        self._people_stop = config.task.terminate_on == "unsafe_contact"
         self.walk = humans.begin(config.human, np.zeros((rows, 2)))
         self.state: State | None = None
         self._planned: dict[str, NDArray[Any]] = {}

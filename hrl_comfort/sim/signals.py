@@ -64,10 +64,15 @@ def _absent(props: int) -> tuple[Array, Array]:
 
 
 class Sensors:
-    """Fields of State that the sensors give; `arm_distance` is NaN unless `measure_arm`."""
+    """Fields of State that the sensors give; `arm_distance` is NaN unless `measure_arm`.
 
-    def __init__(self, scene: Scene, separation: Separation, measure_arm: bool) -> None:
-        self._at, self._separation, self._measure_arm = scene.sensors, separation, measure_arm
+    People who are `pushing` do not stop at a touch: what the arm does afterwards is their doing, so that only the first
+    pair of capsules that touches is judged.
+    """
+
+    def __init__(self, scene: Scene, separation: Separation, measure_arm: bool, pushing: bool = False) -> None:
+        self._at, self._separation = scene.sensors, separation
+        self._measure_arm, self._pushing = measure_arm, pushing
 
     def read_first(self, sensed: Array, planned: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
         """Return the fields (r, ...) of the first instants of episodes; see `_read`."""
@@ -121,8 +126,8 @@ class Sensors:
         people at `limbs_before` (n, L, 7).
         """
         n, old = len(before.steps), {"contact": before.contact, "unsafe_contact": before.unsafe_contact}
-        felt = readings[..., self._at["human"]].any(axis=-1)
-        touching = felt.any(axis=1)
+        felt: NDArray[np.bool_] = np.asarray(readings[..., self._at["human"]].any(axis=-1))
+        touching: NDArray[np.bool_] = np.asarray(felt.any(axis=1))
         if touching.any():
             speed = self.approach(felt, readings, limbs, before, limbs_before)
             new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}
@@ -157,6 +162,8 @@ class Sensors:
         if len(again):
             touched[again] = self._separation.touch(earlier, beside)
         begins = (apart.transpose(2, 0, 1) <= TOUCH_M) & ~touched
+        if self._pushing:
+            begins[again] = False
         fastest = np.full(felt.shape, -np.inf)
         fastest[row, time] = np.where(begins, speed.transpose(2, 0, 1), -np.inf).max(axis=(1, 2))
         largest: Array = fastest.reshape(-1, substeps).max(axis=1)

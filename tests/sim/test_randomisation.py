@@ -95,6 +95,7 @@ def test_set_points_are_behind_a_ramp_by_lag_and_latency() -> None:
     servos.begin(np.arange(2), Values(asked, np.zeros((2, 20))), np.zeros((2, 6)))
     for decision in range(20):
         times = 0.01 * (10 * decision + 1 + np.arange(10))
+        servos.begin_decision()
         reached = servos.follow(np.repeat((rate * times)[..., None], 6, axis=2))
         servos.end_decision(np.array([4, 4]))
     np.testing.assert_allclose(reached[:, -1], rate * (times[-1] - 0.133) * np.ones((1, 6)), atol=1e-6)
