@@ -1,8 +1,8 @@
 """Episodes of N cells: their starts, controls and results.
 
-The caller runs the physics (`engine` in batches, `envs.dm` one cell at a time): it applies the `controls` of an
-action and passes the sensor readings to `advance`. All environments share this definition of an
-episode; every random number of it comes from (seed, row, episode).
+The caller runs the physics (`engine` in batches, `envs.dm` one cell at a time): it applies the `controls` of an action
+and passes the sensor readings to `advance`. All environments share this definition of an episode; every random number
+of it comes from (seed, row, episode).
 """
 
 from collections.abc import Callable, Generator, Iterator
@@ -30,7 +30,7 @@ from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STRE
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.randomisation import Servos, Values, observed
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
-from hrl_comfort.sim.state_fields import first_fields, planned_fields
+from hrl_comfort.sim.state_fields import first_fields, human_fields, planned_fields, set_points
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.sim.tracker import Tracker
 from hrl_comfort.tasks import State, Subtask, subtask
@@ -146,12 +146,9 @@ class Episodes:
                     level=self.source.level[pending], tcp_home=self._tcp_home, joint_home=self.scene.home,
                 ),
             )  # fmt: skip
-            if self.state is not None:
-                self.state = self.state.put(torch.from_numpy(pending), state)
-            elif len(pending) == self.rows:
-                self.state = state
-            else:
+            if self.state is None and len(pending) < self.rows:
                 raise ConfigError("the first reset must reset every row")
+            self.state = state if self.state is None else self.state.put(torch.from_numpy(pending), state)
             if self.drive is not None:
                 self.drive.begin(pending, limbs)
             solved = self.subtask.next_stage(state) > 0
@@ -165,14 +162,12 @@ class Episodes:
     def stand(self, walk: humans.Walk) -> None:
         """Let the episodes that have just begun, of all rows, begin with the people of `walk` (N) instead."""
         assert self.state is not None
-        rows, limbs = np.arange(self.rows), limbs_of(self.scene, walk)
+        self.walk, rows, limbs = walk, np.arange(self.rows), limbs_of(self.scene, walk)
         places = self._tracker.begin(rows, self.values(), self.draw.frames, walk.position, limbs)
         if self.drive is not None:
             self.drive.begin(rows, limbs)
-        self.walk, seen = walk, humans.seen_position(self.config.human, places, self.sampler.spawns)
-        fields = {"human_pos": walk.position, "human_yaw": walk.yaw, "human_seen": seen}
-        fields["human_shown"] = (seen == places).all(axis=1)
-        self.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in fields.items()})
+        people = human_fields(walk, places, humans.seen_position(self.config.human, places, self.sampler.spawns))
+        self.state = self.state.with_(**{name: torch.from_numpy(value) for name, value in people.items()})
 
     def rewind(self) -> None:
         """Restart each row from its first episode, which is to begin before the next decision."""
@@ -194,16 +189,14 @@ class Episodes:
             raise RuntimeError("there is no episode yet: call reset before step")
         if action.shape != (shape := (self.rows, self.action_dim)):
             raise ValueError(f"actions of shape {action.shape} are not allowed; they must have shape {shape}")
-        task, substeps = self.config.task, self.config.engine.substeps
-        steps, joint_target = self.planned_steps, self.state.joint_target.numpy()
+        steps, substeps, joint_target = self.planned_steps, self.config.engine.substeps, self.state.joint_target.numpy()
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         if self._hand is None:
-            increment = action * np.radians(task.max_step_deg)
+            increment = action * np.radians(self.config.task.max_step_deg)
         else:
             increment = self._hand.increments(joint_target, action)
         times = self.state.steps.numpy()[:, None] + np.arange(steps)
-        seen = self.state.joint_pos.numpy(), self.state.joint_vel.numpy()
-        arm = cache(partial(self._separation.arm.points, *seen))
+        arm = cache(partial(self._separation.arm.points, self.state.joint_pos.numpy(), self.state.joint_vel.numpy()))
         self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
         noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
         balls = rendered_positions(self.state, self.subtask)
@@ -235,21 +228,10 @@ class Episodes:
         (N, K, NOISE), `balls` (N, B, 3) m.
         """
         assert self.drive is not None and self.state is not None
-        names = (
-            "joint_target",
-            "target_vel",
-            "share",
-            "share_sum",
-            "braking",
-            "protective_stops",
-            "human_beyond_bound",
-        )
-        points = [SetPoints(*(getattr(self.state, name).numpy() for name in names))]
-        walks, limbs = [self.walk], [limbs_of(self.scene, self.walk)]
+        points, walks, limbs = [set_points(self.state)], [self.walk], [limbs_of(self.scene, self.walk)]
         for k in range(times.shape[1]):
             moving = joints()
-            measured = moving[:, : self._separation.arm.joints]
-            now = self._separation.encounter(measured, limbs[-1])
+            now = self._separation.encounter(moving[:, : asked.shape[1]], limbs[-1])
             begin, point = self.drive.step(points[-1], asked, moving, now, self._tracker.shown)
             walk = self._walk_on(walks[-1], times[:, k], noise[:, k])
             walk, poses, moved = stop_at_contact(self.scene, self._separation, now, walks[-1], walk)
@@ -274,8 +256,7 @@ class Episodes:
         readings = sensed.reshape(-1, self.config.engine.substeps, sensed.shape[-1])
         beside = limbs_of(self.scene, self.walk)
         moving = self._sensors.read_decision(readings, self._planned, self.state, beside, rows)
-        limit = self.max_episode_steps(self.state.level)
-        result = compute_step(self.subtask, self._weights, limit, self.state, moving)
+        result = compute_step(self.subtask, self._weights, self.max_episode_steps(self.state.level), self.state, moving)
         state = result.state
         if self.config.comfort.source != "none":
             state = state.with_(level=torch.from_numpy(self.source.advance(source_input(self.state, result))))
@@ -283,11 +264,10 @@ class Episodes:
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
             state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
-        last = result.decision_steps.numpy() - 1
+        self.state, last = state, result.decision_steps.numpy() - 1
         self.walk = self.walks.rows(np.arange(self.rows) * self.planned_steps + last)
         for part in self._planning:
             part.end_decision(last)
-        self.state = state
         return result if state is result.state else replace(result, state=state)
 
     def values(self, rows: Any = slice(None)) -> Values:
@@ -334,10 +314,8 @@ class Episodes:
 
     def max_episode_steps(self, level: Tensor) -> Tensor:
         """Return the time limits (N,) in control steps at levels (N,)."""
-        task, comfort = self.config.task, self.config.comfort
-        return max_episode_steps(
-            level, task.max_episode_steps, replace(comfort, beta=0.0) if self.subtask.repeats else comfort
-        )
+        comfort = replace(self.config.comfort, beta=0.0) if self.subtask.repeats else self.config.comfort
+        return max_episode_steps(level, self.config.task.max_episode_steps, comfort)
 
     def _plan(
         self, walk: humans.Walk, places: Array, limbs: Array, points: SetPoints, steps: NDArray[np.int64]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,25 @@ from hrl_comfort.config import PrecisionConfig
 from hrl_comfort.humans import Walk
 from hrl_comfort.safety.drive import SetPoints
 from hrl_comfort.sim.episode_sampler import Draw
+from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
+
+
+SET_POINTS = {"angles": "joint_target", "velocity": "target_vel"}
+"""Field of `SetPoints` -> field of `State`, where they differ."""
+
+
+def set_points(state: State) -> SetPoints:
+    """Return the set-points (N) of a state."""
+    named = (SET_POINTS.get(field.name, field.name) for field in fields(SetPoints))
+    return SetPoints(*(getattr(state, name).numpy() for name in named))
+
+
+def human_fields(walk: Walk, places: Array, seen: Array) -> dict[str, NDArray[Any]]:
+    """Return the fields (n, ...) of people; `places` and `seen` as in `planned_fields`."""
+    shown = (seen == places).all(axis=1)
+    return {"human_pos": walk.position, "human_yaw": walk.yaw, "human_seen": seen, "human_shown": shown}
 
 
 def planned_fields(
@@ -25,21 +43,8 @@ def planned_fields(
     `places` (n, 2) m are where the human was measured, `seen` (n, 2) m where policies see them, `steps` (n,) the
     control steps of the episode afterwards.
     """
-    return {
-        "joint_target": points.angles,
-        "target_vel": points.velocity,
-        "share": points.share,
-        "share_sum": points.share_sum,
-        "braking": points.braking,
-        "protective_stops": points.protective_stops,
-        "human_beyond_bound": points.human_beyond_bound,
-        "human_pos": walk.position,
-        "human_yaw": walk.yaw,
-        "human_seen": seen,
-        "human_shown": (seen == places).all(axis=1),
-        "steps": steps,
-        "limbs": limbs,
-    }
+    planned = {SET_POINTS.get(name, name): value for name, value in vars(points).items()}
+    return {**planned, **human_fields(walk, places, seen), "steps": steps, "limbs": limbs}
 
 
 def first_fields(
@@ -63,7 +68,7 @@ def first_fields(
         "place_tolerance": scale * precision.place_tolerance_m,
         "home_tolerance": scale * np.radians(precision.home_tolerance_deg),
     }
-    fields = {
+    known = {
         **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
         "ball_pos": balls[:, 0],
         "drop_pos": drops[colours[:, 0]],
@@ -74,4 +79,4 @@ def first_fields(
         "placed": np.zeros(colours.shape, dtype=bool),
         "level": level,
     }
-    return {name: torch.from_numpy(value) for name, value in fields.items()}
+    return {name: torch.from_numpy(value) for name, value in known.items()}
