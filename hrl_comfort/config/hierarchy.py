@@ -23,7 +23,7 @@ class MetaControllerConfig:
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort` and `shift`,
-    the options `wait` (stand still for 0.5 s) and `retreat` (move away from the person) are not bound by it. If
+    the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
     retries: Annotated[int, within(0, 100)]

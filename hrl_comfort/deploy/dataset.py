@@ -65,7 +65,7 @@ def dataset(config: EvaluateConfig) -> Path:
                 "dataset_id": identity,
                 "minari_version": minari.__version__,
                 "algorithm_name": config.policy or f"meta_controller={config.meta_controller.name}",
-                "description": f"Task {config.task.name} of hrl-comfort; infos are described in its docs/dataset.md.",
+                "description": f"Task {config.task.name} of hrl-comfort; infos are described in its docs/export.md.",
                 "requirements": [f"hrl-comfort=={__version__}"],
                 "options": options,
                 "environment": json.dumps(asdict(environment(config))),

@@ -63,7 +63,7 @@ def human_from_tool(state: State) -> Tensor:
 def nearness(state: State) -> Tensor:
     """Return (N, 1): nearness of the human as seen: 1 at the tool, 0 from `PERSONAL_M` on and beside nobody.
 
-    It has no direction: two policies that observed one learned the places of training by heart (docs/benchmark.md).
+    It has no direction, so that a policy cannot learn the places of training by heart.
     """
     distance = (human(state) - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True)
     return (1 - distance / PERSONAL_M).clamp(min=0.0)
