@@ -19,6 +19,7 @@ from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.plots.clip import path_clip, set_pose
 from hrl_comfort.scene import build_scene
 from hrl_comfort.scene.camera import Camera
+from hrl_comfort.scene.looks import dressed
 
 FRAMES_PER_S = 25
 ELEVATION_DEG, DISTANCE_M = -27.0, 2.9
@@ -64,7 +65,7 @@ def frames(
     Raises:
       PicturesUnavailableError: there is no off-screen OpenGL.
     """
-    scene = build_scene(robot, cell, substeps=2)
+    scene = dressed(build_scene(robot, cell, substeps=2))
     clip, data = path_clip(path, scene, cell, task, colour, balls=True), mujoco.MjData(scene.model)
     view_deg = azimuth_deg(path) if view_deg is None else view_deg
     with closing(Camera(scene.model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:

@@ -26,6 +26,7 @@ from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 from hrl_comfort.plots.video import FRAMES_PER_S, azimuth_deg, frames
 from hrl_comfort.scene import LIMBS, build_scene, limb_poses
+from hrl_comfort.scene.looks import dressed
 
 LEVELS, LEAST_STEPS = (1, 10), 60
 """Shown by `levels`, and how long its episode lasts at least, control steps."""
@@ -82,7 +83,7 @@ def cell(folder: Path, output: Path) -> None:
     rows, config = read_table(folder / "paths.csv"), compose("train")
     assert rows is not None and isinstance(config, TrainConfig)
     path = rows[rows["episode"] == 1].reset_index(drop=True)
-    scene = build_scene(config.robot, config.cell, substeps=2)
+    scene = dressed(build_scene(config.robot, config.cell, substeps=2))
     model, data = scene.model, mujoco.MjData(scene.model)
     model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
     model.vis.quality.offsamples = 8

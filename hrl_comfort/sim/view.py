@@ -3,6 +3,7 @@
 import atexit
 import threading
 import weakref
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
+from hrl_comfort.scene.looks import dressed
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.balls import rendered_positions
 from hrl_comfort.sim.engine import Engine
@@ -26,9 +28,16 @@ class View:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._data = mujoco.MjData(engine.scene.model)
         self._camera: Camera | None = None
         self._window: Any = None
+
+    @cached_property
+    def _model(self) -> mujoco.MjModel:
+        return dressed(self._engine.scene).model
+
+    @cached_property
+    def _data(self) -> mujoco.MjData:
+        return mujoco.MjData(self._model)
 
     def picture(self, row: int = 0) -> NDArray[np.uint8]:
         """Return the picture (`scene.camera.HEIGHT`, WIDTH, 3) of a cell as it is now.
@@ -37,7 +46,7 @@ class View:
           PicturesUnavailableError: there is no off-screen OpenGL.
         """
         if self._camera is None:
-            self._camera = Camera(self._engine.scene.model, AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M)
+            self._camera = Camera(self._model, AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M)
         self._put(row)
         return self._camera.picture(self._data)
 
@@ -57,9 +66,7 @@ class View:
                 )
             self._put(row)
             others = set(threading.enumerate())
-            self._window = viewer.launch_passive(
-                self._engine.scene.model, self._data, show_left_ui=False, show_right_ui=False
-            )
+            self._window = viewer.launch_passive(self._model, self._data, show_left_ui=False, show_right_ui=False)
             drawing = set(threading.enumerate()) - others
             self._close_window = weakref.finalize(self, _close, self._window, drawing)
             self._close_window.atexit = False
@@ -91,7 +98,7 @@ class View:
             episodes.draw.colours[at],
             episodes.draw.points[at, : episodes.subtask.points],
         )
-        model, data = engine.scene.model, self._data
+        model, data = self._model, self._data
         mujoco.mj_setState(model, data, engine.physics[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_setState(model, data, control[0, 0], CONTROL_SPEC)
         mujoco.mj_forward(model, data)

@@ -164,7 +164,7 @@ def _plain(status: http.HTTPStatus, text: str) -> Response:
 
 APART_M = 3.0
 """Distance between the bases of two cells on the page."""
-CAMERA_M, LOOK_AT_M = (0.9, -2.9, 1.7), (0.0, 0.0, 0.1)
+CAMERA_M, LOOK_AT_M = (0.85, -2.45, 1.3), (0.25, 0.0, 0.05)
 UPRIGHT_FOV_RAD = 1.08
 """Vertical field of view of a scene that is higher than wide, as of the exported page."""
 GREEN_RGB = (17, 49, 37)
@@ -186,7 +186,7 @@ class Page(viser.ViserServer):
         self.gate = Gate(host, f"hrl-comfort: {shown}", lambda keys: self.on_keys(keys))
         with self.gate.installed(), redirect_stdout(StringIO()):  # its banner has the address without the token
             super().__init__(host=host, port=port, label="hrl-comfort studio", verbose=False)
-        self.scene.configure_default_lights(cast_shadow=False)
+        self.scene.configure_default_lights(cast_shadow=True)
         self.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="medium", brand_color=GREEN_RGB
         )

@@ -111,6 +111,12 @@ class Panel(Watcher):
         add_slider(
             gui, "speed (×)", (0.1, 4.0), 0.1, self._loop.speed, lambda at: self.ask(lambda: self._loop.set_speed(at))
         )
+        self._shapes = gui.add_checkbox("show collision shapes", False, hint="what the simulation and the shield see")
+        self._shapes.on_update(by_viewer(lambda _: self.ask(self._show_shapes)))
+
+    def _show_shapes(self) -> None:
+        for view in self._play.views:
+            view.show_collision_shapes(self._shapes.value)
 
     @property
     def _other_level(self) -> int:
@@ -137,6 +143,7 @@ class Panel(Watcher):
         self._speed.value = person.speed_m_s
         self._option.options = tuple(self.session.options)
         self._show_source()
+        self._show_shapes()
 
     def _show_source(self) -> None:
         self._source.value = "slider" if self.session.by_hand else self.session.config.comfort.source

@@ -31,7 +31,7 @@ class LivePlay:
     """Sessions side by side, each at its own decisions; a new episode begins once all of them are over."""
 
     def __init__(self, sessions: list[Session], views: list[CellView], person: Person) -> None:
-        self.sessions, self._views, self.person = sessions, views, person
+        self.sessions, self.views, self.person = sessions, views, person
         self.renew: Callable[[], None] = lambda: None
         """Called before each episode; it may replace sessions and views."""
         self.watchers: list[Watcher] = []
@@ -57,7 +57,7 @@ class LivePlay:
             if ends[index] <= self.now_s + 1e-9:
                 step = self.sessions[index].step()
                 self._start[index], self._clips[index] = self.now_s, step.clip
-                self._views[index].flash(bool(step.result.state.touching))
+                self.views[index].flash(bool(step.result.state.touching))
                 for watcher in self.watchers:
                     watcher.stepped(index, self.sessions[index], step)
         return min(self._start[index] + self._clips[index].duration_s for index in going) - self.now_s
@@ -69,9 +69,9 @@ class LivePlay:
 
     def show(self, time_s: float) -> None:
         """See `loop.Play`."""
-        for start, clip, view in zip(self._start, self._clips, self._views, strict=True):
+        for start, clip, view in zip(self._start, self._clips, self.views, strict=True):
             view.show(clip.frame(self.now_s + time_s - start))
-        self._views[0].show_hands(self.person.hands, self.reach)
+        self.views[0].show_hands(self.person.hands, self.reach)
 
     def failed(self, error: Exception) -> None:
         """See `loop.Play`."""
@@ -98,7 +98,7 @@ class LivePlay:
         self._hold = False
         self._start = [self.now_s] * len(self.sessions)
         self._clips = [session.still() for session in self.sessions]
-        for index, (session, view) in enumerate(zip(self.sessions, self._views, strict=True)):
+        for index, (session, view) in enumerate(zip(self.sessions, self.views, strict=True)):
             view.flash(False)
             for watcher in self.watchers:
                 watcher.began(index, session)

@@ -17,19 +17,22 @@ from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.humans.body import HIP_M
 from hrl_comfort.plots.clip import Frame, set_pose
 from hrl_comfort.scene.human import LIMBS
+from hrl_comfort.scene.looks import COLLISION_GROUP, dressed
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 
 Colour = tuple[float, ...]
 """(r, g, b, opacity), 0 to 1."""
-CONTACT_RGB, ZONE_RGB = (220, 40, 40), (224, 160, 32)
+CONTACT_RGB, ZONE_RGB, GRID_RGB = (220, 40, 40), (224, 160, 32), (176, 184, 192)
 HANDLE_M = 0.18
 """Length of the axes of a hand's handle."""
 TRAIL_RGB, TRAIL_STEPS = (230, 120, 30), 150
 """Colour of the trail of the tool, and its length, control steps."""
 LABEL_M = 1.15
 """Height of a cell's name over the robot's base."""
+FLOOR_M = 30.0
+"""Radius of the floor."""
 ZONE_M = 0.25
 """From the person's axis to the side of the body."""
 _SHAPE = mujoco.mjtGeom
@@ -52,21 +55,36 @@ def shape_mesh(kind: int, size: Array) -> trimesh.Trimesh:
     if kind == _SHAPE.mjGEOM_BOX:
         return trimesh.creation.box(extents=2 * size)
     if kind == _SHAPE.mjGEOM_PLANE:
-        return trimesh.creation.box(extents=(2 * size[0], 2 * size[1], 0.002))
+        return trimesh.creation.cylinder(radius=FLOOR_M, height=0.002, sections=64)
     raise ValueError(f"a geom of MuJoCo's kind {kind} cannot be shown")
 
 
-def body_meshes(model: Any) -> dict[int, list[tuple[Colour, trimesh.Trimesh]]]:
-    """Return, by body, a mesh for each colour of its visible geoms and sites, in the body's frame."""
+def _mesh(model: Any, index: int) -> trimesh.Trimesh:
+    """Return a mesh of the model; vertices that share a place stay apart where an edge is sharp."""
+    first, count = model.mesh_vertadr[index], model.mesh_vertnum[index]
+    begin, faces = model.mesh_faceadr[index], model.mesh_facenum[index]
+    return trimesh.Trimesh(
+        model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], process=False
+    )
+
+
+def body_meshes(model: Any, collision: bool = False) -> dict[int, list[tuple[Colour, trimesh.Trimesh]]]:
+    """Return, by body, a mesh for each colour of its visible geoms and sites, in the body's frame.
+
+    Of a dressed model it is the looks, or with `collision` what they hide.
+    """
     parts: dict[tuple[int, Colour], list[trimesh.Trimesh]] = defaultdict(list)
     for prefix, bodies in (("geom", model.geom_bodyid), ("site", model.site_bodyid)):
-        kinds, sizes, colours, places, turns = (
-            getattr(model, f"{prefix}_{name}") for name in ("type", "size", "rgba", "pos", "quat")
+        kinds, sizes, colours, places, turns, groups = (
+            getattr(model, f"{prefix}_{name}") for name in ("type", "size", "rgba", "pos", "quat", "group")
         )
         for index, body in enumerate(bodies):
-            if model.names[getattr(model, f"name_{prefix}adr")[index] :].startswith(b"robot/tcp"):
+            hidden = model.names[getattr(model, f"name_{prefix}adr")[index] :].startswith(b"robot/tcp")
+            if hidden or (prefix == "geom" and groups[index] == COLLISION_GROUP) != collision:
                 continue
-            mesh = shape_mesh(int(kinds[index]), sizes[index])
+            kind = int(kinds[index])
+            meshed = prefix == "geom" and kind == _SHAPE.mjGEOM_MESH
+            mesh = _mesh(model, int(model.geom_dataid[index])) if meshed else shape_mesh(kind, sizes[index])
             matrix = trimesh.transformations.quaternion_matrix(turns[index])
             matrix[:3, 3] = places[index]
             mesh.apply_transform(matrix)
@@ -91,30 +109,42 @@ class CellView:
     def __init__(
         self, server: viser.ViserServer, scene: Scene, name: str, offset_m: tuple[float, float, float]
     ) -> None:
+        scene = dressed(scene)
         self._server, self._scene, self._data = server, scene, mujoco.MjData(scene.model)
         self.offset_m = offset_m
         self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
-        self._frames: dict[int, viser.FrameHandle] = {}
         self._handles: list[viser.TransformControlsHandle] = []
         self.person: list[viser.MeshHandle] = []
         """Meshes of the person."""
+        self._shapes: dict[bool, list[viser.MeshHandle]] = {False: [], True: []}
+        """The looks, and what collides in their place."""
         limbs = {scene.model.body(limb).id for limb in LIMBS}
-        for body, meshes in body_meshes(scene.model).items():
-            node = f"/{name}/body_{body}"
-            self._frames[body] = server.scene.add_frame(node, show_axes=False)
-            for index, (colour, mesh) in enumerate(meshes):
-                handle = server.scene.add_mesh_simple(
-                    f"{node}/{index}",
-                    np.asarray(mesh.vertices, dtype=np.float32),
-                    np.asarray(mesh.faces, dtype=np.uint32),
-                    color=tuple(round(255 * value) for value in colour[:3]),
-                    opacity=None if colour[3] >= 1 else colour[3],
-                    flat_shading=False,
-                    cast_shadow=body in limbs or body > 0,
-                    receive_shadow=True,
-                )
-                if body in limbs:
-                    self.person.append(handle)
+        self._frames = {
+            body: server.scene.add_frame(f"/{name}/body_{body}", show_axes=False) for body in range(scene.model.nbody)
+        }
+        collide = body_meshes(scene.model, collision=True)
+        for collision, shown in ((False, body_meshes(scene.model)), (True, collide)):
+            for body, meshes in shown.items():
+                for index, (colour, mesh) in enumerate(meshes):
+                    handle = server.scene.add_mesh_simple(
+                        f"/{name}/body_{body}/{collision:d}_{index}",
+                        np.asarray(mesh.vertices, dtype=np.float32),
+                        np.asarray(mesh.faces, dtype=np.uint32),
+                        color=tuple(round(255 * value) for value in colour[:3]),
+                        opacity=None if colour[3] >= 1 else colour[3],
+                        flat_shading=False,
+                        cast_shadow=body > 0,
+                        receive_shadow=True,
+                        visible=not collision,
+                    )
+                    if collision or body in collide:
+                        self._shapes[collision].append(handle)
+                    if body in limbs:
+                        self.person.append(handle)
+        server.scene.add_grid(
+            f"/{name}/grid", infinite_grid=True, fade_distance=12.0, cell_size=0.5, cell_color=GRID_RGB,
+            section_color=GRID_RGB, shadow_opacity=0.0, position=(0.0, 0.0, scene.floor_z + 2e-3),
+        )  # fmt: skip
         disc = trimesh.creation.cylinder(radius=1.0, height=1e-3, sections=48)
         self._zone = server.scene.add_mesh_simple(
             f"/{name}/zone",
@@ -212,6 +242,12 @@ class CellView:
     def set_visible(self, visible: bool) -> None:
         """Show or hide the whole cell."""
         self._root.visible = visible
+
+    def show_collision_shapes(self, shown: bool) -> None:
+        """Show the shapes that collide in place of the looks."""
+        for collision, handles in self._shapes.items():
+            for handle in handles:
+                handle.visible = collision == shown
 
     def flash(self, contact: bool) -> None:
         """Paint the person red while a contact is shown."""

@@ -22,10 +22,12 @@ from hrl_comfort.humans.motions.live import ARRIVED_M
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, inputs_of
 from hrl_comfort.policies.load import observed_by
-from hrl_comfort.scene import human
+from hrl_comfort.scene import LIMBS, Scene, human
+from hrl_comfort.scene.looks import dressed
 from hrl_comfort.studio.clip import decision_clip
 from hrl_comfort.studio.person import FARTHEST_M, fastest_m_s, motion_config
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.view import body_meshes
 from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
 
@@ -35,6 +37,8 @@ RECORDED_S = 20.0
 """Time that the person of an episode walks; then they stand."""
 ENTRANCE_M = [-0.9, -0.9]
 """Place where a person who is taken over enters a cell without one."""
+LOOK_UNIT_M = 1e-4
+"""Unit of the vertices of the looks."""
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "human_pos", "human_yaw",
     "human_seen", "ball_pos", "drop_pos", "orange_drop", "pink_drop", "points", "colour", "stage", "level",
@@ -62,6 +66,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
     made = {
         "xml": re.sub(r'(<texture[^>]*) class="/"', r"\1", scene.xml),  # MuJoCo 3.14 refuses it
         "assets": {name: base64.b64encode(file).decode() for name, file in scene.assets.items()},
+        "looks": _looks(scene),
         "substeps": env.engine.substeps,
         "action_repeat": env.task.action_repeat,
         "sensors": {key: [part.start, part.stop] for key, part in scene.sensors.items()},
@@ -92,6 +97,28 @@ def content(config: StudioConfig) -> dict[str, Any]:
     made["episodes"] = [_episode(session) for _ in range(EPISODES)]
     session.close()
     return made
+
+
+def _looks(scene: Scene) -> list[dict[str, Any]]:
+    """Return what the page draws: of each body and colour a mesh in the body's frame.
+
+    Vertices are int16 numbers of LOOK_UNIT_M, faces uint16 or uint32, both as base64.
+    """
+    model, found = dressed(scene).model, []
+    for owner, meshes in body_meshes(model).items():
+        for colour, mesh in meshes:
+            floor, prop = owner == 0 and colour[3] == 1, model.body_mocapid[owner] >= len(LIMBS)
+            if floor or prop:  # the page has its own
+                continue
+            vertices = np.round(mesh.vertices / LOOK_UNIT_M).astype("<i2")
+            faces = mesh.faces.astype("<u2" if len(vertices) < 1 << 16 else "<u4")
+            look = {"body": owner, "colour": [round(value, 3) for value in colour], "wide": faces.itemsize == 4}
+            found.append({**look, "vertices": _base64(vertices), "faces": _base64(faces)})
+    return found
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return base64.b64encode(values.tobytes()).decode()
 
 
 def refuse(config: StudioConfig) -> None:

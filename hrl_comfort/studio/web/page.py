@@ -15,6 +15,7 @@ from rich.console import Console
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.output import output_file
+from hrl_comfort.scene.looks.arms import ARMS_LICENCE
 from hrl_comfort.studio.web.content import content
 
 BUNDLE = ("page.js", "mujoco.wasm", "licenses.txt")
@@ -36,7 +37,9 @@ def export_page(config: StudioConfig) -> Path:
         parts = {
             "card": (files("hrl_comfort.studio") / "card.css").read_text(encoding="utf-8"),
             "title": html.escape(made["title"]),
-            "licences": html.escape(licences.read_text(encoding="utf-8")),
+            "licences": html.escape(
+                f"{licences.read_text(encoding='utf-8')}\n{'-' * 80}\n\n{ARMS_LICENCE.read_text(encoding='utf-8')}"
+            ),
             "wasm": _packed(wasm.read_bytes()),
             "content": _packed(json.dumps(made, separators=(",", ":")).encode()),
             "program": program.read_text(encoding="utf-8").replace("</script", "<\\/script"),

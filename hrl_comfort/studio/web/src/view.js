@@ -3,29 +3,16 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const FAR = 25, TRAIL = 150, LIMBS = 7;
+const FAR = 25, TRAIL = 150, LOOK_UNIT_M = 1e-4;
 const ZONE_M = 0.25; // from the person's axis to the side of the body
 const CALM = new THREE.Color(0x2b7a5b), NEAR = new THREE.Color(0xc0392b);
 
-/** Return the three.js geometry of a MuJoCo geom or site in its own frame. */
-function shape(model, kind, size, mesh) {
-  const [a, b, c] = size, up = (geometry) => geometry.rotateX(Math.PI / 2); // MuJoCo's axis is z, three's y
-  switch (kind) {
-    case 2: return new THREE.SphereGeometry(a, 32, 20);
-    case 3: return up(new THREE.CapsuleGeometry(a, 2 * b, 12, 28));
-    case 4: return new THREE.SphereGeometry(1, 32, 20).scale(a, b, c);
-    case 5: return up(new THREE.CylinderGeometry(a, a, 2 * b, 40));
-    case 6: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
-    case 7: return meshGeometry(model, mesh);
-    default: return null;
-  }
-}
-
-function meshGeometry(model, mesh) {
-  const geometry = new THREE.BufferGeometry(), [vertex, vertices] = [model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]];
-  const [face, faces] = [model.mesh_faceadr[mesh], model.mesh_facenum[mesh]];
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(model.mesh_vert.slice(3 * vertex, 3 * (vertex + vertices))), 3));
-  geometry.setIndex(Array.from(model.mesh_face.slice(3 * face, 3 * (face + faces))));
+/** Return the geometry of a mesh of the content's looks. */
+function shape({ vertices, faces, wide }) {
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
+  const geometry = new THREE.BufferGeometry(), places = Float32Array.from(new Int16Array(bytes(vertices)), (value) => value * LOOK_UNIT_M);
+  geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
+  geometry.setIndex(new THREE.BufferAttribute(wide ? new Uint32Array(bytes(faces)) : new Uint16Array(bytes(faces)), 1));
   geometry.computeVertexNormals();
   return geometry;
 }
@@ -74,32 +61,21 @@ export class View {
     this.scene.add(floor, grid);
   }
 
-  /** Make a group for each body, with meshes for its geoms and sites. */
+  /** Make a group for each body, with the meshes of its looks. */
   build() {
     const { model, content } = this.cell;
     this.bodies = Array.from({ length: model.nbody }, () => new THREE.Group());
     this.bodies.forEach((group) => this.world.add(group));
-    const mocap = model.body_mocapid;
     /** Meshes of the person, in order of the limbs. */
     this.person = [];
-    for (const prefix of ["geom", "site"]) {
-      const at = (name) => model[`${prefix}_${name}`];
-      for (let index = 0; index < model[`n${prefix}`]; index++) {
-        const body = at("bodyid")[index], limb = mocap[body];
-        if (limb >= LIMBS) continue; // props are drawn below
-        const rgba = at("rgba").slice(4 * index, 4 * index + 4), kind = at("type")[index];
-        const geometry = rgba[3] > 0 && shape(model, kind, at("size").slice(3 * index, 3 * index + 3), prefix === "geom" ? at("dataid")[index] : -1);
-        if (!geometry || (prefix === "site" && body)) continue; // sites of the arm are marks, not parts
-        const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(...rgba.slice(0, 3), THREE.SRGBColorSpace), roughness: 0.55, metalness: 0.05 });
-        Object.assign(material, { transparent: rgba[3] < 1, opacity: rgba[3] });
-        const mesh = new THREE.Mesh(geometry, material);
-        mesh.position.fromArray(at("pos"), 3 * index);
-        const [w, x, y, z] = at("quat").slice(4 * index, 4 * index + 4);
-        mesh.quaternion.set(x, y, z, w);
-        mesh.castShadow = mesh.receiveShadow = rgba[3] === 1;
-        this.bodies[body].add(mesh);
-        if (limb >= 0) this.person.push({ mesh, limb, colour: material.color.clone() });
-      }
+    for (const look of content.looks) {
+      const [r, g, b, opacity] = look.colour, limb = model.body_mocapid[look.body];
+      const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace), roughness: limb >= 0 ? 0.85 : 0.5, metalness: limb >= 0 ? 0 : 0.1 });
+      Object.assign(material, { transparent: opacity < 1, opacity });
+      const mesh = new THREE.Mesh(shape(look), material);
+      mesh.castShadow = mesh.receiveShadow = opacity === 1;
+      this.bodies[look.body].add(mesh);
+      if (limb >= 0) this.person.push({ mesh, limb, colour: material.color.clone() });
     }
     const add = (geometry, material) => {
       const mesh = new THREE.Mesh(geometry, material);
