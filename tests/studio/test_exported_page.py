@@ -21,9 +21,12 @@ pytest.importorskip("viser", reason="the extra [studio] is not installed")
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import inputs_of
 from hrl_comfort.policies.load import observed_by
-from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene import build_scene
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.looks import dressed
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.view import body_meshes
 from hrl_comfort.studio.web import content, page
 from hrl_comfort.studio.web.trace import traced
 from tests.studio.browser import opened, until
@@ -183,6 +186,19 @@ def test_limbs_are_posed_as_in_python(tab: Any) -> None:
         np.testing.assert_allclose(theirs, ours, atol=1e-9)
 
 
+def test_the_page_draws_the_looks_and_simulates_none(tab: Any) -> None:
+    config = configured()
+    model = dressed(build_scene(config.robot, config.cell, 2)).model
+    drawn = tab.evaluate(
+        """() => player.view.bodies.map((group) => group.children.map(({ geometry }) => {
+             geometry.computeBoundingBox(); return geometry.boundingBox.min.toArray(); }))"""
+    )
+    for body, meshes in body_meshes(model).items():
+        if body and model.body_mocapid[body] < len(LIMBS):
+            np.testing.assert_allclose(drawn[body], [mesh.bounds[0] for _, mesh in meshes], atol=1e-4)
+    assert tab.evaluate("player.cell.model.nmesh") == 0
+
+
 def test_the_slider_sets_the_level_that_the_policy_sees(tab: Any) -> None:
     seen, acts = [], []
     tab.evaluate(
@@ -315,6 +331,7 @@ def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> N
 def test_the_page_holds_the_licences_of_the_software_inside(file: Path) -> None:
     text = file.read_text(encoding="utf-8")
     assert "Apache License" in text and "three.js authors" in text and "Qhull" in text
+    assert "Andreas Verleysen" in text and "ROS Industrial Consortium" in text  # of the meshes of the arm
 
 
 def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

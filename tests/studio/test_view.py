@@ -50,6 +50,20 @@ def test_every_body_of_robot_person_and_cell_is_shown() -> None:
     assert len(limbs & shown) >= 5
 
 
+def test_the_switch_shows_what_collides_in_place_of_the_looks() -> None:
+    config = compose("studio")
+    server = viser.ViserServer(port=0, verbose=False)
+    try:
+        view = CellView(server, build_scene(config.robot, config.cell, 2), "cell", (0.0, 0.0, 0.0))
+        looks, shapes = view._shapes[False], view._shapes[True]
+        assert len(looks) >= 25 and len(shapes) >= 20
+        for shown in (False, True, False):
+            view.show_collision_shapes(shown)
+            assert {each.visible for each in shapes} == {shown} and {each.visible for each in looks} == {not shown}
+    finally:
+        server.stop()
+
+
 def test_handles_at_the_hands_say_where_they_are_dragged_to() -> None:
     config = compose("studio")
     server, moved = viser.ViserServer(port=0, verbose=False), []

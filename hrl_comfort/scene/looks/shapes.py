@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
 """(r, g, b, opacity), 0 to 1."""
-AROUND, ALONG = 28, 40
+AROUND, ALONG = 24, 26
 """Vertices of a ring, and rings of a loft."""
 
 
