@@ -70,9 +70,10 @@ def _light(spec: mujoco.MjSpec) -> None:
     material = spec.add_material(name="tiles", texrepeat=(1.0, 1.0), texuniform=True, specular=0.0)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = tiles.name
     floor = spec.geom("floor")
-    floor.size, floor.material, floor.rgba = (0.0, 0.0, 0.5), "tiles", (0.66, 0.68, 0.70, 1.0)
+    floor.size, floor.material, floor.rgba = (0.0, 0.0, 0.5), "tiles", (0.71, 0.72, 0.735, 1.0)
     fill = spec.worldbody.add_light(name="fill", pos=(-2.0, 1.5, 2.5), dir=(0.6, -0.45, -0.65), castshadow=False)
     fill.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     fill.diffuse, fill.specular = (0.12, 0.13, 0.15), (0.1, 0.1, 0.1)
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.38,) * 3, (0.32,) * 3
     spec.visual.quality.shadowsize, spec.visual.map.shadowclip = 2048, 1.5
     spec.visual.rgba.haze = (0.90, 0.93, 0.96, 1.0)
