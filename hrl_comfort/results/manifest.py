@@ -22,7 +22,7 @@ PICTURES = (".png", ".gif", ".svg", ".jpg", ".mp4", ".csv", ".json", ".parquet",
 MEASURING = (
     *(f"hrl_comfort/{name}" for name in ("agents", "comfort", "config", "envs", "evaluation", "hierarchy", "humans",
                                          "policies", "safety", "scene", "sim", "tasks")),
-    "conf", ":!conf/experiment",
+    "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks",
 )  # fmt: skip
 """What decides an evaluation of given policies, as pathspecs of git."""
 
