@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 import shutil
 import subprocess
 from importlib.metadata import version
@@ -19,8 +20,10 @@ from hrl_comfort.files.documents import read_json
 
 ROOT = Path(__file__).resolve().parents[2]
 """The checkout; in a wheel, the folder that holds the package."""
-DECIDING = (".", ":!runs", ":!docs")
+DECIDING = (".", ":!runs", ":!docs", ":!*.md")
 """What decides results, as pathspecs of git: all but the results themselves and the pages."""
+STEP_FILE = re.compile(r"step_(\d{9})\.pt")
+"""Name of a light checkpoint, with its policy steps."""
 PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
 
 
@@ -53,9 +56,19 @@ def unfinished(folder: Path) -> str | None:
     """
     if not (folder / "provenance.json").is_file() or is_finished(folder):
         return None
-    steps = [int(file.stem.removeprefix("step_")) for file in (folder / "checkpoints").glob("step_*.pt")]
-    reached = f": its policy has {max(steps):,} policy steps so far" if steps else ""
+    files = step_files(folder / "checkpoints")
+    reached = f": its policy has {policy_steps(files[-1]):,} policy steps so far" if files else ""
     return f"the training in {folder} is not finished{reached}"
+
+
+def step_files(checkpoints: Path) -> list[Path]:
+    """Return the light checkpoints in the folder `checkpoints` of a run, oldest first."""
+    return sorted(path for path in checkpoints.glob("step_*.pt") if STEP_FILE.fullmatch(path.name))
+
+
+def policy_steps(file: Path) -> int:
+    """Return the policy steps of training after which a light checkpoint was written."""
+    return int(file.stem.removeprefix("step_"))
 
 
 def write_provenance(folder: Path, config: TrainingConfig, finished: bool, seconds: float, **progress: Any) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.provenance import step_files
 
 if TYPE_CHECKING:
     from hrl_comfort.agents.sac import SAC  # it imports torchrl, seconds
@@ -103,7 +104,7 @@ def policy_file(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    for candidate in (path / "policy.pt", *reversed(checkpoint.steps(path / "checkpoints"))):
+    for candidate in (path / "policy.pt", *reversed(step_files(path / "checkpoints"))):
         if not candidate.exists():
             continue
         try:

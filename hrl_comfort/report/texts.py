@@ -22,7 +22,8 @@ PARTS = ("groups", "paths", "checkpoints")
 
 def summary(run: Run) -> str:
     """Return what an evaluation came to in a sentence, of several levels in one each for the first and the last."""
-    groups = [each for each in with_totals(run.groups or [], run.episodes) if each.get("seen") in (None, "all")]
+    every = with_totals(run.groups or [], run.episodes)
+    groups = [each for each in every if each.get("seen") in (None, "all")] or every
     people = "with nobody in the cell" if groups[0]["human"] == "none" else f"beside people ({groups[0]['human']})"
     sentences = []
     for group in groups[:1] + groups[1:][-1:]:
@@ -94,7 +95,8 @@ def _controller(run: Run) -> Path | None:
 def _levels(run: Run) -> list[str]:
     """Return the overrides that evaluate a policy of all levels at the first and the last."""
     comfort = run.config.get("comfort", {})
-    return [override("levels", [1, comfort["levels"]])] if comfort.get("source") == "random" else []
+    last = comfort.get("levels") if comfort.get("source") == "random" else None
+    return [override("levels", [1, last])] if last else []
 
 
 def _evaluate(policy: Sequence[str], last: str) -> str:

@@ -368,6 +368,8 @@ def test_the_first_sentence_says_success_steps_and_contacts_with_their_intervals
     assert re.fullmatch(wanted, summary(cycle)) and summary(cycle) in page
     alone = [{**group, "human": "none"} for group in cycle.groups]
     assert "touches" not in summary(replace(cycle, groups=alone, episodes=None))
+    seen = [{**cycle.groups[0], "seen": True}]
+    assert summary(replace(cycle, groups=seen, episodes=None)) == summary(replace(cycle, groups=cycle.groups[:1]))
     busy = [{**group, "metrics": {**group["metrics"], "balls_per_min": {"mean": 3, "ci95": None}}} for group in alone]
     assert "places 3.00 balls a minute in 21 episodes." in summary(replace(cycle, groups=busy, episodes=None))
 

@@ -96,7 +96,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for module in (provenance, manifest, record, remake, looks):
         monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(record, "RECORDS", tmp_path / "runs" / "records")
-    for name in ("code.py", "runs/made.csv", "other.py"):
+    for name in ("code.py", "runs/made.csv", "other.py", "README.md"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1\n", encoding="utf-8")
     commit(tmp_path, "init", "-q")
@@ -113,7 +113,9 @@ def commit(folder: Path, *first: str) -> str:
     return done.stdout.strip()
 
 
-MADE = Entry(about="x", draw=["python -m nothing"], artefacts=["runs/made.csv"], decided_by=["code.py"])
+MADE = Entry(
+    about="x", pages=["README.md"], draw=["python -m nothing"], artefacts=["runs/made.csv"], decided_by=["code.py"]
+)
 
 
 def test_a_result_is_stale_once_what_decides_it_has_changed(checkout: Path) -> None:
@@ -140,8 +142,9 @@ def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
 ) -> None:
     monkeypatch.setattr(record, "manifest", lambda: {"made": MADE})
     (checkout / "runs" / "made.csv").write_text("2\n", encoding="utf-8")
-    record.need_clean_tree()  # a result is no change of the code
-    assert provenance.commit() == commit(checkout, "status", "--short")
+    (checkout / "README.md").write_text("filled\n", encoding="utf-8")
+    made = record.need_clean_tree()  # neither a result nor a filled page is a change of the code
+    assert made == provenance.commit() == commit(checkout, "status", "--short")
     (checkout / "code.py").write_text("2\n", encoding="utf-8")
     for publish in (lambda: remake.remake("made", MADE, train=False, jobs=1), lambda: remake.verify("made", MADE)):
         with pytest.raises(ConfigError, match=r"code\.py has uncommitted changes \(1 files\); commit them"):
