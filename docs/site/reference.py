@@ -13,7 +13,7 @@ from typing import get_type_hints
 
 from hrl_comfort.cli.commands import COMMANDS
 from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.composition.overrides import ROOTS, choices, config_dir, groups
+from hrl_comfort.config.composition.overrides import ROOTS, choices, config_dir, groups, root_of
 from hrl_comfort.files.documents import read_yaml
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -34,8 +34,8 @@ def configuration() -> str:
         "## Commands",
     ]
     alike = {_row(key) for key in keys_of("evaluate")}
-    for root in dict.fromkeys(command.root for command in COMMANDS.values()):
-        verb, *others = (verb for verb, command in COMMANDS.items() if command.root == root)
+    for root in dict.fromkeys(map(root_of, COMMANDS)):
+        verb, *others = (command for command in COMMANDS if root_of(command) == root)
         rows = [_row(key) for key in keys_of(root) if not key.section]
         rows = [row for row in rows if root not in ADDING or row not in alike]
         about = f"{COMMANDS[verb].about[0].upper()}{COMMANDS[verb].about[1:]}."

@@ -9,11 +9,8 @@ from typing import Any
 import torch
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.provenance import step_files
+from hrl_comfort.files.provenance import RESUMABLE, step_files
 from hrl_comfort.files.state_file import load, save
-
-RESUMABLE = ("latest.pt", "previous.pt")
-"""Files to resume from, the newest first."""
 
 
 def step_path(folder: Path, policy_steps: int) -> Path:
@@ -34,11 +31,6 @@ def save_resumable(folder: Path, state: dict[str, Any]) -> None:
     if latest.exists():
         os.replace(latest, folder / "previous.pt")
     os.replace(new, latest)
-
-
-def resumable(folder: Path) -> bool:
-    """Return whether there is a checkpoint to resume from, good or not."""
-    return any((folder / name).exists() for name in RESUMABLE)
 
 
 def load_resumable(folder: Path) -> dict[str, Any]:

@@ -8,13 +8,14 @@ import platform
 import re
 import shutil
 import subprocess
+from enum import Enum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
-from hrl_comfort.config import TrainingConfig
+from hrl_comfort.config import HIERARCHY, TrainingConfig
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import read_json
 
@@ -22,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 """The checkout; in a wheel, the folder that holds the package."""
 DECIDING = (".", ":!runs", ":!docs", ":!*.md")
 """What decides results, as pathspecs of git: all but the results themselves and the pages."""
+RESUMABLE = ("latest.pt", "previous.pt")
+"""Checkpoints to resume from, the newest first."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")
 """Name of a light checkpoint, with its policy steps."""
 PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
@@ -46,6 +49,26 @@ def read_provenance(folder: Path) -> Provenance:
 def is_finished(folder: Path) -> bool:
     """Return whether the training in `folder` is complete; raise ConfigError where its provenance is damaged."""
     return (folder / "provenance.json").is_file() and read_provenance(folder).finished
+
+
+class RunState(Enum):
+    """State of the training in a folder."""
+
+    NEW = "new"
+    STOPPED = "stopped"
+    FINISHED = "finished"
+
+
+def run_state(folder: Path) -> RunState:
+    """Return the state of the training or the hierarchy in a folder; raise ConfigError if it is damaged."""
+    if is_finished(folder):
+        return RunState.FINISHED
+    return RunState.STOPPED if (folder / HIERARCHY).is_file() or resumable(folder) else RunState.NEW
+
+
+def resumable(folder: Path) -> bool:
+    """Return whether the run in a folder has a checkpoint to resume from, good or not."""
+    return any((folder / "checkpoints" / name).exists() for name in RESUMABLE)
 
 
 def unfinished(folder: Path) -> str | None:

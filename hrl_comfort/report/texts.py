@@ -11,7 +11,6 @@ from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import CONTROL_STEP_S, HIERARCHY
 from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.files.relative_paths import resolved
 from hrl_comfort.files.run_folder import Run
 
 TASK = "cycle"
@@ -74,7 +73,7 @@ def missing(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
 def _policy(run: Run) -> list[str]:
     """Return the overrides of an evaluation of a training; none where it has not written its policy."""
     if (run.folder / "meta_controller.pt").is_file():
-        named = {**_policies(run), "meta_controller": run.folder}
+        named = {**(run.config.get("policies") or {}), "meta_controller": run.folder}
         skills = [override(f"policies.{name}", source) for name, source in named.items()]
         return ["meta_controller=learned", *skills, override("output", run.folder / "eval_validation")]
     if not (run.folder / "policy.pt").is_file():
@@ -82,13 +81,9 @@ def _policy(run: Run) -> list[str]:
     return [override("policy", run.folder), *_levels(run)]
 
 
-def _policies(run: Run) -> dict[str, str]:
-    return resolved(run.config, run.evaluation or run.folder).get("policies") or {}
-
-
 def _controller(run: Run) -> Path | None:
     """Return the run of the controller that an evaluation is of."""
-    found = _policies(run).get("meta_controller")
+    found = (run.config.get("policies") or {}).get("meta_controller")
     return Path(found) if found else None
 
 
