@@ -546,3 +546,10 @@ def test_a_damaged_file_is_named_in_one_line(tmp_path, name, text):
         report.report(ReportConfig(run=str(folder), output=None, video=False))
     assert "\n" not in str(error.value)
     assert not (folder / "report.html").exists()
+
+
+def test_the_title_of_a_panel_of_checkpoints_says_what_its_table_has() -> None:
+    table = DataFrame({"policy_steps": [1], "success": [0.5]})
+    assert report._title("pick", table) == "pick\n"
+    table = table.assign(split="validation", human="patrol", precision_m=0.1)
+    assert report._title("pick", table) == "pick\nvalidation, human=patrol, 10 cm"
