@@ -86,6 +86,8 @@ class Drive:
         self._late_s = largest_lateness(config)
         self.following_rad = following_bound(self._rating, self._late_s)
         """(J,) rad, largest following error of each joint as a control step begins."""
+        self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
+        """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)

@@ -31,7 +31,7 @@ SHIELDED = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsaf
 def test_policies_that_persist_provoke_no_unsafe_contact(human: str, policy: str) -> None:
     found = run("shift", human, "observed", policy, 5000, 0, 48)
     assert found.unsafe == [] and found.fastest_m_s < 0.25
-    assert found.beyond_error_rad <= 0.0 and found.largest_error_rad < 0.35
+    assert found.excess_rad <= 0.0 and found.contacts > 0
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,8 @@ def test_policies_that_persist_provoke_no_unsafe_contact(human: str, policy: str
 def test_nor_do_they_in_other_worlds(task: str, more: list[str]) -> None:
     human = more[0].removeprefix("human=")
     found = run(task, human, "worst", "held", 2000, 1, 32, *more[1:])
-    assert found.unsafe == [] and found.beyond_error_rad <= 0.0
+    assert found.unsafe == [] and found.excess_rad <= 0.0
+    assert found.contacts > 0 or human != "adversary"
 
 
 def test_set_points_are_taken_back_to_an_arm_that_does_not_follow() -> None:
