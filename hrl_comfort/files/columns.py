@@ -132,8 +132,8 @@ EPISODES = Table(
         "shield_share_mean": "Mean share of the speed asked for that rating and shield passed; empty without a shield.",
         "protective_stops": "How often the shield began to brake (ISO/TS 15066:2016, 5.5.4), or to take set-points "
         "back to an arm that did not follow them; empty without a shield.",
-        "human_beyond_bound": "Control steps in which a part of the person was faster than `safety.human_speed_m_s`, "
-        "which the shield does not answer for; empty without a shield.",
+        "human_beyond_bound": "Control steps in which the person came nearer to a link of the arm, at its place, than "
+        "`safety.human_speed_m_s` allows, which the shield does not answer for; empty without a shield.",
         "discomfort_per_min": "Time in which the arm was nearer or faster than the level allows, weighted by how much, "
         "s a minute: the integral of min(1, ((θ − d)/(d_max − d_min))^`comfort.power`) where d < θ, plus "
         "((Δα − Δα_thr)/Δα_max)² where Δα > Δα_thr; d is the arm distance (docs/comfort.md).",

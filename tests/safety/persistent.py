@@ -92,7 +92,7 @@ class Count:
     """Largest excess of it over the bound of its joint, `Drive.error_rad`; not above 0."""
     protective_stops: int = 0
     human_beyond_bound: int = 0
-    """Control steps in which a part of the person was faster than the shield assumes."""
+    """Control steps in which the person came nearer to a link than the shield assumes."""
     unsafe: list[str] = field(default_factory=list)
     """What is known of each unsafe contact."""
 
