@@ -108,7 +108,7 @@ def load_policy(source: str | PathLike[str]) -> ObservationPolicy:
 
 def evaluate(
     policy: str | PathLike[str] | Function,
-    task: str = "pick",
+    task: str | None = None,
     episodes: int = 100,
     levels: Sequence[int] = (),
     **choices: object,
@@ -118,7 +118,7 @@ def evaluate(
     Args:
       policy: what `policy=` takes, a policy from `load_policy`, or any callable from observations (N, D), float32, to
         actions (N, A) in [-1, 1]. docs/bring_your_own.md has the layout of the observations.
-      task: the subtask.
+      task: the subtask; by default that of the policy's training, or `pick`.
       episodes: number of episodes, at each level.
       levels: comfort levels to evaluate on the same episodes.
       choices: overrides of `hrl-comfort evaluate`, such as `human="arc"` or `split="validation"`.
@@ -135,7 +135,7 @@ def evaluate(
 
     source = policy.source if isinstance(policy, ObservationPolicy) else policy
     given = source if callable(source) else fspath(source)
-    asked = {"task": task, "episodes": episodes, "levels": list(levels), **choices}
+    asked = {**({} if task is None else {"task": task}), "episodes": episodes, "levels": list(levels), **choices}
     if isinstance(given, str):
         warn_unfinished(given)
         asked = {"policy": given, **asked}

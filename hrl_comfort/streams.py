@@ -22,6 +22,15 @@ OPEN_S = 1.0
 """Longest time for the connection to an outlet that answers."""
 
 
+def pylsl_for(key: str) -> Any:
+    """Return the module pylsl; raise ConfigError, which names the `key` that needs it, without it or its library."""
+    try:
+        import pylsl
+    except (ImportError, RuntimeError) as error:  # the second without liblsl
+        raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
+    return pylsl
+
+
 class UdpStream:
     """UDP datagrams to a port of this machine; `host` is a name or address of IPv4, or an address of IPv6.
 
@@ -82,11 +91,7 @@ class LslStream:
     """
 
     def __init__(self, name: str, channels: tuple[int, ...], wait_s: float, key: str) -> None:
-        try:
-            import pylsl
-        except (ImportError, RuntimeError) as error:  # the second without liblsl
-            raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
-        self._lsl, self._name, self._channels, self._key = pylsl, name, channels, key
+        self._lsl, self._name, self._channels, self._key = pylsl_for(key), name, channels, key
         self._inlet: Any = None
         self._unfit = ""
         self._search()

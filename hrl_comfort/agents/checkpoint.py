@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,8 @@ from typing import Any
 import torch
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.provenance import RESUMABLE, step_files
 from hrl_comfort.files.state_file import load, save
-
-STEP_FILE = re.compile(r"step_(\d{9})\.pt")
-RESUMABLE = ("latest.pt", "previous.pt")
-"""Files to resume from, the newest first."""
 
 
 def step_path(folder: Path, policy_steps: int) -> Path:
@@ -22,14 +18,9 @@ def step_path(folder: Path, policy_steps: int) -> Path:
     return folder / f"step_{policy_steps:09d}.pt"
 
 
-def steps(folder: Path) -> list[Path]:
-    """Return the light checkpoints in `folder`, oldest first."""
-    return sorted(path for path in folder.glob("step_*.pt") if STEP_FILE.fullmatch(path.name))
-
-
 def keep_newest(folder: Path, count: int) -> None:
     """Delete all but the newest `count` light checkpoints."""
-    for path in steps(folder)[:-count]:
+    for path in step_files(folder)[:-count]:
         path.unlink()
 
 
@@ -40,11 +31,6 @@ def save_resumable(folder: Path, state: dict[str, Any]) -> None:
     if latest.exists():
         os.replace(latest, folder / "previous.pt")
     os.replace(new, latest)
-
-
-def resumable(folder: Path) -> bool:
-    """Return whether there is a checkpoint to resume from, good or not."""
-    return any((folder / name).exists() for name in RESUMABLE)
 
 
 def load_resumable(folder: Path) -> dict[str, Any]:

@@ -12,14 +12,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.files.tables import column
 
-TERMINATIONS = (
-    "success",
-    "unsafe contact",
-    "contact",
-    "hit table",
-    "self-collision",
-    "time limit",
-)
+TERMINATIONS = ("success", "unsafe contact", "contact", "hit table", "self-collision", "time limit")
 LEVEL = r"(?:_as_\d+)?"
 """End of the name of an option with a level of its own."""
 PICK = re.compile(rf"pick_(\d+){LEVEL}")

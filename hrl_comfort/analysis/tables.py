@@ -49,8 +49,6 @@ SPAWNS = {"True": "seen", "False": "unseen"}
 SHOWN = {"comfort_level": "level", "seen": "spawns"}
 """Heads of the labels of groups that are not their names."""
 ALWAYS = ("comfort_level", "split")
-SERIES = {DISTANCE: Quantity("distance, m"), STEPS: Quantity("steps", digits=1)}
-"""Measures of the table of series."""
 
 
 def cell(value: Mapping[str, Any] | float | None, scale: float = 1, digits: int = 1, key: str = "mean") -> str:
@@ -127,24 +125,3 @@ def levels(summary: Mapping[str, Any], spawns: str = "all") -> str:
         changes = [cell(whole.get(part, {}).get(name), key="percent") for part, name in there]
         lines.append([f"{whole['from']} to {whole['to']}, change in %", *changes])
     return markdown(["level", *(each.label for each in there.values())], lines)
-
-
-def series(summaries: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return several series of levels, by their labels, as a Markdown table of a line each.
-
-    Least success of any level, then distance and steps over all episodes: first level, last, change in %.
-    """
-    heads = ["", "least success, %"]
-    for measure in SERIES.values():
-        heads += [f"{measure.label}: first level", "last", "change, %"]
-    lines = []
-    for label, summary in summaries.items():
-        found = summary["spawns"]["all"]
-        success, level = min((at["rates"]["success"]["mean"], at["level"]) for at in found["levels"])
-        line = [label, f"{100 * success:.1f} (level {level})"]
-        for name, measure in SERIES.items():
-            change = found["first_to_last"]["all"][name]
-            line += [cell(change[end], measure.scale, measure.digits) for end in ("from", "to")]
-            line.append(cell(change, key="percent"))
-        lines.append(line)
-    return markdown(heads, lines)

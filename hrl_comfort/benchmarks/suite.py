@@ -10,9 +10,9 @@ from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.benchmarks.entries import ENTRIES, FILE, QUANTITIES, Entry, committed, table
-from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.config.composition.run_config import trained_environment
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.ledger import hash_of
 from hrl_comfort.files.atomic import write_json, write_text
@@ -55,8 +55,8 @@ def benchmark(config: EvaluateConfig) -> Path:
 def check_steps(config: EvaluateConfig, name: str, source: str) -> None:
     """Raise ConfigError if the policy `source` is of a run whose actions are in units of another step."""
     here = config.task.max_step_deg
-    trained = load_config(source) if (Path(source) / "config.yaml").is_file() else None
-    if isinstance(trained, EnvConfig) and (there := trained.task.max_step_deg) != here:
+    trained = trained_environment(source)
+    if trained is not None and (there := trained.task.max_step_deg) != here:
         raise ConfigError(
             f"task.max_step_deg={here:g}, but policies.{name}={source!r} was trained with {there:g}, the unit of its "
             f"actions; give task.max_step_deg={there:g}, which is outside the suite"

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its configuration, its function and its help."""
+    """A command: its function and its help; `config.composition.overrides.root_of` names its configuration."""
 
-    root: str
-    """Key of `config.composition.overrides.ROOTS`."""
     place: str
     """`module:function`, imported once the configuration has been checked."""
     about: str
@@ -20,108 +18,89 @@ class Command:
 
 COMMANDS = {
     "train": Command(
-        "train",
         "hrl_comfort.training.trainer:train",
         "train a policy for a subtask",
         "task=reach human=arc agent=quick output=runs/reach",
     ),
     "train hierarchy": Command(
-        "train_hierarchy",
         "hrl_comfort.training.hierarchy_trainer:train_hierarchy",
         "train the policies of a cycle, evaluate them and their chain, write the report",
         "division=three agent=quick output=runs/cycle",
     ),
     "train meta_controller": Command(
-        "train_meta_controller",
         "hrl_comfort.training.controller_trainer:train_meta_controller",
         "train a controller above frozen policies",
         "policies.pick=expert policies.place=expert policies.return=expert output=runs/controller",
     ),
     "evaluate": Command(
-        "evaluate",
         "hrl_comfort.evaluation.evaluate:evaluate",
         "measure a policy, or a chain of policies (meta_controller=scripted)",
         "policy=runs/pick episodes=100 record=true",
     ),
     "evaluate handover": Command(
-        "evaluate",
         "hrl_comfort.evaluation.handover:handover",
         "measure a subtask from the terminal states of the one before it",
         "task=cycle meta_controller=scripted policies.pick=runs/cycle/pick policies.place=runs/cycle/place "
         "policies.return=runs/cycle/return output=runs/handover",
     ),
     "benchmark": Command(
-        "benchmark",
         "hrl_comfort.benchmarks.suite:benchmark",
         "run the benchmark's shifts beside people for one policy; write its entry",
         "policies.pick=expert policies.place=expert policies.return=expert split=validation episodes=2 "
         "output=runs/entry",
     ),
     "report": Command(
-        "report",
         "hrl_comfort.report.report:report",
         "write one HTML page about a run, the runs in a folder, or a sweep",
         "run=runs/pick",
     ),
     "figure": Command(
-        "figure",
         "hrl_comfort.plots.figure:figure",
         "draw what comfort levels or controllers change",
         "kind=levels evaluations=[runs/comfort/eval] output=runs/levels.png",
     ),
     "results": Command(
-        "results",
         "hrl_comfort.results.command:results",
         "list published results, make them anew, fill the pages",
         "remake=comfort",
     ),
     "studio": Command(
-        "studio",
         "hrl_comfort.studio.server:studio",
         "watch a policy in the browser, walk into its cell, replay an evaluation",
         "policy=runs/cycle",
     ),
     "deploy": Command(
-        "deploy",
         "hrl_comfort.deploy.runner:deploy",
         "move an arm in real time by a policy or a chain, behind the shield",
         "policy=expert connection=simulated output=runs/deploy",
     ),
     "identify": Command(
-        "identify",
         "hrl_comfort.deploy.identify:identify",
         "fit lag and latency of an arm's servos to a log of deploy",
         "run=runs/deploy",
     ),
     "export": Command(
-        "export",
         "hrl_comfort.deploy.export:export",
         "write trained policies as ONNX files for other programs",
         "policy=runs/pick output=exported",
     ),
     "dataset": Command(
-        "evaluate",
         "hrl_comfort.deploy.dataset:dataset",
         "write the episodes of a policy or a chain as a Minari data set",
         "policy=runs/pick split=validation episodes=1000 output=runs/dataset",
     ),
-    "bench env": Command(
-        "train", "hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"
-    ),
+    "bench env": Command("hrl_comfort.benchmarks.env:bench_env", "measure the speed of the environment", "task=pick"),
     "bench safety": Command(
-        "train",
         "hrl_comfort.benchmarks.safety:bench_safety",
         "measure what rating and shield cost the environment",
         "task=pick_place human=mixture",
     ),
-    "bench update": Command(
-        "train", "hrl_comfort.benchmarks.update:bench_update", "measure the speed of updates", "agent=sac"
-    ),
+    "bench update": Command("hrl_comfort.benchmarks.update:bench_update", "measure the speed of updates", "agent=sac"),
     "bench studio": Command(
-        "studio", "hrl_comfort.studio.measure:bench_studio", "measure the live view", "task=cycle policy=expert"
+        "hrl_comfort.studio.measure:bench_studio", "measure the live view", "task=cycle policy=expert"
     ),
     "bench train": Command(
-        "train", "hrl_comfort.benchmarks.train:bench_train", "compare training with Stable-Baselines3", "task=pick"
+        "hrl_comfort.benchmarks.train:bench_train", "compare training with Stable-Baselines3", "task=pick"
     ),
 }
 VERBS = tuple(dict.fromkeys(command.split()[0] for command in COMMANDS))

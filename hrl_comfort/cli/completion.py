@@ -8,7 +8,7 @@ from typing import Any
 
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.config.command_line.keys import keys_of
-from hrl_comfort.config.composition.overrides import groups
+from hrl_comfort.config.composition.overrides import groups, root_of
 
 
 def complete() -> None:
@@ -32,7 +32,7 @@ def candidates(words: list[str], prefix: str) -> list[str]:
     command = next((each for each in (" ".join(words[:2]), words[0]) if each in COMMANDS), None)
     found = list(parts_of(words[0])) if len(words) == 1 else []
     if command is not None:
-        root = COMMANDS[command].root
+        root = root_of(command)
         choices = groups(root)
         found += [f"{key.name}=" for key in keys_of(root)] + [f"{group}=" for group in choices]
         found += [f"{group}={name}" for group, names in choices.items() for name in names if f"{group}=" in prefix]

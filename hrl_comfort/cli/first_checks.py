@@ -30,6 +30,7 @@ from hrl_comfort.config.command_line.policies import as_chain, check_beside, wit
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.composition.overrides import override
 from hrl_comfort.config.composition.run_config import warn_unfinished
+from hrl_comfort.streams import pylsl_for
 
 BARE = {
     **dict.fromkeys(("evaluate", "evaluate handover", "benchmark", "studio", "deploy"), "policy"),
@@ -105,7 +106,7 @@ def check(config: CommandConfig) -> None:
             "human.file": config.human.motion == "live" and (config.human.file or "").startswith("lsl:"),
         }.items():
             if live:
-                _need_lsl(key)
+                pylsl_for(key)
         live = config.comfort.source in ("udp", "lsl") or config.human.motion == "live"
         if live and isinstance(config, EvaluateConfig) and not config.realtime:
             warnings.warn("live values come by the wall clock, episodes run faster: add realtime=true", stacklevel=2)
@@ -128,13 +129,6 @@ def _drawn(config: CommandConfig) -> str | None:
 def _can_draw() -> bool:
     """Return whether the OpenGL library is there that pictures are drawn with (`scene.camera`)."""
     return find_library("OSMesa" if os.environ.get("MUJOCO_GL", "").lower() == "osmesa" else "EGL") is not None
-
-
-def _need_lsl(key: str) -> None:
-    try:
-        import pylsl  # noqa: F401
-    except (ImportError, RuntimeError) as error:  # the second without liblsl
-        raise ConfigError(f"{key} needs pylsl and liblsl: pip install 'hrl-comfort[streams]' ({error})") from error
 
 
 def policies(config: CommandConfig) -> Iterator[tuple[str, str | None]]:

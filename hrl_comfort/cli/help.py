@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from hrl_comfort.cli.commands import COMMANDS
 from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.composition.overrides import config_dir, groups
+from hrl_comfort.config.composition.overrides import config_dir, groups, root_of
 
 WIDTH = 80
 OPTIONS = {
@@ -34,13 +34,13 @@ def overview() -> str:
 
 def about(command: str) -> str:
     """Return the help of one of COMMANDS."""
-    own = COMMANDS[command]
-    keys = keys_of(own.root)
+    own, root = COMMANDS[command], root_of(command)
+    keys = keys_of(root)
     lines = [f"usage: hrl-comfort {command} [key=value ...]", "", f"{own.about[0].upper()}{own.about[1:]}.", ""]
     lines += ["example", f"  hrl-comfort {command} {own.example}"]
-    if choices := groups(own.root):
+    if choices := groups(root):
         lines += ["", "groups (group=choice, the default first)"]
-        lines += [f"  {name:<22}{', '.join(default_first(own.root, name))}" for name in choices]
+        lines += [f"  {name:<22}{', '.join(default_first(root, name))}" for name in choices]
     for section, each in groupby(sorted(keys, key=lambda key: key.section), lambda key: key.section):
         lines += ["", f"keys of {section or 'the command'} (key=default)"]
         lines += [line for key in each for line in _key(key)]

@@ -34,7 +34,7 @@ def configuration(command: str, overrides: list[str]) -> CommandConfig:
       ConfigError: a choice is not allowed.
     """
     given, overrides = overrides, completed(command, overrides)
-    config = compose(COMMANDS[command].root, overrides)
+    config = compose(root_of(command), overrides)
     others = [line for line in given if not line.startswith("resume=")]
     if others and getattr(config, "resume", None) is not None:
         raise ConfigError(f"resume= goes on as the run was configured; leave out {' '.join(others)}")

@@ -12,20 +12,19 @@ import torch
 from pandas import DataFrame
 from rich.console import Console
 
-from hrl_comfort.agents import checkpoint
 from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import HEADLINE, cells, in_terminal, of_groups
 from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config.checks import one_of
 from hrl_comfort.evaluation.episode import COLUMNS
+from hrl_comfort.evaluation.ledger import SHARES
 from hrl_comfort.evaluation.rollout import Result, rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import EVALUATION_MARKS, output_file, output_folder
+from hrl_comfort.files.provenance import policy_steps, step_files
 from hrl_comfort.files.tables import write_table
-
-SHARES = ("success", "contact", "unsafe_contact")
-"""Columns of episodes.csv whose shares are in checkpoints.csv."""
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -39,8 +38,7 @@ def evaluate(config: EvaluateConfig) -> Path:
         with output_file(Path(config.terminal_states)):
             return record_terminal_states(config)
     for name in config.group_by:
-        if name not in COLUMNS:
-            raise ConfigError(f"group_by={name!r} is not a column; choose among {', '.join(COLUMNS)}")
+        one_of("group_by", name, COLUMNS)
     output = Path(config.output)
     with output_folder(output, EvaluateConfig, *EVALUATION_MARKS):
         if (output / "summary.json").is_file() and config.checkpoints == "none":
@@ -92,7 +90,7 @@ def checkpoints_of(config: EvaluateConfig) -> list[dict[str, Path]]:
       ConfigError: there is no checkpoint.
     """
     sources = config.policies or {"policy": config.policy or ""}
-    found = {name: checkpoint.steps(Path(source) / "checkpoints") for name, source in sources.items()}
+    found = {name: step_files(Path(source) / "checkpoints") for name, source in sources.items()}
     found = {name: files for name, files in found.items() if files}
     if not found:
         where = " ".join(f"{name}={source}" for name, source in sources.items())
@@ -104,11 +102,6 @@ def checkpoints_of(config: EvaluateConfig) -> list[dict[str, Path]]:
     most = max(found, key=lambda name: len(found[name]))
     at = [fraction(file, most) for file in found[most]]
     return [{k: min(files, key=lambda file: abs(fraction(file, k) - x)) for k, files in found.items()} for x in at]
-
-
-def policy_steps(file: Path) -> int:
-    """Return the policy steps of training after which a light checkpoint was written."""
-    return int(file.stem.removeprefix("step_"))
 
 
 def _row(

@@ -17,9 +17,8 @@ from rich.console import Console
 
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
-from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig, TrainConfig
-from hrl_comfort.config.composition.hydra_conf import run_folder
-from hrl_comfort.config.composition.run_config import environment, load_config, save_config
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig
+from hrl_comfort.config.composition.run_config import environment, save_config, trained_environment
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
@@ -110,9 +109,8 @@ def alone(config: EvaluateConfig, name: str, start: str, policy: str) -> Evaluat
 
 def own_start(config: EvaluateConfig, name: str) -> str:
     """Return the `task.start` from which the policy of a subtask was trained."""
-    folder = run_folder(config.policies[name])
-    trained = None if folder is None else load_config(folder)
-    return trained.task.start if isinstance(trained, TrainConfig) else "ik"
+    trained = trained_environment(config.policies[name])
+    return "ik" if trained is None else trained.task.start
 
 
 def _terminal_states(config: EvaluateConfig, output: Path, name: str, kind: str, start: str) -> str:

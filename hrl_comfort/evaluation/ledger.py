@@ -21,6 +21,7 @@ from hrl_comfort.policies.load import Source, name_of
 FILE = (ROOT if (ROOT / ".git").exists() else Path.cwd()) / "runs" / "ledger.csv"
 """The ledger of this machine, beside its runs and untracked; `hrl-comfort results` publishes lines of it."""
 SHARES = ("success", "contact", "unsafe_contact")
+"""Columns of episodes.csv whose shares a look, and a checkpoint, is told by."""
 HEADER = ("look", "utc", "commit", "command", "policy", "task", "human", "episodes", *SHARES)
 """A look has a line when it is opened, without shares, and another with them when its episodes are over."""
 
@@ -78,5 +79,6 @@ def hash_of(source: Source) -> str:
     """Return the name of a policy and, of a file or run folder, the start of its SHA-256."""
     name = name_of(source)
     file = Path(name.split(":", 1)[-1])
-    file = file / "policy.pt" if file.is_dir() else file
+    inside = (file / each for each in ("policy.pt", "meta_controller.pt"))
+    file = next((each for each in inside if each.is_file()), file)
     return f"{name}@{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}" if file.is_file() else name

@@ -117,12 +117,7 @@ class EpisodeRecorder:
     """Rows of the tables about an episode in each row of an engine, whoever steps it."""
 
     def __init__(
-        self,
-        config: EvaluateConfig,
-        policy: Source | None,
-        engine: Engine,
-        entries: EvaluationSet,
-        result: Result,
+        self, config: EvaluateConfig, policy: Source | None, engine: Engine, entries: EvaluationSet, result: Result
     ) -> None:
         self.config, self.engine, self.entries, self.result = config, engine, entries, result
         acting = config.policy if policy is None else policy
@@ -205,24 +200,11 @@ class EpisodeRecorder:
             tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
             distance = float(np.linalg.norm(tcp[:2] - human))
             level = float(state.level[row])
-            numbers = [
-                *state.joint_pos[row].tolist(),
-                *tcp,
-                *human,
-                float(state.human_yaw[row]),
-                distance,
-                state.share[row],
-            ]
-            self.result.paths.append(
-                [
-                    int(self.entries.episode[row]),
-                    int(state.steps[row]),
-                    int(state.stage[row]),
-                    None if np.isnan(level) else round(level),
-                    *map(rounded, numbers),
-                    int(state.protective_stops[row]),
-                ]
-            )
+            instant = [int(each[row]) for each in (self.entries.episode, state.steps, state.stage)]
+            place = (*tcp, *human, state.human_yaw[row], distance, state.share[row])
+            numbers = map(rounded, (*state.joint_pos[row].tolist(), *place))
+            stops = int(state.protective_stops[row])
+            self.result.paths.append([*instant, None if np.isnan(level) else round(level), *numbers, stops])
 
     def _episode(self, row: int, step: StepResult) -> Episode:
         config, state, entries = self.config, step.state, self.entries
@@ -288,15 +270,8 @@ class EpisodeRecorder:
 
 PATH_INSTANT = ("episode", "step", "stage", "level")
 PATH_PLACES = (
-    "tcp_x",
-    "tcp_y",
-    "tcp_z",
-    "human_x",
-    "human_y",
-    "human_yaw",
-    "human_distance_m",
-    "shield_share",
-    "protective_stops",
+    *("tcp_x", "tcp_y", "tcp_z", "human_x", "human_y", "human_yaw"),
+    *("human_distance_m", "shield_share", "protective_stops"),
 )
 
 

@@ -5,22 +5,28 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 import shutil
 import subprocess
+from enum import Enum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
-from hrl_comfort.config import TrainingConfig
+from hrl_comfort.config import HIERARCHY, TrainingConfig
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import read_json
 
 ROOT = Path(__file__).resolve().parents[2]
 """The checkout; in a wheel, the folder that holds the package."""
-DECIDING = (".", ":!runs", ":!docs")
+DECIDING = (".", ":!runs", ":!docs", ":!*.md")
 """What decides results, as pathspecs of git: all but the results themselves and the pages."""
+RESUMABLE = ("latest.pt", "previous.pt")
+"""Checkpoints to resume from, the newest first."""
+STEP_FILE = re.compile(r"step_(\d{9})\.pt")
+"""Name of a light checkpoint, with its policy steps."""
 PACKAGES = ("mujoco", "dm-control", "mink", "torch", "torchrl", "tensordict", "numpy", "hydra-core")
 
 
@@ -45,6 +51,26 @@ def is_finished(folder: Path) -> bool:
     return (folder / "provenance.json").is_file() and read_provenance(folder).finished
 
 
+class RunState(Enum):
+    """State of the training in a folder."""
+
+    NEW = "new"
+    STOPPED = "stopped"
+    FINISHED = "finished"
+
+
+def run_state(folder: Path) -> RunState:
+    """Return the state of the training or the hierarchy in a folder; raise ConfigError if it is damaged."""
+    if is_finished(folder):
+        return RunState.FINISHED
+    return RunState.STOPPED if (folder / HIERARCHY).is_file() or resumable(folder) else RunState.NEW
+
+
+def resumable(folder: Path) -> bool:
+    """Return whether the run in a folder has a checkpoint to resume from, good or not."""
+    return any((folder / "checkpoints" / name).exists() for name in RESUMABLE)
+
+
 def unfinished(folder: Path) -> str | None:
     """Return how far the training in a run folder is, in a line; None if it is finished, or says nothing of it.
 
@@ -53,9 +79,19 @@ def unfinished(folder: Path) -> str | None:
     """
     if not (folder / "provenance.json").is_file() or is_finished(folder):
         return None
-    steps = [int(file.stem.removeprefix("step_")) for file in (folder / "checkpoints").glob("step_*.pt")]
-    reached = f": its policy has {max(steps):,} policy steps so far" if steps else ""
+    files = step_files(folder / "checkpoints")
+    reached = f": its policy has {policy_steps(files[-1]):,} policy steps so far" if files else ""
     return f"the training in {folder} is not finished{reached}"
+
+
+def step_files(checkpoints: Path) -> list[Path]:
+    """Return the light checkpoints in the folder `checkpoints` of a run, oldest first."""
+    return sorted(path for path in checkpoints.glob("step_*.pt") if STEP_FILE.fullmatch(path.name))
+
+
+def policy_steps(file: Path) -> int:
+    """Return the policy steps of training after which a light checkpoint was written."""
+    return int(file.stem.removeprefix("step_"))
 
 
 def write_provenance(folder: Path, config: TrainingConfig, finished: bool, seconds: float, **progress: Any) -> None:

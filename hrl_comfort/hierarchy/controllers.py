@@ -41,16 +41,10 @@ def make_executor(
             f"meta_controller={meta_controller.name} is for task=sort and shift; "
             f"task={task.name} takes meta_controller=scripted"
         )
-    if meta_controller.level_override:
-        raise ConfigError(
-            f"meta_controller.level_override={list(meta_controller.level_override)} is for task=sort and shift; "
-            "choose meta_controller.level_override=[]"
-        )
-    if meta_controller.max_waits is not None:
-        raise ConfigError(
-            f"meta_controller.max_waits={meta_controller.max_waits} is for task=sort and shift; "
-            "choose meta_controller.max_waits=null"
-        )
+    for key, off in ("level_override", "[]"), ("max_waits", "null"):
+        if (value := getattr(meta_controller, key)) not in (None, []):
+            key = f"meta_controller.{key}"
+            raise ConfigError(f"{key}={value} is for task=sort and shift; choose {key}={off}")
     parts = [subtask(name) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]

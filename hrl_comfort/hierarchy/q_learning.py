@@ -53,11 +53,7 @@ class QLearner:
         self.config, self.observation_dim, self.count = config, observation_dim, options
         self.network = make_network(observation_dim, options, list(config.hidden))
         self.loss = DQNLoss(
-            self.network,
-            loss_function="smooth_l1",
-            delay_value=True,
-            double_dqn=True,
-            action_space="categorical",
+            self.network, loss_function="smooth_l1", delay_value=True, double_dqn=True, action_space="categorical"
         )
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
         self.target = SoftUpdate(self.loss, tau=config.tau)

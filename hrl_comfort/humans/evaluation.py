@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import FIRST_SEED, SPLITS, ConfigError
+from hrl_comfort.config import FIRST_SEED, SPLITS
 
-FILE = "humans/evaluation_set.csv"
-COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
 SHARES = {"all": (0.0, 1.0), "train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
 """Share of everything that is parted that belongs to a split: of the full turn around the robot, of the traits of
 people, of recordings, of arm starts."""
@@ -88,36 +85,13 @@ def drawn_set(split: str, seed: int, episodes: int) -> EvaluationSet:
 
 @lru_cache(maxsize=1)
 def load_evaluation_set() -> EvaluationSet:
-    """Return the committed set; raise ConfigError if its file is damaged."""
-    file = files("hrl_comfort.humans") / "evaluation_set.csv"
-    return parse_evaluation_set(file.read_text(encoding="utf-8"))
+    """Return the committed set, which `make_evaluation_set` wrote."""
+    from pandas import read_csv  # half a second
 
-
-def parse_evaluation_set(text: str) -> EvaluationSet:
-    """Return the set in the CSV `text`.
-
-    Raises:
-      ConfigError: wrong columns, or a bad line (named).
-    """
-    header, *lines = list(csv.reader(text.splitlines())) or [[]]
-    if tuple(header) != COLUMNS or not lines:
-        raise ConfigError(f"{FILE} must have the columns {','.join(COLUMNS)} and at least one episode")
-    rows = []
-    for number, line in enumerate(lines, start=2):
-        try:
-            episode, seed, spawn, x, y, motion, known = line
-            whole, place = [int(v) for v in (episode, seed, spawn, motion)], (float(x), float(y))
-            seen = {"True": True, "False": False}[known]
-            valid = whole[0] == number - 2 and whole[1] >= FIRST_SEED and whole[2] >= 0 and np.isfinite(place).all()
-        except (ValueError, KeyError):
-            valid = False
-        if not valid:
-            raise ConfigError(
-                f"{FILE} line {number}: {','.join(line)!r} must hold {','.join(COLUMNS)}: episode {number - 2}, "
-                f"a seed from {FIRST_SEED}, a spawn from 0, finite x and y (m), a motion, seen True or False"
-            )
-        rows.append((*whole[:3], place, whole[3], seen))
-    entries = EvaluationSet(*map(np.array, [*zip(*rows, strict=True), ["paper"] * len(rows)]))
+    table = read_csv(Path(__file__).with_name("evaluation_set.csv"), float_precision="round_trip")
+    columns = {name: table[name].to_numpy() for name in ("episode", "episode_seed", "spawn_id", "motion_id", "seen")}
+    position = np.ascontiguousarray(table[["x", "y"]])
+    entries = EvaluationSet(**columns, position=position, split=np.full(len(table), "paper"))
     for column in vars(entries).values():
         column.setflags(write=False)
     return entries

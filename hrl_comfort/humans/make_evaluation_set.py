@@ -17,8 +17,8 @@ import yaml
 
 from hrl_comfort.config import EVALUATION_EPISODES, FIRST_SEED, CellConfig, HumanConfig
 from hrl_comfort.humans import around, jittered_spawn, moved_spawns, outside, training_spawns
-from hrl_comfort.humans.evaluation import COLUMNS
 
+COLUMNS = ("episode", "episode_seed", "spawn_id", "x", "y", "motion_id", "seen")
 UNSEEN_JITTER_M = 0.05
 
 

@@ -99,10 +99,6 @@ def _plane(config: FigureConfig, groups: Groups) -> Drawn:
     return levels.plane(data, config.over), numbers
 
 
-def _paths(config: FigureConfig, groups: Groups) -> Drawn:
-    return paths.at_levels(_everything(groups), config.levels, config.episodes), {}
-
-
 def _people(config: FigureConfig, groups: Groups) -> Drawn:
     runs = _everything(groups)
     motions = [str(run.episodes["human"].iloc[0]) for run in runs if run.episodes is not None]
@@ -154,27 +150,27 @@ def _chain(config: FigureConfig, groups: Groups) -> Drawn:
     return hierarchy.chain(numbers), dict(numbers)
 
 
-def _controllers(config: FigureConfig, groups: Groups) -> Drawn:
-    numbers = comparison.controllers(groups)
-    return hierarchy.comparison(numbers["controllers"], comparison.PARTS), dict(numbers)
-
-
-def _divisions(config: FigureConfig, groups: Groups) -> Drawn:
-    numbers = comparison.divisions(groups)
-    return hierarchy.comparison(numbers["divisions"], comparison.RESULTS), dict(numbers)
+def _comparison(config: FigureConfig, groups: Groups) -> Drawn:
+    of = {
+        "controllers": (comparison.controllers, comparison.PARTS),
+        "divisions": (comparison.divisions, comparison.RESULTS),
+    }
+    compare, names = of[config.kind]
+    numbers = compare(groups)
+    return hierarchy.comparison(numbers[config.kind], names), dict(numbers)
 
 
 _KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "levels": _levels,
     "speed": _levels,
     "plane": _plane,
-    "paths": _paths,
+    "paths": lambda config, groups: (paths.at_levels(_everything(groups), config.levels, config.episodes), {}),
     "people": _people,
     "jump": _jump,
     "timeline": _timeline,
     "chain": _chain,
-    "controllers": _controllers,
-    "divisions": _divisions,
+    "controllers": _comparison,
+    "divisions": _comparison,
 }
 KINDS = implemented(tuple(name for name in FIGURES if name != "handover"), _KINDS)
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {

@@ -20,11 +20,7 @@ from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS, Paired, change
 from hrl_comfort.analysis.level_change import Jump
 from hrl_comfort.plots.style import BLUE, CYCLE, GREEN, OUTLINE, VERMILLION, around, band, note, points, styled
 
-WORDS = {
-    DISTANCE: "mean distance to person (m)",
-    STEPS: "control steps",
-    SPEED: "mean joint increment (°/step)",
-}
+WORDS = {DISTANCE: "mean distance to person (m)", STEPS: "control steps", SPEED: "mean joint increment (°/step)"}
 COLOURS = {DISTANCE: BLUE, STEPS: VERMILLION, SPEED: GREEN}
 MARKERS = ("o", "s", "^", "D", "v", "P")
 OVER_WORDS = {

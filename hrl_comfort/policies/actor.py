@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.config import ConfigError
+from hrl_comfort.files.provenance import step_files
 
 if TYPE_CHECKING:
     from hrl_comfort.agents.sac import SAC  # it imports torchrl, seconds
@@ -103,7 +104,7 @@ def policy_file(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    for candidate in (path / "policy.pt", *reversed(checkpoint.steps(path / "checkpoints"))):
+    for candidate in (path / "policy.pt", *reversed(step_files(path / "checkpoints"))):
         if not candidate.exists():
             continue
         try:
@@ -160,9 +161,8 @@ def _read(key: str, file: Path, critics: bool) -> tuple[dict[str, Any], dict[str
         if not isinstance(tensors, dict):
             raise ConfigError(f"{damaged} {part} is not there")
         for name, tensor in tensors.items():
-            # Of a tensor that is not contiguous, the file may hold less than its shape says.
-            plain = isinstance(tensor, Tensor) and tensor.layout == torch.strided and tensor.is_contiguous()
-            if not plain or not tensor.is_floating_point() or not tensor.float().isfinite().all():
+            floating = isinstance(tensor, Tensor) and tensor.is_floating_point()
+            if not floating or not tensor.float().isfinite().all():
                 raise ConfigError(f"{damaged} {part} {name} is not finite")
     if critics and not networks.get("critics"):
         raise ConfigError(f"{key}={str(file)!r} was saved without its critics; give a run folder that has them")

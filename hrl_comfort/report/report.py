@@ -95,7 +95,10 @@ def _curves(runs: Sequence[Run]) -> dict[str, str]:
 def _title(name: str, checkpoints: DataFrame) -> str:
     """Return the title of a panel of checkpoints: the run, and what makes panels differ."""
     first = checkpoints.iloc[0]
-    return f"{name}\n{first.get('split')}, human={first.get('human')}, {100 * first.get('precision_m'):g} cm"
+    about = [str(first["split"])] if "split" in first else []
+    about += [f"human={first['human']}"] if "human" in first else []
+    about += [f"{100 * first['precision_m']:g} cm"] if "precision_m" in first else []
+    return f"{name}\n{', '.join(about)}"
 
 
 def _ends(run: Run, recorded: Iterable[Recorded]) -> dict[Recorded, str]:

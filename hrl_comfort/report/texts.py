@@ -11,7 +11,6 @@ from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import CONTROL_STEP_S, HIERARCHY
 from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.files.relative_paths import resolved
 from hrl_comfort.files.run_folder import Run
 
 TASK = "cycle"
@@ -22,7 +21,8 @@ PARTS = ("groups", "paths", "checkpoints")
 
 def summary(run: Run) -> str:
     """Return what an evaluation came to in a sentence, of several levels in one each for the first and the last."""
-    groups = [each for each in with_totals(run.groups or [], run.episodes) if each.get("seen") in (None, "all")]
+    every = with_totals(run.groups or [], run.episodes)
+    groups = [each for each in every if each.get("seen") in (None, "all")] or every
     people = "with nobody in the cell" if groups[0]["human"] == "none" else f"beside people ({groups[0]['human']})"
     sentences = []
     for group in groups[:1] + groups[1:][-1:]:
@@ -73,7 +73,7 @@ def missing(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
 def _policy(run: Run) -> list[str]:
     """Return the overrides of an evaluation of a training; none where it has not written its policy."""
     if (run.folder / "meta_controller.pt").is_file():
-        named = {**_policies(run), "meta_controller": run.folder}
+        named = {**(run.config.get("policies") or {}), "meta_controller": run.folder}
         skills = [override(f"policies.{name}", source) for name, source in named.items()]
         return ["meta_controller=learned", *skills, override("output", run.folder / "eval_validation")]
     if not (run.folder / "policy.pt").is_file():
@@ -81,20 +81,17 @@ def _policy(run: Run) -> list[str]:
     return [override("policy", run.folder), *_levels(run)]
 
 
-def _policies(run: Run) -> dict[str, str]:
-    return resolved(run.config, run.evaluation or run.folder).get("policies") or {}
-
-
 def _controller(run: Run) -> Path | None:
     """Return the run of the controller that an evaluation is of."""
-    found = _policies(run).get("meta_controller")
+    found = (run.config.get("policies") or {}).get("meta_controller")
     return Path(found) if found else None
 
 
 def _levels(run: Run) -> list[str]:
     """Return the overrides that evaluate a policy of all levels at the first and the last."""
     comfort = run.config.get("comfort", {})
-    return [override("levels", [1, comfort["levels"]])] if comfort.get("source") == "random" else []
+    last = comfort.get("levels") if comfort.get("source") == "random" else None
+    return [override("levels", [1, last])] if last else []
 
 
 def _evaluate(policy: Sequence[str], last: str) -> str:

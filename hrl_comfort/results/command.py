@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rich.console import Console
-from rich.table import Table
 
+from hrl_comfort.analysis.tables import in_terminal
 from hrl_comfort.config import ConfigError, ResultsConfig
 from hrl_comfort.results import looks, pages
 from hrl_comfort.results.manifest import PHASES, Entry, entry, manifest, tracked
@@ -52,12 +52,8 @@ def chosen(key: str, name: str | None, fits: Callable[[str, Entry], bool]) -> li
 
 def overview() -> None:
     """Print a line for each entry, and the tracked files that belong to none."""
-    table = Table(box=None, pad_edge=False)
-    for head in ("result", "state", "pages"):
-        table.add_column(head, overflow="fold")
-    for name, each in manifest().items():
-        table.add_row(name, state(name, each), " ".join(each.pages))
-    Console().print(table)
+    lines = [[name, state(name, each), " ".join(each.pages)] for name, each in manifest().items()]
+    Console().print(in_terminal(["result", "state", "pages"], [], lines))
     for path in tracked():
         if not any(each.owns(path) for each in manifest().values()):
             print(f"{path} belongs to no result of the manifest")

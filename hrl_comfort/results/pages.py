@@ -20,7 +20,6 @@ ABSENT = "*Not measured yet: `hrl-comfort results` says what is missing.*\n"
 KIND = "|".join(sorted(KINDS, key=len, reverse=True))
 TABLE = re.compile(rf"(<!-- ({KIND}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 CELL = re.compile(rf"(<!-- cell: ({KIND}): ([^>]*?) -->).*?(<!-- end -->)", re.DOTALL)
-GIVEN = re.compile(r"<!-- given -->.*?<!-- end -->", re.DOTALL)
 
 
 @cache
@@ -49,13 +48,6 @@ def filled(page: str) -> str:
     """Return the text of a page with its tables and cells made anew."""
     page = TABLE.sub(lambda found: found[1] + table(found[2], found[3]) + found[4], page)
     return CELL.sub(lambda found: found[1] + cell(found[2], found[3]) + found[4], page)
-
-
-def without_results(page: str) -> str:
-    """Return the text of a page without its tables, cells and given numbers."""
-    for marked in (TABLE, CELL, GIVEN):
-        page = marked.sub("", page)
-    return page
 
 
 def pages() -> list[Path]:

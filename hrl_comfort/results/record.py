@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import read_json
-from hrl_comfort.files.provenance import ROOT, git
+from hrl_comfort.files.provenance import ROOT, commit, git
 from hrl_comfort.results.manifest import REFERENCE, Entry, manifest, tracked
 
 RECORDS = REFERENCE / "records"
@@ -62,14 +62,18 @@ def state(name: str, entry: Entry) -> str:
     return f"stale: {len(files)} files changed since {base[:7]}, {files[0]} first" if files else "current"
 
 
-def need_clean_tree() -> None:
-    """Raise ConfigError if a tracked file differs that is not itself a published file."""
+def need_clean_tree() -> str:
+    """Return the commit of the code; raise ConfigError if a tracked file differs that is not itself published."""
     tracked()
     changed = (git("status", "--porcelain", "--untracked-files=no") or "").splitlines()
     names = [line.split()[-1] for line in changed]
     others = [name for name in names if not is_published(name)]
     if others:
         raise ConfigError(f"{others[0]} has uncommitted changes ({len(others)} files); commit them, then publish")
+    made = commit()
+    if made is None or made.endswith("+"):
+        raise ConfigError(f"git does not tell which commit {ROOT} is at")
+    return made
 
 
 def is_published(path: str) -> bool:

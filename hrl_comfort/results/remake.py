@@ -43,8 +43,7 @@ def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:
     """
     if entry.by_hand:
         raise ConfigError(f"remake={name}: made by hand: {entry.by_hand}")
-    need_clean_tree()
-    made = commit()
+    made = need_clean_tree()
     lines = []
     for phase in PHASES if train else PHASES[1:]:
         commands = entry.commands(phase)
@@ -53,7 +52,7 @@ def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:
         for words in commands:
             compact(Path(output_of(words)))
         lines += [" ".join(words) for words in commands]
-    if made is None or commit() != made or made.endswith("+"):
+    if commit() != made:
         raise ConfigError(f"remake={name}: the code changed meanwhile; commit it, then make the result again")
     write_record(name, Record(commit=made, commands=lines))
 
@@ -90,8 +89,7 @@ def verify(name: str, entry: Entry) -> str:
     Raises:
       ConfigError: there is nothing to compare with, or a file has uncommitted changes.
     """
-    need_clean_tree()
-    record = read_record(name)
+    made, record = need_clean_tree(), read_record(name)
     first = Entry(**{**entry.model_dump(), "seeds": entry.seeds[:1]})
     commands = [words for words in first.commands("evaluate") if words[1] in MEASURED]
     known = {output_of(words): read_table(ROOT / output_of(words) / "episodes.csv") for words in commands}
@@ -104,7 +102,7 @@ def verify(name: str, entry: Entry) -> str:
         assert again is not None
         if wrong := difference(known[output_of(words)], again):
             return f"{' '.join(words)}: {wrong}"
-    write_record(name, record.model_copy(update={"verified": commit()}))
+    write_record(name, record.model_copy(update={"verified": made}))
     return ""
 
 

@@ -73,6 +73,25 @@ def as_it_is(rows: pd.DataFrame) -> str:
     return markdown(list(rows), (["–" if pd.isna(each) else str(each) for each in row] for row in rows.to_numpy()))
 
 
+def attacks(rows: pd.DataFrame) -> str:
+    """Return what `tests.safety.persistent` counted, of all policies together."""
+    columns = {
+        "control_steps": ("control steps", "sum", "{:,.0f}"),
+        "contacts": ("contacts", "sum", "{:,.0f}"),
+        "unsafe_contacts": ("unsafe", "sum", "{:,.0f}"),
+        "fastest_m_s": ("fastest, m/s", "max", "{:.2f}"),
+        "excess_rad": ("following error less its bound, rad", "max", "{:.3f}"),
+        "human_beyond_bound": ("people beyond the bound, steps", "sum", "{:,.0f}"),
+    }
+    how = {name: each for name, (_, each, _) in columns.items()}
+    found = rows.groupby(["task", "human", "bound"], sort=False).agg(how)
+    lines = (
+        [*(f"`{name}`" for name in key), *(form.format(row[name]) for name, (*_, form) in columns.items())]
+        for key, row in found.iterrows()
+    )
+    return markdown(["task", "people", "bound", *(head for head, *_ in columns.values())], lines)
+
+
 def of_names(names: str) -> list[entries.Entry]:
     """Return the entries of the benchmark, `all` or those named, in the order of the names."""
     found = entries.committed(entries.ENTRIES)
@@ -105,6 +124,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "bench safety": of_rows(safety.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),
+    "attacks": of_rows(attacks),
     "csv": of_rows(as_it_is),
 }
 """Makers of tables by the name that a page marks them with."""

@@ -10,8 +10,8 @@ from hrl_comfort.scene.servos import SERVO_LAG_S
 MOST_LOST = 2
 """Largest number of frames of the person's tracker that are lost in a row."""
 WALKING = ("approach", "patrol", "worker", "reactive", "adversary")
-"""Motions of people who walk at up to `human.speed_m_s`. Whoever is faster, of any motion, is counted in the column
-`human_beyond_bound`."""
+"""Motions of people who walk at up to `human.speed_m_s`. Who comes nearer to the arm faster, of any motion, is
+counted in the column `human_beyond_bound`."""
 LARGEST_NOISE = 3.0
 """Standard deviations at which the noise of sensors is cut off."""
 

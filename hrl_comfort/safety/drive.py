@@ -41,7 +41,7 @@ class SetPoints:
     protective_stops: NDArray[np.int64]
     """(N,) how often in the episode it began to."""
     human_beyond_bound: NDArray[np.int64]
-    """(N,) control steps of the episode in which a part of the person was faster than the shield assumes."""
+    """(N,) control steps of the episode in which the person came nearer to a link than the shield assumes."""
 
     @classmethod
     def unshielded(cls, angles: Array, velocity: Array, steps: NDArray[np.int64]) -> SetPoints:
@@ -86,6 +86,8 @@ class Drive:
         self._late_s = largest_lateness(config)
         self.following_rad = following_bound(self._rating, self._late_s)
         """(J,) rad, largest following error of each joint as a control step begins."""
+        self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
+        """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
@@ -153,11 +155,12 @@ class Drive:
         share_sum, beyond = before.share_sum + share, before.human_beyond_bound
         return begin, SetPoints(angles, wanted, share, share_sum, braking, stops, beyond)
 
-    def beside(self, points: SetPoints, moved: Array) -> SetPoints:
-        """Return the set-points of a control step in which a part of the person moves on by `moved` (N,) m."""
+    def beside(self, points: SetPoints, now: Encounter, limbs: Array) -> SetPoints:
+        """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
         if self.shield is None:
             return points
-        return replace(points, human_beyond_bound=points.human_beyond_bound + self.shield.beyond_bound(moved))
+        beyond = self.shield.beyond_bound(now, self._separation.person.ends(limbs))
+        return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:
         """Return what the servos may make of an `error` (N, J) rad of arms at `pose` that move at (N, J) rad/s.

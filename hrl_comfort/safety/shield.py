@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
-from hrl_comfort.safety.geometry import ArmPose, norm
+from hrl_comfort.safety.geometry import ArmPose, gaps, norm
 from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -148,9 +148,20 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, moved: Array) -> NDArray[np.bool_]:
-        """Return (N,) whether people whose fastest part moves by `moved` (N,) m in a control step break the bound."""
-        return moved > self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+    def beyond_bound(self, now: Encounter, person: Array) -> NDArray[np.bool_]:
+        """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
+
+        Their ends are at `person` (3, P, 2, N) m a control step after `now`.
+        """
+        most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+
+        def nearer(rows: Rows) -> Array:
+            then = gaps(self.arm, now.pose.ends[..., rows], self._person, person[..., rows])
+            closed: Array = (now.apart[..., rows] - then).max(axis=0)
+            return closed
+
+        moved: Array = norm(person - now.person).max(axis=(0, 1))
+        return self._in_rows(moved > most, nearer, moved) > most
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""

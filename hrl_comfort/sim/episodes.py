@@ -234,8 +234,8 @@ class Episodes:
             now = self._separation.encounter(moving[:, : asked.shape[1]], limbs[-1])
             begin, point = self.drive.step(points[-1], asked, moving, now, self._tracker.shown)
             walk = self._walk_on(walks[-1], times[:, k], noise[:, k])
-            walk, poses, moved = stop_at_contact(self.scene, self._separation, now, walks[-1], walk)
-            points.append(self.drive.beside(point, moved))
+            walk, poses = stop_at_contact(self.scene, self._separation, now, walks[-1], walk)
+            points.append(self.drive.beside(point, now, poses))
             walks.append(walk)
             limbs.append(poses)
             self._tracker.see(times[:, k] + 1, self.draw.frames, walks[-1].position, limbs[-1])
@@ -299,7 +299,7 @@ class Episodes:
             before, walk = walk, self._walk_on(walk, times[:, k], noise[:, k])
             if self._people_stop:
                 now = self._separation.encounter(angles[:, k], limbs_of(self.scene, before))
-                walk, *_ = stop_at_contact(self.scene, self._separation, now, before, walk)
+                walk, _ = stop_at_contact(self.scene, self._separation, now, before, walk)
             yield walk
 
     def _walk_on(self, walk: humans.Walk, times: NDArray[np.int64], noise: Array) -> humans.Walk:

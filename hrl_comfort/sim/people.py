@@ -33,11 +33,11 @@ def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray
 
 def stop_at_contact(
     scene: Scene, separation: Separation, now: Encounter, before: humans.Walk, walk: humans.Walk
-) -> tuple[humans.Walk, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[humans.Walk, NDArray[np.float64]]:
     """Return `walk` with those who would walk into the arms held at OVERLAP_M, who will leave.
 
-    Return their limbs (n, L, 7), and how far (n,) m their fastest parts would have moved, too. `before` and `walk` are
-    the n people before and after a control step, `now` the arms beside the people before it.
+    Return their limbs (n, L, 7), too. `before` and `walk` are the n people before and after a control step, `now` the
+    arms beside the people before it.
     """
     limbs = limbs_of(scene, walk)
     person = separation.person.ends(limbs)
@@ -46,7 +46,7 @@ def stop_at_contact(
     gap = gaps(separation.arm, now.pose.ends[..., near], separation.person, person[..., near]).min(axis=0)
     touched, gap = near[gap <= 0.0], gap[gap <= 0.0]
     if not len(touched):
-        return walk, limbs, moved
+        return walk, limbs
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     share = share_walked(room[touched], gap)
@@ -55,4 +55,4 @@ def stop_at_contact(
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
     limbs[at] = limbs_of(scene, held)
-    return walk.put(at, held), limbs, moved
+    return walk.put(at, held), limbs

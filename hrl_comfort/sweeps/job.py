@@ -18,10 +18,10 @@ from hrl_comfort.config.composition.overrides import override, root_of
 from hrl_comfort.config.composition.run_config import is_same, load_config
 from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
+from hrl_comfort.files.provenance import RunState, run_state
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.run_state import RunState, run_state
 
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""

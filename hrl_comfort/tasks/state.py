@@ -36,7 +36,7 @@ class State:
     protective_stops: Tensor
     """(N,) int64, how often in the episode `braking` began."""
     human_beyond_bound: Tensor
-    """(N,) int64, control steps of the episode in which a part of the person was faster than the shield assumes."""
+    """(N,) int64, control steps of the episode in which the person came nearer to a link than the shield assumes."""
     tcp_pos: Tensor
     """(N, 3) m, tool centre point."""
     tcp_home: Tensor

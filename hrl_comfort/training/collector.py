@@ -88,11 +88,7 @@ class SkillCollector:
             "action": action,
             "steps_to_next_obs": after["decision_steps"],
             "demonstrated": self.demonstrated,
-            "next": {
-                "observation": after["observation"],
-                "reward": reward.float(),
-                "terminated": after["terminated"],
-            },
+            "next": {"observation": after["observation"], "reward": reward.float(), "terminated": after["terminated"]},
         }
         return Collected(TensorDict(transitions, batch_size=[self.num_envs]), self._end_episodes(after))
 

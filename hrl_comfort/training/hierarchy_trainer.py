@@ -29,11 +29,10 @@ from hrl_comfort.config.composition.stages import stages_of, train_config, with_
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
-from hrl_comfort.files.provenance import is_finished, write_provenance
+from hrl_comfort.files.provenance import RunState, is_finished, run_state, write_provenance
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
-from hrl_comfort.training.run_state import RunState, run_state
 from hrl_comfort.training.trainer import train
 
 EPISODE_LENGTH = {"cycle": 3}

@@ -15,9 +15,8 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import HIERARCHY, ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
 from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.files.output import held_folder, output_folder
-from hrl_comfort.files.provenance import is_finished
+from hrl_comfort.files.provenance import RunState, is_finished, resumable, run_state
 from hrl_comfort.training.loop import TrainingLoop
-from hrl_comfort.training.run_state import RunState, run_state
 
 C = TypeVar("C", bound=TrainingConfig)
 WHAT: dict[type[TrainingConfig], tuple[str, str]] = {
@@ -61,7 +60,7 @@ def claim(folder: Path, resume: bool) -> Iterator[None]:
             yield
         return
     if _holds_run(folder):
-        stopped = checkpoint.resumable(folder / "checkpoints")
+        stopped = resumable(folder)
         what = "a controller" if (folder / "meta_controller.pt").exists() and not stopped else "a run"
         remedy = f", or say resume={folder}" if stopped else ""
         raise ConfigError(f"output={folder} already holds {what}; choose another{remedy}")

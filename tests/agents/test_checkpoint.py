@@ -15,6 +15,7 @@ from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.atomic import write_atomically
+from hrl_comfort.files.provenance import step_files, unfinished
 from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.policies.actor import load_initial_policy, load_policy, policy_file, save_policy
 
@@ -132,8 +133,16 @@ def test_only_the_newest_are_kept_in_order(tmp_path):
         checkpoint.save(checkpoint.step_path(tmp_path, policy_steps), {"policy_steps": policy_steps})
     checkpoint.save(tmp_path / "best.pt", {})
     checkpoint.keep_newest(tmp_path, 2)
-    assert [p.name for p in checkpoint.steps(tmp_path)] == ["step_000000200.pt", "step_000001000.pt"]
+    assert [p.name for p in step_files(tmp_path)] == ["step_000000200.pt", "step_000001000.pt"]
     assert (tmp_path / "best.pt").exists()
+
+
+def test_files_of_others_are_no_checkpoints(tmp_path):
+    (tmp_path / "provenance.json").write_text('{"finished": false}')
+    for name in ("step_000000010.pt", "step_last.pt", "step_000000020 (copy).pt"):
+        (tmp_path / "checkpoints").mkdir(exist_ok=True)
+        (tmp_path / "checkpoints" / name).touch()
+    assert "has 10 policy steps" in str(unfinished(tmp_path))
 
 
 def test_a_truncated_newest_file_is_named_and_the_one_before_used(tmp_path):

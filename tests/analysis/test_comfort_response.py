@@ -8,7 +8,7 @@ import torch
 from scipy import stats
 
 from hrl_comfort.analysis import comfort
-from hrl_comfort.analysis.tables import levels, series
+from hrl_comfort.analysis.tables import levels
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.composition.compose import compose
@@ -211,14 +211,6 @@ def test_the_table_has_a_line_a_level_and_the_change():
     assert len(lines) == 2 + 2 + 1
     assert len({line.count("|") for line in lines}) == 1
     assert "-20.0" in lines[-1]
-
-
-def test_the_table_of_series_has_a_line_a_series_and_its_least_success():
-    found = comfort.summarise(two_levels())
-    lines = series({"one": found, "other": found}).splitlines()
-    assert [line.split(" | ")[0] for line in lines[2:]] == ["| one", "| other"]
-    assert len({line.count("|") for line in lines}) == 1
-    assert "66.7 (level 1)" in lines[2] and "-29.2" in lines[2]
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from hrl_comfort.cli.help import WIDTH
 from hrl_comfort.cli.main import configuration, main
 from hrl_comfort.config.command_line.keys import keys_of
 from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.config.composition.overrides import root_of
 from hrl_comfort.config.composition.run_config import load_config
 
 
@@ -22,11 +23,11 @@ from hrl_comfort.config.composition.run_config import load_config
 def test_the_help_of_a_command_lists_its_keys_and_an_example_that_composes(command, capsys):
     assert main([*command.split(), "--help"]) == 0
     out = capsys.readouterr().out
-    for key in keys_of(COMMANDS[command].root):
+    for key in keys_of(root_of(command)):
         assert f"  {key.name}" in out and key.meaning
     assert f"  hrl-comfort {command} {COMMANDS[command].example[:20]}" in out
     assert max(map(len, out.splitlines())) <= WIDTH
-    compose(COMMANDS[command].root, COMMANDS[command].example.split())
+    compose(root_of(command), COMMANDS[command].example.split())
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"], ["bench", "--help"]])

@@ -94,7 +94,7 @@ def test_the_archive_beside_it_needs_torch_alone(folder: Path) -> None:
 
 
 def test_a_policy_of_levels_says_so(tmp_path: Path) -> None:
-    policy = REFERENCE / "comfort/seed0/pick_place"
+    policy = REFERENCE / "comfort/stages/seed0"
     exported(tmp_path, f"policy={policy}")
     (about,) = json.loads((tmp_path / "policies.json").read_text())["options"]
     assert about["levels"] == 10

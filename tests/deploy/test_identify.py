@@ -15,9 +15,10 @@ from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.identify import identify
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run
+from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import build_scene
-from tests.deploy.campaign import LATENCY_S, LateArm, limits_of
+from tests.deploy.campaign import LATENCY_S, LateArm
 from tests.deploy.campaign import config as campaign
 
 FINE_S = 1e-4
@@ -113,7 +114,7 @@ def test_a_deployment_tells_the_sum_of_lag_and_latency_of_its_arm(tmp_path, lag_
     scene = build_scene(asked.robot, asked.cell, 10)
     with patch("hrl_comfort.deploy.streamer.time", Ticks()):
         arm = partial(LaggingArm, lag_s, scene.model, scene.home, 0)
-        run = Run(asked, Lockstep(arm, limits_of(asked, scene), tmp_path / "setpoints.bin"), lambda: False)
+        run = Run(asked, Lockstep(arm, Limits.of(asked, scene), tmp_path / "setpoints.bin"), lambda: False, endure=True)
         run.all()
     run.write(tmp_path)
     found = json.loads(identify(compose("identify", [f"run={tmp_path}"])).read_text())["joints"]

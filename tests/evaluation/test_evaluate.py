@@ -13,8 +13,9 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate, policy_steps
+from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate
 from hrl_comfort.evaluation.rollout import path_columns
+from hrl_comfort.files.provenance import policy_steps
 from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
 
 

@@ -11,7 +11,7 @@ import pytest
 from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
 from hrl_comfort.humans import body
-from hrl_comfort.humans.evaluation import COLUMNS, FIRST_SEED, parse_evaluation_set
+from hrl_comfort.humans.evaluation import FIRST_SEED
 from hrl_comfort.humans.make_evaluation_set import default_choices, evaluation_set
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -443,26 +443,6 @@ def test_evaluation_episodes_begin_outside_the_keep_out_discs_with_seeds_of_thei
     assert entries.episode_seed.min() >= FIRST_SEED
     for column in (entries.episode, entries.episode_seed, entries.motion_id):
         assert len(np.unique(column)) == 1000
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("1,1000001,3,0.5,0.5,1000001,False", "line 2.*episode 0"),
-        ("0,12,3,0.5,0.5,1000000,False", "line 2.*seed"),
-        ("0,1000000,3,nan,0.5,1000000,False", "line 2.*finite"),
-        ("0,1000000,3,0.5,0.5,1000000,yes", "line 2.*True or False"),
-        ("0,1000000,3,0.5", "line 2"),
-    ],
-)
-def test_a_damaged_evaluation_set_is_refused_and_its_line_named(line: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
-        parse_evaluation_set(",".join(COLUMNS) + "\n" + line + "\n")
-
-
-def test_an_evaluation_set_with_other_columns_is_refused() -> None:
-    with pytest.raises(ConfigError, match="columns"):
-        parse_evaluation_set("episode,seed\n0,1\n")
 
 
 def test_a_part_of_the_set_and_other_seeds_keep_spawns_and_motions() -> None:

@@ -65,15 +65,18 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     points = separation.arm.points(angles, np.zeros_like(angles))
     offset = points[0][..., :2] - walk.position[:, None]
     towards = offset[np.arange(len(near)), np.linalg.norm(offset, axis=-1).argmin(axis=1)]
+    now = separation.encounter(angles, limbs_of(scene, walk))
     for _ in range(50):
         pressing = replace(walk, position=walk.position + 0.01 * towards)
-        walk, _, now = stop_at_contact(scene, separation, angles, walk, pressing)
+        walk, limbs = stop_at_contact(scene, separation, now, walk, pressing)
+        now = separation.encounter(angles, limbs)
     touching = now.apart.min(axis=0) <= 0.0
     assert touching.sum() > 20
     noise, nowhere = np.full((len(near), humans.NOISE), 0.5), humans.around(np.zeros((0, 2)), 0.35, len(near))
     for _ in range(RETREAT_STEPS):
         ahead = humans.advance(env.human, walk, noise, np.zeros((len(near), 2)), nowhere, lambda: points)
-        walk, _, now = stop_at_contact(scene, separation, angles, walk, ahead)
+        walk, limbs = stop_at_contact(scene, separation, now, walk, ahead)
+        now = separation.encounter(angles, limbs)
     assert (now.apart.min(axis=0)[touching] > 0.0).all()
 
 

@@ -169,6 +169,8 @@ def test_the_ledger_tells_a_policy_by_its_bytes(tmp_path: Path) -> None:
     assert ledger.hash_of(str(tmp_path)) == f"{tmp_path}@{digest}"
     assert ledger.hash_of(f"onnx:{tmp_path}/policy.pt") == f"onnx:{tmp_path}/policy.pt@{digest}"
     assert ledger.hash_of("expert") == "expert"
+    (tmp_path / "policy.pt").rename(tmp_path / "meta_controller.pt")
+    assert ledger.hash_of(str(tmp_path)) == f"{tmp_path}@{digest}"
 
 
 def test_test_is_for_evaluate_alone() -> None:

@@ -368,6 +368,8 @@ def test_the_first_sentence_says_success_steps_and_contacts_with_their_intervals
     assert re.fullmatch(wanted, summary(cycle)) and summary(cycle) in page
     alone = [{**group, "human": "none"} for group in cycle.groups]
     assert "touches" not in summary(replace(cycle, groups=alone, episodes=None))
+    seen = [{**cycle.groups[0], "seen": True}]
+    assert summary(replace(cycle, groups=seen, episodes=None)) == summary(replace(cycle, groups=cycle.groups[:1]))
     busy = [{**group, "metrics": {**group["metrics"], "balls_per_min": {"mean": 3, "ci95": None}}} for group in alone]
     assert "places 3.00 balls a minute in 21 episodes." in summary(replace(cycle, groups=busy, episodes=None))
 
@@ -544,3 +546,10 @@ def test_a_damaged_file_is_named_in_one_line(tmp_path, name, text):
         report.report(ReportConfig(run=str(folder), output=None, video=False))
     assert "\n" not in str(error.value)
     assert not (folder / "report.html").exists()
+
+
+def test_the_title_of_a_panel_of_checkpoints_says_what_its_table_has() -> None:
+    table = DataFrame({"policy_steps": [1], "success": [0.5]})
+    assert report._title("pick", table) == "pick\n"
+    table = table.assign(split="validation", human="patrol", precision_m=0.1)
+    assert report._title("pick", table) == "pick\nvalidation, human=patrol, 10 cm"

@@ -114,13 +114,22 @@ def outside(engine: Engine, before: State, after: State, valid: NDArray[np.bool_
     return int((bad & valid).sum())
 
 
-def run(motion: str, policy: str, way: str, steps: int, seed: int, recordings: str, rows: int = ROWS) -> Count:
+def run(
+    motion: str,
+    policy: str,
+    way: str,
+    steps: int,
+    seed: int,
+    recordings: str,
+    rows: int = ROWS,
+    disturbance: str = "none",
+) -> Count:
     """Run at least `steps` control steps and return what happened."""
     source, task, *levels = POLICIES[policy]
     file = [f"human.file={recordings}"] if motion == "recorded" else []
     said = [f"task={task}", f"human={motion}", *MOTIONS[motion], *file, *WORLD, *levels, *WAYS[way]]
     env = environment(compose("train", said))
-    engine, speeds = Engine(env, rows, seed), [0.0]
+    engine, speeds = Engine(env, rows, seed, disturbance=disturbance), [0.0]
     sensors = engine.episodes._sensors
     measured = sensors.approach
 

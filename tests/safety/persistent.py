@@ -87,21 +87,23 @@ class Count:
     fastest_m_s: float = 0.0
     """Largest speed of the arm towards the person as a pair of capsules began to touch."""
     largest_error_rad: float = 0.0
-    """Largest distance of a joint from its set-point, of all physics steps."""
-    beyond_error_rad: float = -np.inf
-    """Largest excess of it over the bound of its joint as a control step begins, at most 0."""
+    """Largest distance of a joint from its set-point, of all readings of the physics."""
+    excess_rad: float = -np.inf
+    """Largest excess of it over the bound of its joint, `Drive.error_rad`; not above 0."""
     protective_stops: int = 0
     human_beyond_bound: int = 0
-    """Control steps in which a part of the person was faster than the shield assumes."""
+    """Control steps in which the person came nearer to a link than the shield assumes."""
     unsafe: list[str] = field(default_factory=list)
     """What is known of each unsafe contact."""
 
 
-def watched(engine: Engine, found: Count) -> None:
-    """Let `found` measure the arms of the engine: approach speeds and following errors."""
-    sensors, drive, joints = engine.episodes._sensors, engine.episodes.drive, len(engine.scene.joints)
-    assert drive is not None
-    measured, run, step = sensors.approach, engine._run, drive.step
+def watched(engine: Engine, found: Count) -> list[Array]:
+    """Let `found` measure approach speeds; return the list to which following errors (N, J) rad are added.
+
+    Each is the largest of the physics steps of a control step.
+    """
+    sensors, joints = engine.episodes._sensors, len(engine.scene.joints)
+    measured, run, errors = sensors.approach, engine._run, []
 
     def approach(*given: object) -> Array:
         speed = measured(*given)  # type: ignore[arg-type]
@@ -110,28 +112,28 @@ def watched(engine: Engine, found: Count) -> None:
 
     def running(physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
         states, sensed = run(physics, control, rows)
-        error = np.abs(control[..., :joints] - sensed[..., engine.scene.sensors["joint_pos"]])
-        found.largest_error_rad = max(found.largest_error_rad, float(error.max()))
+        # A reading belongs to the instant before a physics step, in which the servo sees this error.
+        errors.append(np.abs(control[..., :joints] - sensed[..., engine.scene.sensors["joint_pos"]]).max(axis=1))
         return states, sensed
 
-    def stepping(before, asked, moving, *rest):  # type: ignore[no-untyped-def]
-        begin, points = step(before, asked, moving, *rest)
-        excess = np.abs(begin - moving[:, :joints]) - drive.following_rad
-        found.beyond_error_rad = max(found.beyond_error_rad, float(excess.max()))
-        return begin, points
-
-    sensors.approach, engine._run, drive.step = approach, running, stepping  # type: ignore[method-assign]
+    sensors.approach, engine._run = approach, running  # type: ignore[method-assign]
+    return errors
 
 
 def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, rows: int, *more: str) -> Count:
     """Run at least `steps` control steps and return what happened."""
     said = [f"task={task}", f"human={human}", f"safety.bound={bound}", *WORLD, *more]
     engine, found = Engine(environment(compose("train", said)), rows, seed), Count()
-    watched(engine, found)
+    errors, drive = watched(engine, found), engine.episodes.drive
+    assert drive is not None
     act = Policy(policy, rows, seed, engine.episodes._separation.arm)
     state = engine.reset()
     while found.control_steps < steps:
+        errors.clear()
         result = engine.step(act(state)[:, : engine.episodes.action_dim])
+        error = np.stack(errors, axis=1)[result.valid.numpy()]
+        found.largest_error_rad = max(found.largest_error_rad, float(error.max()))
+        found.excess_rad = max(found.excess_rad, float((error - drive.error_rad).max()))
         after, last = result.instants, (result.decision_steps - 1)[:, None]
         touching = after.touching.view(rows, -1)
         began = touching & ~torch.cat([state.touching[:, None], touching[:, :-1]], dim=1) & result.valid

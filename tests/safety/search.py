@@ -1,7 +1,8 @@
 """A search over people and policies that provoke an unsafe contact: `python -m tests.safety.search BOUND TRIALS`.
 
-A trial is a person who walks towards the nearest link, aside or away, beside an arm, both at speeds that change every
-0.4 s. Differential evolution moves them towards the fastest approach of the arm at a touch.
+A trial is a person who walks towards the nearest link, aside or away, beside an arm, both at speeds that are held for a
+time of the trial's own and change then. Differential evolution moves them towards the fastest approach of the arm at a
+touch.
 """
 
 from __future__ import annotations
@@ -24,10 +25,14 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.signals import limbs_of
 
 Array = NDArray[np.float64]
-ROWS, PHASES, DECISIONS, JOINTS = 64, 6, 4, 6
-"""Trials side by side; phases of a trial; decisions of a phase; joints of the arm."""
-NUMBERS = 3 + PHASES * (2 + JOINTS)
-"""Of a trial, in [0, 1]: bearing, distance and arms of the person, then speed, angle and action of each phase."""
+ROWS, PHASES, DECISIONS, JOINTS = 64, 6, 40, 6
+"""Trials side by side; phases and decisions of a trial; joints of the arm."""
+NUMBERS = 3 + PHASES * (3 + JOINTS)
+"""Of a trial, in [0, 1]: bearing, distance and arms of the person; of each phase then time, speed, angle and action."""
+SHORTEST, LONGEST = 2, 20
+"""Decisions of a phase; the last one lasts until the trial ends."""
+FULL = 1.5
+"""Scale of actions before they are cut off, so that joints often run at full speed."""
 NEAREST_M, FARTHEST_M = 0.6, 1.6
 PER_M = 10.0
 """Speed (m/s) that a distance of 1 m from a touch counts as."""
@@ -39,12 +44,19 @@ people = np.zeros((ROWS, NUMBERS))
 """The trials of which `searched` is the motion."""
 
 
+def phase_of(decision: Array | int) -> Array:
+    """Return the numbers (ROWS, 3 + JOINTS) of the phases in which the trials are in a decision (ROWS,)."""
+    phases = people[:, 3:].reshape(ROWS, PHASES, -1)
+    ends = (SHORTEST + (LONGEST - SHORTEST) * phases[..., 0]).cumsum(axis=1)
+    number = (np.asarray(decision).reshape(-1, 1) >= ends[:, :-1]).sum(axis=1)
+    return phases[np.arange(ROWS), number]
+
+
 def searched(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
     """Walk as the row's trial says, within the bounds of `config`."""
     points = around.arm()[0][..., :2] - walk.position[:, None]
     nearest = points[np.arange(ROWS), (points * points).sum(axis=-1).argmin(axis=1)]
-    phase = np.minimum(walk.step // (5 * DECISIONS), PHASES - 1)
-    speed, angle = np.moveaxis(people[:, 3:].reshape(ROWS, PHASES, -1)[np.arange(ROWS), phase, :2], -1, 0)
+    _, speed, angle = phase_of(walk.step // 5)[:, :3].T
     angle = (2 * angle - 1) * np.pi
     ahead = nearest / np.maximum(length(nearest), 1e-9)[:, None]
     aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
@@ -69,9 +81,8 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     found, unsafe = np.full(ROWS, -np.inf), np.zeros(ROWS, dtype=bool)
     going = np.ones(ROWS, dtype=bool)
     going &= separation.gap(state.joint_pos.numpy(), limbs_of(engine.scene, episodes.walk)) > 0
-    actions = 2 * trials[:, 3:].reshape(ROWS, PHASES, -1)[..., 2:] - 1
-    for phase in np.repeat(np.arange(PHASES), DECISIONS):
-        result = engine.step(actions[:, phase])
+    for decision in range(DECISIONS):
+        result = engine.step(np.clip(FULL * (2 * phase_of(decision)[:, 3:] - 1), -1.0, 1.0))
         beside = episodes._planned["limbs"]
         moving = result.instants.joint_pos.numpy(), result.instants.joint_vel.numpy()
         speed = separation.closing_speed(*moving, beside) - PER_M * np.maximum(separation.gap(moving[0], beside), 0.0)

@@ -26,3 +26,9 @@ def test_somebody_who_leans_on_the_shoulder_does_not_fling_the_arm() -> None:
 def test_set_points_keep_to_the_rating_where_tables_hold_the_arm(policy: str) -> None:
     found = run("mixture", policy, "observed", steps=6000, seed=0, recordings=OWN, rows=16)
     assert (found.unsafe_contacts, found.outside_rating) == (0, 0)
+
+
+@pytest.mark.parametrize(("disturbance", "policy"), [("block", "expert"), ("block", "held"), ("drop", "expert")])
+def test_nor_is_one_where_a_ball_is_lost_or_somebody_stands_in_the_way(disturbance: str, policy: str) -> None:
+    found = run("mixture", policy, "observed", 6000, 0, OWN, rows=16, disturbance=disturbance)
+    assert (found.unsafe_contacts, found.outside_rating) == (0, 0)

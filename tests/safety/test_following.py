@@ -31,7 +31,7 @@ SHIELDED = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsaf
 def test_policies_that_persist_provoke_no_unsafe_contact(human: str, policy: str) -> None:
     found = run("shift", human, "observed", policy, 5000, 0, 48)
     assert found.unsafe == [] and found.fastest_m_s < 0.25
-    assert found.beyond_error_rad <= 0.0 and found.largest_error_rad < 0.35
+    assert found.excess_rad <= 0.0 and found.contacts > 0
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,8 @@ def test_policies_that_persist_provoke_no_unsafe_contact(human: str, policy: str
 def test_nor_do_they_in_other_worlds(task: str, more: list[str]) -> None:
     human = more[0].removeprefix("human=")
     found = run(task, human, "worst", "held", 2000, 1, 32, *more[1:])
-    assert found.unsafe == [] and found.beyond_error_rad <= 0.0
+    assert found.unsafe == [] and found.excess_rad <= 0.0
+    assert found.contacts > 0 or human != "adversary"
 
 
 def test_set_points_are_taken_back_to_an_arm_that_does_not_follow() -> None:
@@ -127,13 +128,23 @@ def test_a_person_may_come_at_the_largest_speed_as_an_episode_begins() -> None:
     assert drive.shield._pace(now) == pytest.approx(engine.episodes.config.safety.human_speed_m_s)
 
 
-@pytest.mark.parametrize(("human", "some"), [("random_walk", True), ("adversary", False)])
-def test_people_who_are_faster_than_the_shield_assumes_are_counted(human: str, some: bool) -> None:
-    engine = Engine(environment(compose("train", [*SHIELDED, f"human={human}"])), 8, 0)
-    engine.reset()
-    counts = [engine.step(np.zeros((8, 6))).state.human_beyond_bound for _ in range(10)][-1]
-    engine.close()
-    assert bool((counts > 0).any()) == some
+@pytest.mark.parametrize(("away_m", "some"), [(-0.03, False), (-0.04, True), (0.1, False)])
+def test_people_who_come_nearer_faster_than_the_shield_assumes_are_counted(away_m: float, some: bool) -> None:
+    config = compose("train", [*SHIELDED])
+    scene = build_scene(config.robot, config.cell, config.engine.substeps)
+    separation = Separation(scene)
+    drive = Drive(scene, separation, config, 1)
+    before, after = (limb_poses(np.full(1, x), 0.0, 0.0, 0.0, 0.0, scene.floor_z) for x in (1.0, 1.0 + away_m))
+    still = np.zeros((1, len(scene.home)))
+    points = SetPoints.unshielded(still, still, np.zeros(1, dtype=np.int64))
+    counted = drive.beside(points, separation.encounter(scene.home[None], before), after)
+    assert bool(counted.human_beyond_bound[0]) == some
+
+
+def test_people_of_the_mixture_hardly_ever_come_nearer_faster_than_the_shield_assumes() -> None:
+    """Their feet swing faster; see docs/safety.md."""
+    found = run("shift", "mixture", "observed", "held", 20000, 0, 128)
+    assert found.human_beyond_bound < 0.001 * found.control_steps
 
 
 def test_the_lateness_of_randomised_servos_widens_the_bound() -> None:

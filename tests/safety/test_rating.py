@@ -31,7 +31,9 @@ def test_set_points_keep_to_speed_acceleration_tool_speed_and_range(robot: str, 
     for step in range(STEPS):
         if step % 10 == 0:
             asked = rng.uniform(-1.0, 1.0, (ROWS, 6)) * rng.choice([0.1, 1.0, 8.0], (ROWS, 1))
-        point = drive.step(before, asked, separation.encounter(before.angles, limbs))
+        joints = np.concatenate([before.angles, before.velocity], axis=1)
+        begin, point = drive.step(before, asked, joints, separation.encounter(before.angles, limbs))
+        np.testing.assert_array_equal(begin, before.angles)
         assert (np.abs(point.velocity) <= np.radians(rated.speed_deg_s) + 1e-9).all()
         change = np.abs(point.velocity - before.velocity) / CONTROL_STEP_S
         assert (change <= np.array(rated.acceleration_rad_s2) * (1 + 1e-9)).all()
@@ -53,7 +55,8 @@ def test_joints_that_brake_together_stay_in_their_range() -> None:
     for step in range(STEPS):
         if step % 10 == 0:
             asked = rng.uniform(-4.0, 4.0, (ROWS, 6))
-        after = drive.step(before, asked, separation.encounter(before.angles, limbs))
+        joints = np.concatenate([before.angles, before.velocity], axis=1)
+        _, after = drive.step(before, asked, joints, separation.encounter(before.angles, limbs))
         assert (after.angles >= low).all() and (after.angles <= high).all()
         np.testing.assert_allclose(after.angles, before.angles + after.velocity * CONTROL_STEP_S, atol=1e-8)
         before = after

@@ -14,7 +14,7 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.cli.main import main
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.provenance import read_provenance, resumable
 from hrl_comfort.files.sweep_record import find_jobs
 from hrl_comfort.sweeps.subprocesses import run_in_subprocess
 from hrl_comfort.training import loop as module
@@ -61,7 +61,7 @@ def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, 
         train_meta_controller(config_of(folder))
     train_meta_controller(resumed(folder))
     assert same(folder, whole)
-    assert read_provenance(folder).finished and not checkpoint.resumable(folder / "checkpoints")
+    assert read_provenance(folder).finished and not resumable(folder)
 
 
 def test_a_controllers_training_beside_people_that_was_killed_goes_on_to_the_same_bits(tmp_path):

@@ -20,13 +20,13 @@ from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.config.composition.overrides import override
 from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.provenance import RunState
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.sweeps.job import OtherRunError, state_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining
 from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
 from hrl_comfort.training.preemption import Preempted
-from hrl_comfort.training.run_state import RunState
 from hrl_comfort.training.trainer import Training
 from tests.stopping import stopping
 

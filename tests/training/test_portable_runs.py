@@ -103,6 +103,8 @@ def test_a_policy_acts_in_the_environment_of_its_run_in_every_front(runs: Path, 
     cells = gymnasium.make_vec(env_id, num_envs=2, run=run)
     assert cells.step(policy(cells.reset(seed=0)[0]))[1][0] == pytest.approx(first[1])
     assert policy(make_vec_env(env_id, 2, run=run).reset()).shape == (2, 6)
+    episodes = hrl_comfort.evaluate(run, episodes=1, human="still")
+    assert episodes["task"].tolist() == [task] and episodes["steps"].max() <= 300  # 30 at each of ten levels
     batch = CellEnv(hrl_comfort.environment_of(run=run), 2, seed=0)
     assert np.allclose(batch.reset()["observation"][0].numpy(), observation, atol=1e-6)
     config = load_config(run)

@@ -21,6 +21,7 @@ from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.composition.run_config import environment, load_config
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files.provenance import step_files
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
@@ -103,7 +104,7 @@ def test_the_folder_holds_what_the_contract_says(run):
     assert provenance["versions"]["torchrl"] == "0.14.1"
     assert provenance["seeds"] == {"train_seed": 0, "episode_seed": 0}
     assert list(run.glob("events.out.tfevents.*"))
-    kept = [path.name for path in checkpoint.steps(run / "checkpoints")]
+    kept = [path.name for path in step_files(run / "checkpoints")]
     assert kept == ["step_000001504.pt", "step_000001600.pt"]
     assert not (run / "checkpoints" / "latest.pt").exists()
     assert load_policy(run).spec["environment"]["action_repeat"] == 5

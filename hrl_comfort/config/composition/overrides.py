@@ -51,6 +51,11 @@ ROOTS: dict[str, type[CommandConfig]] = {
     "results": ResultsConfig,
 }
 """Configuration class of each root, a file `conf/ROOT.yaml`."""
+SHARED = {
+    "evaluate handover": "evaluate", "dataset": "evaluate", "bench env": "train", "bench safety": "train",
+    "bench update": "train", "bench train": "train", "bench studio": "studio",
+}  # fmt: skip
+"""Root of each command that has the configuration of another one."""
 NAMES = {"task": "task.name", "human": "human.motion", "robot": "robot.name"}
 """Key that names a part, by group: a part of another package has no file in the group."""
 MOST_JOBS = 10_000
@@ -58,9 +63,9 @@ MOST_JOBS = 10_000
 TOO_DEEP = "contains itself, or is nested too deeply"
 
 
-def root_of(verb: str) -> str:
-    """Return the key in ROOTS of a verb such as `train meta_controller`."""
-    return verb.replace(" ", "_")
+def root_of(command: str) -> str:
+    """Return the key in ROOTS of a command such as `train meta_controller`."""
+    return SHARED.get(command, command.replace(" ", "_"))
 
 
 def config_dir() -> Path:

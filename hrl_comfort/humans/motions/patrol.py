@@ -10,8 +10,8 @@ from hrl_comfort.humans.walk import Array, Stride, Surroundings, Walk, facing_ba
 
 FULL_TURN_RAD = 2 * np.pi
 EPSILON_RAD = EPSILON_M = 1e-9
-NEAR_M, NEAR_RAD = 0.02, 0.1
-"""With an acceleration: distance at which a station is reached, and angle within which the human is at it."""
+NEAR_M = 0.02
+"""With an acceleration: distance at which a station is reached."""
 
 
 def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
