@@ -62,6 +62,8 @@ class RobotEngine(Engine):
         late = replace(config.safety, latency_s=config.safety.latency_s + SPLINE_S)
         super().__init__(replace(config, safety=late), 1, 0, entries, measure_arm=True)
         self.episodes.planned_steps = 1
+        if self.episodes.drive is not None:
+            self.episodes.drive.takes_back = False
         self._entries = entries
         self._twin = mujoco.MjData(self.scene.model)
         source = pose_source(config.human.file) if config.human.motion == "live" else None

@@ -88,6 +88,8 @@ class Drive:
         """(J,) rad, largest following error of each joint as a control step begins."""
         self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
         """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
+        self.takes_back = True
+        """Whether set-points jump back to an arm that does not follow; those of a real arm brake, and the run ends."""
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
@@ -133,9 +135,10 @@ class Drive:
         if self.shield is not None:
             seen, motion = self._seen(now, limbs), self._motion(now.pose, error, moving)
             held = held | self.shield.swings(seen, motion)
-        back = held[:, None]
-        begin = np.where(back, np.clip(measured, self._low, self._high), before.angles)
-        velocity = np.where(back, 0.0, before.velocity)
+        back, begin, velocity = held[:, None], before.angles, before.velocity
+        if self.takes_back:
+            begin = np.where(back, np.clip(measured, self._low, self._high), begin)
+            velocity = np.where(back, 0.0, velocity)
         pose = self.arm.pose(begin)
         limited = self._rating.limited(self.arm, pose, asked)
         limited = self._rating.within(self._low, self._high, begin, limited)
@@ -147,7 +150,7 @@ class Drive:
         wanted = self._yielding(begin, velocity, wanted, now)
         kept = self._rating.keeps(self._low, self._high, begin, wanted)
         wanted = np.where(kept[:, None], wanted, self._rating.brake(velocity))
-        wanted = np.where(back, 0.0, wanted)
+        wanted = np.where(back, self._rating.brake(velocity), wanted)
         speed, most = np.linalg.norm(wanted, axis=1), np.linalg.norm(limited, axis=1)
         share = np.where(most > 0, np.minimum(speed / np.maximum(most, 1e-9), 1.0), 1.0)
         stops = before.protective_stops + (braking & ~before.braking)

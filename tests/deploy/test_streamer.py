@@ -155,8 +155,10 @@ def test_the_simulated_arm_follows() -> None:
 
 
 def test_an_arm_that_is_held_is_stopped_before_a_joint_is_far_from_its_set_point() -> None:
-    stream, log = streamer("held", 5)
-    push(stream, 100)
+    (stream, log), rating = streamer("held", 5), limits().rating
+    for _ in range(100):
+        velocity = rating.follow(stream.velocity[None], 0.1 * rating.speed_rad_s[None])[0]
+        run(stream, stream.point + velocity * CONTROL_STEP_S)
     assert stream.stopped.startswith("following error: joint ")
     rows = np.frombuffer(log.getvalue()).reshape(-1, len(COLUMNS) + 12)
     error = np.abs(rows[:, len(COLUMNS) : len(COLUMNS) + 6] - rows[:, len(COLUMNS) + 6 :])
