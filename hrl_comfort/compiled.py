@@ -1,0 +1,33 @@
+"""Compiled twins of numpy functions.
+
+The numpy function is the definition: it also obeys numpy's protocols, by which the page is recorded. Its kernel does
+the same operations in the same order, so that both agree in every bit. Sines, exponentials and products of matrices
+stay in numpy: its vector instructions round them in another way than the compiler's library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import njit
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+def kernel(function: Kernel) -> Kernel:
+    """Return `function` compiled when it is first called.
+
+    The machine code is kept beside the module or in the user's cache folder. Where neither can be written, every
+    process compiles anew.
+    """
+    try:
+        return njit(function, cache=True, error_model="numpy")
+    except RuntimeError:  # no folder for the cache
+        return njit(function, error_model="numpy")
+
+
+def plain(*arrays: Any) -> bool:
+    """Return whether all `arrays` are numpy's own, of float64, which kernels take."""
+    return all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays)

@@ -1,0 +1,167 @@
+"""Compiled twins of the functions of `geometry`; see `hrl_comfort.compiled`.
+
+Loops over the N cells are innermost, where the compiler vectorises them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.compiled import kernel
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def pose(
+    sine: Array,
+    versine: Array,
+    steps: Array,
+    offset: Array,
+    axis: Array,
+    anchor: Array,
+    link: NDArray[np.int64],
+    local: Array,
+) -> tuple[Array, Array, Array]:
+    """See `ArmGeometry.pose`: of `sine` and `versine` (J, N), 1 less the cosine, and fields of the geometry."""
+    joints, n = sine.shape
+    turns, anchors, origins = np.empty((3, 3, joints, n)), np.empty((3, joints, n)), np.empty((3, joints, n))
+    before, here = np.zeros((3, 3, n)), np.zeros((3, n))
+    for i in range(3):
+        before[i, i] = 1.0
+    step = np.empty((3, 3, n))
+    for j in range(joints):
+        for i in range(3):
+            for k in range(3):
+                fixed, first, second = steps[0, i, k, j], steps[1, i, k, j], steps[2, i, k, j]
+                for m in range(n):
+                    step[i, k, m] = fixed + sine[j, m] * first + versine[j, m] * second
+        x, y, z = offset[j]
+        for i in range(3):
+            for m in range(n):
+                anchors[i, j, m] = here[i, m] + (before[i, 0, m] * x + before[i, 1, m] * y + before[i, 2, m] * z)
+            for k in range(3):
+                for m in range(n):
+                    turns[i, k, j, m] = (
+                        before[i, 0, m] * step[0, k, m]
+                        + before[i, 1, m] * step[1, k, m]
+                        + before[i, 2, m] * step[2, k, m]
+                    )
+        x, y, z = anchor[j]
+        for i in range(3):
+            for m in range(n):
+                there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+                here[i, m] = anchors[i, j, m] - there
+                origins[i, j, m] = here[i, m]
+            for k in range(3):
+                for m in range(n):
+                    before[i, k, m] = turns[i, k, j, m]
+    axes, ends = np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
+    for i in range(3):
+        for j in range(joints):
+            x, y, z = axis[j]
+            for m in range(n):
+                axes[i, j, m] = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+        for part in range(len(link)):
+            j = link[part]
+            for end in range(2):
+                x, y, z = local[part, end]
+                for m in range(n):
+                    there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+                    ends[i, part, end, m] = origins[i, j, m] + there
+    return axes, anchors, ends
+
+
+@kernel
+def speeds(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArray[np.int64], radius: Array) -> Array:
+    """See `ArmGeometry.speeds`."""
+    joints, n = axis.shape[1:]
+    spin, shift = np.empty((3, joints, n)), np.empty((3, joints, n))
+    for j in range(joints):
+        for i in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            for m in range(n):
+                rate = velocity[m, j]
+                turning = axis[i, j, m] * rate
+                moving = (axis[a, j, m] * anchor[b, j, m] - axis[b, j, m] * anchor[a, j, m]) * rate
+                spin[i, j, m] = spin[i, j - 1, m] + turning if j else turning
+                shift[i, j, m] = shift[i, j - 1, m] + moving if j else moving
+    fastest = np.empty((len(link), n))
+    for part in range(len(link)):
+        j, thick = link[part], radius[part]
+        for m in range(n):
+            a, b, c = spin[0, j, m], spin[1, j, m], spin[2, j, m]
+            most = -np.inf
+            for end in range(2):
+                x, y, z = ends[0, part, end, m], ends[1, part, end, m], ends[2, part, end, m]
+                u = b * z - c * y - shift[0, j, m]
+                v = c * x - a * z - shift[1, j, m]
+                w = a * y - b * x - shift[2, j, m]
+                speed = np.sqrt(u * u + v * v + w * w)
+                most = speed if speed > most else most
+            fastest[part, m] = most + thick * np.sqrt(a * a + b * b + c * c)
+    return fastest
+
+
+@kernel
+def limb_ends(limbs: Array, limb: NDArray[np.int64], local: Array) -> Array:
+    """See `PersonGeometry.ends`; `local` (P, 2, 3)."""
+    n, parts = len(limbs), len(limb)
+    ends = np.empty((3, parts, 2, n))
+    for part in range(parts):
+        for m in range(n):
+            at = limbs[m, limb[part]]
+            w, x, y, z = at[3], at[4], at[5], at[6]
+            for end in range(2):
+                a, b, c = local[part, end, 0], local[part, end, 1], local[part, end, 2]
+                ends[0, part, end, m] = at[0] + (
+                    (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+                )
+                ends[1, part, end, m] = at[1] + (
+                    2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+                )
+                ends[2, part, end, m] = at[2] + (
+                    2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+                )
+    return ends
+
+
+@kernel
+def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> Array:
+    """See `geometry.gaps`."""
+    parts, n, others = ends.shape[1], ends.shape[3], limbs.shape[1]
+    nearest = np.full((parts, n), np.inf)
+    for part in range(parts):
+        for other in range(others):
+            thick = arm_radius[part] + person_radius[other]
+            for m in range(n):
+                px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
+                dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
+                qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
+                ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
+                rx, ry, rz = px - qx, py - qy, pz - qz
+                aa = dx * dx + dy * dy + dz * dz
+                aa = aa if aa > 1e-12 else 1e-12
+                ee = ex * ex + ey * ey + ez * ez
+                ee = ee if ee > 1e-12 else 1e-12
+                b = dx * ex + dy * ey + dz * ez
+                c = dx * rx + dy * ry + dz * rz
+                f = ex * rx + ey * ry + ez * rz
+                denominator = aa * ee - b * b
+                s = (b * f - c * ee) / (denominator if denominator > 1e-12 else 1e-12)
+                s = s if denominator > 1e-12 else 0.0
+                s = s if s > 0.0 else 0.0
+                s = s if s < 1.0 else 1.0
+                t = (b * s + f) / ee
+                t = t if t > 0.0 else 0.0
+                t = t if t < 1.0 else 1.0
+                s = (b * t - c) / aa
+                s = s if s > 0.0 else 0.0
+                s = s if s < 1.0 else 1.0
+                ux = px + dx * s - (qx + ex * t)
+                uy = py + dy * s - (qy + ey * t)
+                uz = pz + dz * s - (qz + ez * t)
+                gap = np.sqrt(ux * ux + uy * uy + uz * uz) - thick
+                nearest[part, m] = gap if gap < nearest[part, m] else nearest[part, m]
+    return nearest
