@@ -8,12 +8,13 @@ stay in numpy: its vector instructions round them in another way than the compil
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+Kernel = Callable[..., Any]
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -23,11 +24,17 @@ def kernel(function: Kernel) -> Kernel:
     process compiles anew.
     """
     try:
-        return njit(function, cache=True, error_model="numpy")
+        compiled: Kernel = njit(function, cache=True, error_model="numpy")
     except RuntimeError:  # no folder for the cache
-        return njit(function, error_model="numpy")
+        compiled = njit(function, error_model="numpy")
+    return compiled
 
 
 def plain(*arrays: Any) -> bool:
     """Return whether all `arrays` are numpy's own, of float64, which kernels take."""
     return all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays)
+
+
+def contiguous(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return `arrays` in C order, for which alone kernels are compiled; without a copy where they are."""
+    return tuple(array if array.flags.c_contiguous else np.ascontiguousarray(array) for array in arrays)

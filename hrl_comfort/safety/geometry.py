@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.compiled import plain
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.safety import kernels
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
@@ -71,7 +71,7 @@ class ArmGeometry:
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
         if plain(angles):
-            sine, versine = map(np.ascontiguousarray, (np.sin(angles.T), 1 - np.cos(angles.T)))
+            sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
             return ArmPose(*kernels.pose(sine, versine, *self._compiled))
         rotation, anchor, origins = self._frames(angles)
         local = self._local.transpose(2, 0, 1)[..., None]
@@ -115,8 +115,8 @@ class ArmGeometry:
     def speeds(self, pose: ArmPose, velocity: Array) -> Array:
         """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
         if plain(velocity, pose.ends):
-            arm = pose.axis, pose.anchor, pose.ends
-            return kernels.speeds(*arm, np.ascontiguousarray(velocity), self.link, self.radius)
+            moving = contiguous(pose.axis, pose.anchor, pose.ends, velocity)
+            return kernels.speeds(*moving, self.link, self.radius)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
         shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         spin = turning[:, self.link]
@@ -162,7 +162,7 @@ class PersonGeometry:
     def ends(self, limbs: Array) -> Array:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
         if plain(limbs):
-            return kernels.limb_ends(np.ascontiguousarray(limbs), self._limb, self._local)
+            return kernels.limb_ends(*contiguous(limbs), self._limb, self._local)
         moved = limbs.transpose(2, 1, 0)
         turns = rotations(moved[3:])[:, :, self._limb, None]
         return moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
@@ -174,10 +174,18 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
     `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and person.
     """
     if plain(ends, limbs):
-        return kernels.gaps(np.ascontiguousarray(ends), np.ascontiguousarray(limbs), arm.radius, person.radius)
+        return kernels.gaps(*contiguous(ends, limbs), arm.radius, person.radius)
     apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
     nearest: Array = (apart - (arm.radius[:, None, None] + person.radius[:, None])).min(axis=1)
     return nearest
+
+
+def farthest(ends: Array, before: Array) -> Array:
+    """Return how far (N,) m the capsules' ends that moved most went from `before` to `ends` (3, P, 2, N) m."""
+    if plain(ends, before):
+        return kernels.farthest(*contiguous(ends, before))
+    way: Array = norm(ends - before).max(axis=(0, 1))
+    return way
 
 
 def segment_distance(p: Array, p_end: Array, q: Array, q_end: Array) -> Array:

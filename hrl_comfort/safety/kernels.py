@@ -165,3 +165,124 @@ def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> 
                 gap = np.sqrt(ux * ux + uy * uy + uz * uz) - thick
                 nearest[part, m] = gap if gap < nearest[part, m] else nearest[part, m]
     return nearest
+
+
+@kernel
+def farthest(ends: Array, before: Array) -> Array:
+    """See `geometry.farthest`."""
+    n, most = ends.shape[3], np.zeros(ends.shape[3])
+    for part in range(ends.shape[1]):
+        for end in range(2):
+            for m in range(n):
+                x = ends[0, part, end, m] - before[0, part, end, m]
+                y = ends[1, part, end, m] - before[1, part, end, m]
+                z = ends[2, part, end, m] - before[2, part, end, m]
+                way = np.sqrt(x * x + y * y + z * z)
+                most[m] = way if way > most[m] else most[m]
+    return most
+
+
+@kernel
+def brake(velocity: Array, acceleration: Array, step_s: float) -> Array:
+    """See `Rating.brake`."""
+    left = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        stopping = step_s
+        for j in range(velocity.shape[1]):
+            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
+        for j in range(velocity.shape[1]):
+            left[m, j] = velocity[m, j] * (1 - step_s / stopping)
+    return left
+
+
+@kernel
+def follow(before: Array, wanted: Array, acceleration: Array, step_s: float) -> Array:
+    """See `Rating.follow`."""
+    after = np.empty_like(wanted)
+    for m in range(len(wanted)):
+        needed = 0.0
+        for j in range(wanted.shape[1]):
+            needed = max(abs(wanted[m, j] - before[m, j]) / acceleration[j], needed)
+        needed = max(needed / step_s, 1.0)
+        for j in range(wanted.shape[1]):
+            after[m, j] = before[m, j] + (wanted[m, j] - before[m, j]) / needed
+    return after
+
+
+@kernel
+def within(
+    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
+) -> Array:
+    """See `Rating.within`."""
+    after = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        least = np.inf
+        for j in range(velocity.shape[1]):
+            rate, half = abs(velocity[m, j]), acceleration[j] * step_s / 2
+            room = high[j] - angles[m, j] if velocity[m, j] > 0 else angles[m, j] - low[j]
+            fastest = np.sqrt(max(half * half + 2 * acceleration[j] * room, 0.0)) - half
+            share = fastest / max(rate, rounding) if rate > fastest else 1.0
+            least = min(max(share, 0.0), least)
+        for j in range(velocity.shape[1]):
+            after[m, j] = velocity[m, j] * least
+    return after
+
+
+@kernel
+def keeps(
+    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
+) -> NDArray[np.bool_]:
+    """See `Rating.keeps`."""
+    inside = np.ones(len(velocity), dtype=np.bool_)
+    for m in range(len(velocity)):
+        stopping = 0.0
+        for j in range(velocity.shape[1]):
+            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
+        steps = max(stopping / step_s, rounding)
+        whole = np.floor(steps)
+        time = step_s * (1 + whole * (2 * steps - whole - 1) / (2 * steps))
+        for j in range(velocity.shape[1]):
+            end = angles[m, j] + velocity[m, j] * time
+            inside[m] &= low[j] - rounding < end < high[j] + rounding
+    return inside
+
+
+@kernel
+def safe(
+    braking: Array,
+    bending: Array,
+    speeds: Array,
+    room: Array,
+    moving: Array,
+    pace: Array,
+    step_s: float,
+    settled_s: float,
+    servo_speed: float,
+    safe_speed: float,
+    delay_s: float,
+    margin_m: float,
+    human_speed: float,
+    human_acceleration: float,
+) -> NDArray[np.bool_]:
+    """See `Shield._safe`; `human_acceleration` is infinite where the bound does not depend on the measured speed."""
+    parts, n = speeds.shape
+    clear = np.ones(n, dtype=np.bool_)
+    for part in range(parts):
+        for m in range(n):
+            fastest = speeds[part, m] + bending[part, m] * (step_s + braking[m] / 2)
+            left = min(servo_speed / max(fastest, 1e-9), 1.0)
+            until = step_s + braking[m] * (1 - left) + settled_s if left < 1.0 else 0.0
+            travel = fastest * (step_s + braking[m] * (1 - left * left) / 2)
+            until = max(until, settled_s if moving[part, m] > safe_speed else 0.0)
+            if until == 0.0:
+                continue
+            time = until + delay_s
+            if human_acceleration == np.inf:
+                bound = human_speed * time
+            else:
+                speed = min(pace[m], human_speed)
+                rising = min(time, (human_speed - speed) / human_acceleration)
+                top = speed + human_acceleration * rising
+                bound = (speed + top) / 2 * rising + top * (time - rising)
+            clear[m] &= room[part, m] > travel + bound + margin_m
+    return clear

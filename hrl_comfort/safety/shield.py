@@ -16,8 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
-from hrl_comfort.safety.geometry import ArmPose, gaps, norm
+from hrl_comfort.safety import kernels
+from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -67,6 +69,11 @@ class Shield:
         """Share of a speed that the arm still has after a control step."""
         self._first = config.human_speed_m_s * CONTROL_STEP_S * np.array([0.0, 0.0, 1.0])[:, None, None, None]
         parts, sent = len(self._person.radius), int(np.ceil(config.latency_s / CONTROL_STEP_S - 1e-9))
+        self._limits = tuple(map(float, (
+            CONTROL_STEP_S, self._settled_s, SERVO_SHARE * config.safe_speed_m_s, config.safe_speed_m_s,
+            config.delay_s, config.margin_m, config.human_speed_m_s,
+            np.inf if config.bound == "worst" else config.human_acceleration_m_s2,
+        )))  # fmt: skip
         self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), 1 + sent, rows)))
         self._decision: list[Memory] = []
         """The memory after each control step of a decision."""
@@ -165,8 +172,7 @@ class Shield:
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""
-        pace: Array = norm(now.person - self.memory.seen).max(axis=(0, 1)) / CONTROL_STEP_S
-        return pace
+        return farthest(now.person, self.memory.seen) / CONTROL_STEP_S
 
     def _bound(self, time_s: Array | float, speed: Array) -> Any:
         """Return how far (...,) m any part of the person gets within `time_s` (...,) s, measured at `speed` (...,) m/s.
@@ -202,6 +208,9 @@ class Shield:
         from the person until the arm is at its set-points, `moving` (C, N) m/s speeds that the arm has or will have
         before, `pace` (N,) m/s that of the person's fastest part.
         """
+        if plain(velocity, speeds, room, moving, pace):
+            braking, bending = self._rating.stopping_time(velocity), self.arm.bending(velocity)
+            return kernels.safe(*contiguous(braking, bending, speeds, room, moving, pace), *self._limits)
         until, travel = self._plan(velocity, speeds)
         until = np.maximum(until, np.where(moving > self._config.safe_speed_m_s, self._settled_s, 0.0))
         clear = np.logical_or(until == 0.0, room > travel + self._bound(until, pace) + self._config.margin_m)

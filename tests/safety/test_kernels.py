@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel, plain
 from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.safety.geometry import ArmPose, gaps
+from hrl_comfort.safety.drive import rating_of
+from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Separation
+from hrl_comfort.safety.shield import Shield
 from hrl_comfort.scene.workcell import build_scene
 
 Array = NDArray[np.float64]
+RATED = ["task=pick", "robot.rating=collaborative", "safety=ssm", "human=mixture", "task.terminate_on=unsafe_contact"]
 
 
 class Numpy(np.ndarray):  # type: ignore[type-arg]
@@ -79,10 +82,40 @@ def test_distances_of_capsules_that_cross_touch_lie_in_line_or_are_points(separa
         return gaps(separation.arm, first, separation.person, second)
 
     both(apart, ends, limbs)
+    both(farthest, limbs, rng.normal(size=limbs.shape))
+    both(farthest, limbs, limbs)
     both(apart, ends, np.zeros_like(limbs))
     both(apart, np.zeros_like(ends), np.zeros_like(limbs))
     both(apart, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]]))
     both(apart, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]] + 1e-7))
+
+
+def test_braking_and_limits_of_a_rated_arm(rows: int) -> None:
+    rating, rng = rating_of(compose("train", RATED).robot), np.random.default_rng(rows)
+    low, high = np.full(6, -1.0), np.full(6, 1.0)
+    for scale in (0.0, 0.01, 1.0, 20.0):
+        angles, before, wanted = rng.uniform(-1.1, 1.1, (rows, 6)), *rng.normal(0, scale, (2, rows, 6))
+        both(rating.brake, wanted)
+        both(rating.follow, before, wanted)
+        both(rating.follow, wanted, wanted)
+        for at in (angles, np.ones_like(angles)):
+            both(lambda *given: rating.within(low, high, *given), at, wanted)
+            both(lambda *given: rating.keeps(low, high, *given), at, wanted)
+
+
+@pytest.mark.parametrize("bound", ["worst", "observed"])
+def test_what_the_shield_holds_for_safe(separation: Separation, rows: int, bound: str) -> None:
+    config, rng = compose("train", [*RATED, f"safety.bound={bound}"]), np.random.default_rng(rows)
+    shield = Shield(separation, rating_of(config.robot), config.safety, rows)
+    found = []
+    for scale in (0.0, 0.1, 1.0):
+        velocity, speeds = rng.normal(0, scale, (rows, 6)), np.abs(rng.normal(0, scale, (10, rows)))
+        room, moving = rng.uniform(-0.1, 2.0, (10, rows)), np.abs(rng.normal(0, scale / 2, (10, rows)))
+        pace = rng.uniform(0, 2, rows)
+        both(shield._safe, velocity, speeds, room, moving, pace)
+        both(shield._safe, velocity, speeds, np.full_like(room, 3.0), moving, pace)
+        found += [*shield._safe(velocity, speeds, room, moving, pace)]
+    assert len(set(found)) == 2, "some are safe, some are not"
 
 
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
