@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Kernel = Callable[..., Any]
+FLOAT = np.dtype(np.float64)
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -32,9 +33,9 @@ def kernel(function: Kernel) -> Kernel:
 
 def plain(*arrays: Any) -> bool:
     """Return whether all `arrays` are numpy's own, of float64, which kernels take."""
-    return all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays)
+    return all([type(array) is np.ndarray and array.dtype == FLOAT for array in arrays])  # noqa: C419, faster
 
 
-def contiguous(*arrays: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def contiguous(*arrays: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return `arrays` in C order, for which alone kernels are compiled; without a copy where they are."""
-    return tuple(array if array.flags.c_contiguous else np.ascontiguousarray(array) for array in arrays)
+    return [array if array.flags.c_contiguous else np.ascontiguousarray(array) for array in arrays]

@@ -94,20 +94,19 @@ def advance(
     ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
     """
     seen = Surroundings(tcp, keep_out, arm or partial(_tool, tcp))
-    if not config.mixture:
-        return _advance(config, walk, noise, seen)
     parts = _members(config, walk.traits)
     if len(parts) == 1:
-        return _advance(parts[0][1], walk, noise, seen)
+        return _walked(walk, *_proposed(parts[0][1], walk, noise, seen))
     # Sorted by motion, each motion's rows are a slice.
     order = np.concatenate([rows for rows, _ in parts])
     walk, noise, seen = walk.rows(order), noise[order], seen.part(order)
     begins = np.cumsum([0, *(len(rows) for rows, _ in parts)])
     slices = [slice(first, last) for first, last in pairwise(begins)]
     found = [
-        _advance(member, walk.part(at), noise[at], seen.part(at)) for at, (_, member) in zip(slices, parts, strict=True)
+        _proposed(member, walk.part(at), noise[at], seen.part(at))
+        for at, (_, member) in zip(slices, parts, strict=True)
     ]
-    return Walk.joined(found).rows(np.argsort(order))
+    return _walked(walk, *(np.concatenate(each) for each in zip(*found, strict=True))).rows(np.argsort(order))
 
 
 def _tool(tcp: Array) -> tuple[Array, Array]:
@@ -115,25 +114,21 @@ def _tool(tcp: Array) -> tuple[Array, Array]:
     return point, np.zeros_like(point)
 
 
-def _advance(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Walk:
+def _proposed(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, ...]:
+    """Return position (n, 2) m, yaw (n,) rad, limbs and memory after a control step of one motion; see `advance`."""
     proposed = motion(config.motion)(config, walk, noise, around)
     stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
     stride = retreat(config, walk, stride, around)
     position = stride.position if free(config) else _held(stride.position, walk, around.keep_out, config.bound_m)
-    velocity, walked, speed = _gone(position, stride.yaw, walk)
-    return Walk(
-        position,
-        stride.yaw,
-        walk.spawn,
-        walked,
-        speed,
-        walk.step + 1,
-        velocity,
-        walk.limbs if stride.limbs is None else stride.limbs,
-        walk.memory if stride.memory is None else stride.memory,
-        walk.traits,
-        np.maximum(walk.retreat - 1, 0),
-    )
+    limbs = walk.limbs if stride.limbs is None else stride.limbs
+    return position, stride.yaw, limbs, walk.memory if stride.memory is None else stride.memory
+
+
+def _walked(walk: Walk, position: Array, yaw: Array, limbs: Array, memory: Array) -> Walk:
+    """Return the walk after the control step that ends there; see `_proposed`."""
+    velocity, walked, speed = _gone(position, yaw, walk)
+    left = np.maximum(walk.retreat - 1, 0)
+    return Walk(position, yaw, walk.spawn, walked, speed, walk.step + 1, velocity, limbs, memory, walk.traits, left)
 
 
 def _held(position: Array, walk: Walk, keep_out: KeepOut, bound_m: float) -> Array:

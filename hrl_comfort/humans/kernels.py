@@ -113,3 +113,31 @@ def gone(
         walked[m] = walked_m[m] + way
         speed[m] = speed_m_s[m] + smoothing * (way / CONTROL_STEP_S - speed_m_s[m])
     return velocity, walked, speed
+
+
+@kernel
+def reaching(
+    hands: Array, shoulders: Array, pole: Array, upper_m: float, fore_m: float, nearest_m: float, farthest_m: float
+) -> Array:
+    """See `body.reaching`; `pole` (2, 3) is where the elbows point."""
+    limbs = np.full((len(hands), 6, 3), np.nan)
+    for m in range(len(hands)):
+        for side in range(2):
+            ox = hands[m, side, 0] - shoulders[side, 0]
+            oy = hands[m, side, 1] - shoulders[side, 1]
+            oz = hands[m, side, 2] - shoulders[side, 2]
+            far = math.sqrt(ox * ox + oy * oy + oz * oz)
+            size = max(far, 1e-9)
+            ax, ay, az = ox / size, oy / size, oz / size
+            far = min(max(far, nearest_m), farthest_m)
+            forth = (far * far + upper_m * upper_m - fore_m * fore_m) / (2 * far)
+            aside = math.sqrt(upper_m * upper_m - forth * forth)
+            px, py, pz = pole[side]
+            along = px * ax + py * ay + pz * az
+            px, py, pz = px - along * ax, py - along * ay, pz - along * az
+            size = max(math.sqrt(px * px + py * py + pz * pz), 1e-9)
+            ex, ey, ez = forth * ax + aside * px / size, forth * ay + aside * py / size, forth * az + aside * pz / size
+            upper, fore = limbs[m, 2 + side], limbs[m, 4 + side]
+            upper[0], upper[1], upper[2] = ex / upper_m, ey / upper_m, ez / upper_m
+            fore[0], fore[1], fore[2] = (far * ax - ex) / fore_m, (far * ay - ey) / fore_m, (far * az - ez) / fore_m
+    return limbs

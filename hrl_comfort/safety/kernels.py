@@ -286,3 +286,25 @@ def safe(
                 bound = (speed + top) / 2 * rising + top * (time - rising)
             clear[m] &= room[part, m] > travel + bound + margin_m
     return clear
+
+
+@kernel
+def spread(
+    shares: Array, rows: NDArray[np.int64], brake: Array, wanted: Array, slow: Array, fast: Array, room: Array,
+    moving: Array, pace: Array,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Return the arguments of `Shield._safe` for all shares of `rows` (r,) at once, those of a share together."""
+    n, joints, parts = len(rows), wanted.shape[1], len(slow)
+    count = n * len(shares)
+    velocity, speed = np.empty((count, joints)), np.empty(count)
+    speeds, free, real = np.empty((parts, count)), np.empty((parts, count)), np.empty((parts, count))
+    for index, share in enumerate(shares):
+        for m in range(n):
+            row, at = rows[m], index * n + m
+            speed[at] = pace[row]
+            for j in range(joints):
+                velocity[at, j] = brake[row, j] + share * (wanted[row, j] - brake[row, j])
+            for part in range(parts):
+                speeds[part, at] = slow[part, row] + share * (fast[part, row] - slow[part, row])
+                free[part, at], real[part, at] = room[part, row], moving[part, row]
+    return velocity, speeds, free, real, speed

@@ -122,23 +122,27 @@ class Shield:
         pace, trail = self._pace(now), self.memory.trail
         behind = np.maximum(motion.way, trail.max(axis=1) * self._behind_s)
         moving = np.maximum(motion.speed, trail[:, 1:].max(axis=1)) if trail.shape[1] > 1 else motion.speed
-        brake = self._rating.brake(before)
+        room, brake = now.apart - behind, self._rating.brake(before)
         slow, fast = self.arm.speeds(set_points, brake), self.arm.speeds(set_points, wanted)
 
         def largest(rows: Rows) -> Array:
             """Return the largest of SHARES that is safe in `rows`, 0 if none is."""
             # All shares of all rows at once, those of a share together.
+            if isinstance(rows, np.ndarray) and plain(brake, wanted, slow, fast, room, moving, pace):
+                given = contiguous(brake, wanted, slow, fast, room, moving, pace)
+                safe = self._safe(*kernels.spread(SHARES, rows, *given)).reshape(len(SHARES), -1)
+                return np.where(safe, SHARES[:, None], 0.0).max(axis=0)
             start, change = (np.tile(each[rows], (len(SHARES), 1)) for each in (brake, wanted - brake))
-            least, gained, room, real, speed = (
-                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, now.apart - behind, moving, pace)
+            least, gained, free, real, speed = (
+                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, room, moving, pace)
             )
             tried = np.repeat(SHARES, len(start) // len(SHARES))
             # The speeds are convex in the share, so not below the true ones.
-            safe = self._safe(start + tried[:, None] * change, least + tried * gained, room, real, speed)
+            safe = self._safe(start + tried[:, None] * change, least + tried * gained, free, real, speed)
             found: Array = np.where(safe, tried, 0.0).reshape(len(SHARES), -1).max(axis=0)
             return found
 
-        safe = self._safe(wanted, fast, now.apart - behind, moving, pace)
+        safe = self._safe(wanted, fast, room, moving, pace)
         share = self._in_rows(~safe, largest, np.ones(len(wanted)))
         velocity = brake + share[:, None] * (wanted - brake)
         sent = np.concatenate([trail, (slow + share * (fast - slow))[:, None]], axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.humans import steering
+from hrl_comfort.humans import body, steering
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
 from hrl_comfort.scene.human import limb_poses
 
@@ -76,3 +76,11 @@ def test_poses_of_limbs_of_which_some_are_given(rows: int, given: float) -> None
     limbs[rng.random((rows, 6)) >= given] = np.nan
     limbs[rng.random(rows) < 0.3] = np.nan
     same(*(limb_poses(each, y, yaw, phase, swing / 9, -0.75, limbs) for each in (x, x.view(Numpy))))
+
+
+@ROWS
+def test_arms_that_reach(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    for hands in (rng.normal(0, 1, (rows, 2, 3)) + body.SHOULDERS, np.tile(body.SHOULDERS, (rows, 1, 1)),
+                  np.tile(body.HANGING, (rows, 1, 1))):  # fmt: skip
+        same(*(body.reaching(each) for each in (hands, hands.view(Numpy))))

@@ -14,8 +14,8 @@ from hrl_comfort.compiled import kernel, plain
 from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
-from hrl_comfort.safety.separation import Separation
-from hrl_comfort.safety.shield import Shield
+from hrl_comfort.safety.separation import Encounter, Separation
+from hrl_comfort.safety.shield import Motion, Shield
 from hrl_comfort.scene.workcell import build_scene
 
 Array = NDArray[np.float64]
@@ -116,6 +116,22 @@ def test_what_the_shield_holds_for_safe(separation: Separation, rows: int, bound
         both(shield._safe, velocity, speeds, np.full_like(room, 3.0), moving, pace)
         found += [*shield._safe(velocity, speeds, room, moving, pace)]
     assert len(set(found)) == 2, "some are safe, some are not"
+
+
+def test_the_share_that_the_shield_passes(separation: Separation) -> None:
+    rows, rng, config = 64, np.random.default_rng(0), compose("train", RATED)
+    angles, (before, wanted) = rng.uniform(-3, 3, (rows, 6)), rng.normal(0, 0.5, (2, rows, 6))
+    pose, person = separation.arm.pose(angles), rng.normal(0, 0.01, (3, 8, 2, rows))
+    now = Encounter(pose, person, rng.uniform(0.0, 1.5, (10, 1)) + rng.uniform(0.0, 0.1, (10, rows)))
+    motion = Motion(np.zeros((10, rows)), np.zeros((10, rows)))
+
+    def passed(before: Array, wanted: Array) -> Array:
+        shield = Shield(separation, rating_of(config.robot), config.safety, rows)
+        velocity, share = shield.step(now, motion, pose, before, wanted)
+        return np.concatenate([velocity, share[:, None]], axis=1)
+
+    both(passed, before, wanted)
+    assert len(set(passed(before, wanted)[:, -1])) > 3, "none of it, some of it, all of it"
 
 
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
