@@ -98,6 +98,8 @@ class ArmGeometry:
         `angles` (N, J) rad, `velocity` (N, J) rad/s.
         """
         pose = self.pose(angles)
+        if plain(pose.ends, velocity):
+            return kernels.points(*contiguous(pose.axis, pose.anchor, pose.ends, velocity), self.link)
         first, second = pose.ends[:, :, 0], pose.ends[:, :, 1]
         points = np.concatenate([first, (first + second) / 2, second], axis=1)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
@@ -130,9 +132,12 @@ class ArmGeometry:
         A serial chain at constant joint rates accelerates a point by the sum over joints i <= j of
         u_i z_i x (u_j z_j x r_j), twice for i < j, where r_j reaches from joint j to the point.
         """
-        rate = np.abs(velocity)
-        before = np.cumsum(rate, axis=1) - rate
-        bound: Array = self.lever @ (rate * (rate + 2 * before)).T
+        if plain(velocity):
+            swept = kernels.swept(*contiguous(velocity))
+        else:
+            rate = np.abs(velocity)
+            swept = rate * (rate + 2 * (np.cumsum(rate, axis=1) - rate))
+        bound: Array = self.lever @ swept.T
         return bound
 
     def _levers(self) -> Array:

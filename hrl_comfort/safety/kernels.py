@@ -105,6 +105,47 @@ def speeds(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArr
 
 
 @kernel
+def points(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArray[np.int64]) -> tuple[Array, Array]:
+    """See `ArmGeometry.points`."""
+    (joints, n), parts = axis.shape[1:], len(link)
+    at, moving = np.empty((n, 3 * parts, 3)), np.empty((n, 3 * parts, 3))
+    spin, shift, here = np.empty((joints, 3)), np.empty((joints, 3)), np.empty(3)
+    for m in range(n):
+        for j in range(joints):
+            rate = velocity[m, j]
+            for i in range(3):
+                a, b = (i + 1) % 3, (i + 2) % 3
+                turning = axis[i, j, m] * rate
+                pushing = (axis[a, j, m] * anchor[b, j, m] - axis[b, j, m] * anchor[a, j, m]) * rate
+                spin[j, i] = spin[j - 1, i] + turning if j else turning
+                shift[j, i] = shift[j - 1, i] + pushing if j else pushing
+        for place in range(3):
+            for part in range(parts):
+                j, index = link[part], place * parts + part
+                for i in range(3):
+                    first, second = ends[i, part, 0, m], ends[i, part, 1, m]
+                    here[i] = first if place == 0 else second if place == 2 else (first + second) / 2
+                    at[m, index, i] = here[i]
+                for i in range(3):
+                    a, b = (i + 1) % 3, (i + 2) % 3
+                    moving[m, index, i] = spin[j, a] * here[b] - spin[j, b] * here[a] - shift[j, i]
+    return at, moving
+
+
+@kernel
+def swept(velocity: Array) -> Array:
+    """See `ArmGeometry.bending`: what the levers are multiplied with, (N, J)."""
+    found = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        total = 0.0
+        for j in range(velocity.shape[1]):
+            rate = abs(velocity[m, j])
+            total = total + rate if j else rate
+            found[m, j] = rate * (rate + 2 * (total - rate))
+    return found
+
+
+@kernel
 def limb_ends(limbs: Array, limb: NDArray[np.int64], local: Array) -> Array:
     """See `PersonGeometry.ends`; `local` (P, 2, 3)."""
     n, parts = len(limbs), len(limb)

@@ -35,7 +35,7 @@ def both(function: Callable[..., Any], *arrays: Array) -> None:
 
 
 def parts(found: Any) -> list[Array]:
-    return [*vars(found).values()] if is_dataclass(found) else [found]
+    return [*vars(found).values()] if is_dataclass(found) else [*found] if isinstance(found, tuple) else [found]
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +62,8 @@ def test_poses_and_speeds_of_the_arm(separation: Separation, rows: int) -> None:
         both(separation.arm.pose, at)
         pose = separation.arm.pose(at)
         for moving in (velocity, np.zeros_like(velocity)):
+            both(separation.arm.points, at, moving)
+            both(separation.arm.bending, moving)
             both(lambda *given: separation.arm.speeds(ArmPose(*given[:3]), given[3]), *vars(pose).values(), moving)
 
 
