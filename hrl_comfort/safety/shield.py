@@ -171,7 +171,7 @@ class Shield:
             closed: Array = (now.apart[..., rows] - then).max(axis=0)
             return closed
 
-        moved: Array = norm(person - now.person).max(axis=(0, 1))
+        moved = farthest(person, now.person)
         return self._in_rows(moved > most, nearer, moved) > most
 
     def _pace(self, now: Encounter) -> Array:
