@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -14,33 +16,46 @@ from pandas import DataFrame
 
 from hrl_comfort.benchmarks.measure import Rate, interleaved, rate, ratios
 from hrl_comfort.config import EnvConfig, TrainConfig
+from hrl_comfort.config.composition.compose import compose_environment
 from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 
-NUM_ENVS = (1, 16, 64, 256)
-COLUMNS = ("num_envs", "loop", "round", "policy_steps_per_s")
+NUM_ENVS = (1, 16, 64, 256, 1024)
+_SHIELDED = (
+    "human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact",
+)  # fmt: skip
+WORLDS = {
+    "shielded": ("task=cycle", *_SHIELDED, "human.masked=true"),
+    "shift": ("task=shift", *_SHIELDED, "comfort=distance_and_speed", "task.observation=proximity"),
+}
+"""World beside the one that is configured -> what configures it."""
+COLUMNS = ("world", "num_envs", "loop", "round", "policy_steps_per_s")
 BARE = "bare mujoco.rollout"
 
 
 def bench_env(config: TrainConfig) -> Path:
     """Print policy steps a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads. The dm_control front is measured with one cell. Write the
-    measurements to env.csv and return it.
+    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS. The
+    dm_control front is measured with one cell. Write the measurements to env.csv and return it.
     """
     torch.set_num_threads(1)
-    env = environment(config)
+    here = environment(config)
+    worlds = {here.task.name: here}
+    for name, words in WORLDS.items():
+        worlds[name] = replace(compose_environment("train", words), engine=here.engine)
 
-    def loops(cells: int) -> dict[str, Rate]:
+    def loops(size: tuple[str, int]) -> dict[str, Rate]:
+        (world, cells), env = size, worlds[size[0]]
         found = {"engine": engine_loop(env, cells), BARE: bare_loop(env, cells)}
-        if cells == 1:
+        if cells == 1 and world == here.task.name:
             found["dm_control front"] = dm_loop(env)
         return {name: partial(rate, step, cells) for name, step in found.items()}
 
     path = Path(config.output) / "env.csv"
-    print(table(interleaved(path, COLUMNS, NUM_ENVS, loops)), end="")
+    print(table(interleaved(path, COLUMNS, product(worlds, NUM_ENVS), loops)), end="")
     return path
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TypeVar
 
 from pandas import DataFrame, Series
 
@@ -14,6 +15,7 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.tables import write_table
 
+Size = TypeVar("Size", int, tuple[str, int])
 Rate = Callable[[], float]
 """() -> calls a second, measured now."""
 SECONDS = 2.0
@@ -38,17 +40,18 @@ def rate(step: Callable[[], object], size: int = 1, clock: Callable[[], float] =
 
 
 def interleaved(
-    path: Path, columns: tuple[str, str, str, str], sizes: Iterable[int], make: Callable[[int], dict[str, Rate]]
+    path: Path, columns: tuple[str, ...], sizes: Iterable[Size], make: Callable[[Size], dict[str, Rate]]
 ) -> DataFrame:
     """Measure the contestants that `make` returns for each size, in turn in every round; write and return the rows.
 
-    `columns` name the size, the contestant, the round and the rate.
+    `columns` name the size, which may be several values, the contestant, the round and the rate.
     """
     rows = []
     with output_file(path):
         for size in sizes:
-            contestants = make(size)
-            rows += [(size, name, turn, measured()) for turn in range(ROUNDS) for name, measured in contestants.items()]
+            contestants: dict[str, Rate] = make(size)
+            key: tuple[str | int, ...] = size if isinstance(size, tuple) else (size,)
+            rows += [(*key, name, turn, measured()) for turn in range(ROUNDS) for name, measured in contestants.items()]
         write_table(path, columns, rows)
     return DataFrame(rows, columns=list(columns))
 
@@ -58,15 +61,15 @@ def ratios(frame: DataFrame, reference: str, heading: str, inverse: bool = False
 
     Ratios are those of each round, `inverse` reference over contestant.
     """
-    size, name, turn, rate = frame.columns
+    *size, name, turn, rate = frame.columns
     theirs = frame[frame[name] == reference].rename(columns={rate: "theirs"})
-    both = frame.merge(theirs[[size, turn, "theirs"]], on=[size, turn])
+    both = frame.merge(theirs[[*size, turn, "theirs"]], on=[*size, turn])
     both["ratio"] = both["theirs"] / both[rate] if inverse else both[rate] / both["theirs"]
     lines = [
-        [str(count), str(who), spread(each[rate]), "" if who == reference else spread(each["ratio"], 2)]
-        for (count, who), each in both.groupby([size, name], sort=False)
+        [*map(str, key), spread(each[rate]), "" if key[-1] == reference else spread(each["ratio"], 2)]
+        for key, each in both.groupby([*size, name], sort=False)
     ]
-    return markdown([size, name, rate.replace("_per_", "/"), heading], lines)
+    return markdown([*size, name, rate.replace("_per_", "/"), heading], lines)
 
 
 def spread(values: Series, digits: int = 0) -> str:

@@ -8,7 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
+from hrl_comfort.humans import kernels
 from hrl_comfort.humans.evaluation import (
     MOTION_STREAM,
     SHARES,
@@ -92,20 +94,19 @@ def advance(
     ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
     """
     seen = Surroundings(tcp, keep_out, arm or partial(_tool, tcp))
-    if not config.mixture:
-        return _advance(config, walk, noise, seen)
     parts = _members(config, walk.traits)
     if len(parts) == 1:
-        return _advance(parts[0][1], walk, noise, seen)
+        return _walked(walk, *_proposed(parts[0][1], walk, noise, seen))
     # Sorted by motion, each motion's rows are a slice.
     order = np.concatenate([rows for rows, _ in parts])
     walk, noise, seen = walk.rows(order), noise[order], seen.part(order)
     begins = np.cumsum([0, *(len(rows) for rows, _ in parts)])
     slices = [slice(first, last) for first, last in pairwise(begins)]
     found = [
-        _advance(member, walk.part(at), noise[at], seen.part(at)) for at, (_, member) in zip(slices, parts, strict=True)
+        _proposed(member, walk.part(at), noise[at], seen.part(at))
+        for at, (_, member) in zip(slices, parts, strict=True)
     ]
-    return Walk.joined(found).rows(np.argsort(order))
+    return _walked(walk, *(np.concatenate(each) for each in zip(*found, strict=True))).rows(np.argsort(order))
 
 
 def _tool(tcp: Array) -> tuple[Array, Array]:
@@ -113,39 +114,54 @@ def _tool(tcp: Array) -> tuple[Array, Array]:
     return point, np.zeros_like(point)
 
 
-def _advance(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Walk:
+def _proposed(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, ...]:
+    """Return position (n, 2) m, yaw (n,) rad, limbs and memory after a control step of one motion; see `advance`."""
     proposed = motion(config.motion)(config, walk, noise, around)
     stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
     stride = retreat(config, walk, stride, around)
-    position, yaw, keep_out = stride.position, stride.yaw, around.keep_out
-    if not free(config):
-        offset = position - walk.spawn
-        shrink = np.minimum(1.0, config.bound_m / np.maximum(length(offset), 1e-9))
-        position = walk.spawn + offset * shrink[:, None]
-        (blocked,) = keep_out.entered(position).nonzero()
-        if len(blocked):
-            discs = KeepOut(keep_out.centres.take(blocked, axis=0), keep_out.radius_m)
-            slid = discs.rim(position.take(blocked, axis=0))
-            too_far = length(slid - walk.spawn.take(blocked, axis=0)) > config.bound_m + 1e-9
-            stays = discs.entered(slid) | too_far
-            position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
+    position = stride.position if free(config) else _held(stride.position, walk, around.keep_out, config.bound_m)
+    limbs = walk.limbs if stride.limbs is None else stride.limbs
+    return position, stride.yaw, limbs, walk.memory if stride.memory is None else stride.memory
+
+
+def _walked(walk: Walk, position: Array, yaw: Array, limbs: Array, memory: Array) -> Walk:
+    """Return the walk after the control step that ends there; see `_proposed`."""
+    velocity, walked, speed = _gone(position, yaw, walk)
+    left = np.maximum(walk.retreat - 1, 0)
+    return Walk(position, yaw, walk.spawn, walked, speed, walk.step + 1, velocity, limbs, memory, walk.traits, left)
+
+
+def _held(position: Array, walk: Walk, keep_out: KeepOut, bound_m: float) -> Array:
+    """Return the proposed `position` (n, 2) m as `advance` bounds it."""
+    if plain(position):
+        at = contiguous(position, walk.position, walk.spawn, keep_out.centres)
+        return kernels.held(*at, float(keep_out.radius_m), float(bound_m))
+    offset = position - walk.spawn
+    shrink = np.minimum(1.0, bound_m / np.maximum(length(offset), 1e-9))
+    position = walk.spawn + offset * shrink[:, None]
+    (blocked,) = keep_out.entered(position).nonzero()
+    if len(blocked):
+        discs = KeepOut(keep_out.centres.take(blocked, axis=0), keep_out.radius_m)
+        slid = discs.rim(position.take(blocked, axis=0))
+        too_far = length(slid - walk.spawn.take(blocked, axis=0)) > bound_m + 1e-9
+        stays = discs.entered(slid) | too_far
+        position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
+    return position
+
+
+def _gone(position: Array, yaw: Array, walk: Walk) -> tuple[Array, Array, Array]:
+    """Return velocity (n, 3), distance walked (n,) m and smoothed speed (n,) m/s of people who are now at `position`.
+
+    (n, 2) m, `yaw` (n,) rad.
+    """
+    if plain(position, yaw):
+        at = contiguous(position, yaw, walk.position, walk.yaw, walk.walked_m, walk.speed_m_s)
+        return kernels.gone(*at, SPEED_SMOOTHING)
     moved = position - walk.position
-    walked = length(moved)
-    speed = walk.speed_m_s + SPEED_SMOOTHING * (walked / CONTROL_STEP_S - walk.speed_m_s)
+    way = length(moved)
+    speed = walk.speed_m_s + SPEED_SMOOTHING * (way / CONTROL_STEP_S - walk.speed_m_s)
     turned = (yaw - walk.yaw + np.pi) % (2 * np.pi) - np.pi
-    return Walk(
-        position,
-        yaw,
-        walk.spawn,
-        walk.walked_m + walked,
-        speed,
-        walk.step + 1,
-        np.concatenate([moved, turned[:, None]], axis=1) / CONTROL_STEP_S,
-        walk.limbs if stride.limbs is None else stride.limbs,
-        walk.memory if stride.memory is None else stride.memory,
-        walk.traits,
-        np.maximum(walk.retreat - 1, 0),
-    )
+    return np.concatenate([moved, turned[:, None]], axis=1) / CONTROL_STEP_S, walk.walked_m + way, speed
 
 
 def moved_spawns(config: HumanConfig, goals: Array) -> Array:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.compiled import contiguous, plain
+from hrl_comfort.humans import kernels
+
 Array = NDArray[np.float64]
 
 # An upright adult of 1.75 m; proportions: middle of the ranges of Drillis and Contini (1966).
@@ -23,6 +26,8 @@ SHOULDERS = np.stack([np.zeros(2), SHOULDER_HALF_WIDTH_M * SIDES, np.full(2, SHO
 """(2, 3) m in the person's frame: x forward, y left, z above the floor."""
 STRETCH = 0.97
 """Largest share of the arm's length that is used: the elbow of a straight arm would be infinitely fast."""
+POLE = np.stack([np.full(2, -0.3), 0.5 * SIDES, np.full(2, -0.8)], axis=-1)
+"""(2, 3), where the elbows point, in the person's frame."""
 
 HANGING = SHOULDERS - [0.0, 0.0, STRETCH * (UPPER_ARM_M + FOREARM_M)]
 """(2, 3) m, the hands of hanging arms, in the person's frame."""
@@ -38,14 +43,16 @@ def reaching(hands: Array) -> Array:
 
     Two-link inverse kinematics; the elbows point down and outwards. A hand that is out of reach stops on the way.
     """
+    nearest, farthest = abs(UPPER_ARM_M - FOREARM_M) + 0.05, STRETCH * (UPPER_ARM_M + FOREARM_M)
+    if plain(hands):
+        return kernels.reaching(*contiguous(hands), SHOULDERS, POLE, UPPER_ARM_M, FOREARM_M, nearest, farthest)
     offset = hands - SHOULDERS
     distance = np.linalg.norm(offset, axis=-1, keepdims=True)
     along = offset / np.maximum(distance, 1e-9)
-    distance = np.clip(distance, abs(UPPER_ARM_M - FOREARM_M) + 0.05, STRETCH * (UPPER_ARM_M + FOREARM_M))
+    distance = np.clip(distance, nearest, farthest)
     forth = (distance**2 + UPPER_ARM_M**2 - FOREARM_M**2) / (2 * distance)
     aside = np.sqrt(UPPER_ARM_M**2 - forth**2)
-    pole = np.stack([np.full(2, -0.3), 0.5 * SIDES, np.full(2, -0.8)], axis=-1)
-    out = pole - (pole * along).sum(axis=-1, keepdims=True) * along
+    out = POLE - (POLE * along).sum(axis=-1, keepdims=True) * along
     elbow = forth * along + aside * out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
     limbs = np.full((len(hands), 6, 3), np.nan)
     limbs[:, 2:4] = elbow / UPPER_ARM_M

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.humans import steering
 from hrl_comfort.humans.motions import bounds
-from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length
+from hrl_comfort.humans.walk import KeepOut, Stride, Surroundings, Walk, length
 
 RETREAT_STEPS, WAIT_STEPS = 100, 50
 """Control steps of a retreat, 2 s, and those at its end in which people stand."""
@@ -37,12 +37,13 @@ def retreat(config: HumanConfig, walk: Walk, stride: Stride, around: Surrounding
     if not len(rows) or config.motion in STAYING:
         return stride
     speed, acceleration = np.minimum(bounds(config), (SPEED_M_S, ACCELERATION_M_S2))
-    going, seen = walk.rows(rows), around.part(rows)
-    offset = going.position[:, None] - seen.arm()[0][..., :2]
+    going = walk.rows(rows)
+    discs = KeepOut(around.keep_out.centres[rows], around.keep_out.radius_m)
+    offset = going.position[:, None] - around.arm()[0][rows, :, :2]
     nearest = offset[np.arange(len(rows)), length(offset).argmin(axis=1)]
     away = nearest / np.maximum(length(nearest), 1e-9)[:, None]
     wanted = away * (speed * (going.retreat > WAIT_STEPS))[:, None]
-    wanted = steering.beside(going.position, wanted, seen.keep_out, acceleration / 4)
+    wanted = steering.beside(going.position, wanted, discs, acceleration / 4)
     velocity = steering.accelerated(going.velocity[:, :2], wanted, acceleration)
     position, yaw = stride.position.copy(), stride.yaw.copy()
     position[rows] = going.position + velocity * CONTROL_STEP_S

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
-from hrl_comfort.humans import body
+from hrl_comfort.humans import body, kernels
 from hrl_comfort.humans.walk import Array, KeepOut, Surroundings, Walk, length
 
 TURN_RAD_S, TURN_RAD_S2 = 1.6, 3.0
@@ -54,6 +55,11 @@ def step(walk: Walk, wanted: Array, config: HumanConfig, around: Surroundings | 
     keep-out discs of `around`, and walk along them.
     """
     assert config.acceleration_m_s2 is not None
+    if plain(walk.position, wanted):
+        discs = around.keep_out if around is not None else KeepOut(np.empty((len(wanted), 0, 2)), 0.0)
+        moving = contiguous(walk.position, walk.velocity, wanted, discs.centres)
+        limits = float(config.speed_m_s), float(config.acceleration_m_s2)
+        return kernels.step(*moving, float(discs.radius_m), CLEARANCE_M, RETREAT_S, *limits)
     if around is not None:
         wanted = beside(walk.position, wanted, around.keep_out, config.acceleration_m_s2 / 4)
     wanted = wanted * np.minimum(1.0, config.speed_m_s / np.maximum(length(wanted), 1e-9))[:, None]
@@ -98,6 +104,8 @@ def _turned(wanted: Array, out: Array, allowed: Array) -> Array:
 
 def turn(walk: Walk, wanted: Array) -> Array:
     """Return the yaw (n,) rad after a control step of turning to `wanted` (n,) rad the shorter way round."""
+    if plain(walk.yaw, wanted):
+        return kernels.turn(*contiguous(walk.yaw, walk.velocity[:, 2], wanted), TURN_RAD_S, TURN_RAD_S2)
     left = (wanted - walk.yaw + np.pi) % (2 * np.pi) - np.pi
     brake = TURN_RAD_S2 * CONTROL_STEP_S
     rate = np.sign(left) * np.minimum(TURN_RAD_S, np.sqrt(brake * brake + 2 * TURN_RAD_S2 * np.abs(left)) - brake)

@@ -2,7 +2,8 @@
 
 Everything is read from the compiled model, so that any serial arm of hinges is handled. Arrays have the batch last
 and x, y, z first, because that is where numpy is fastest. They may be `numpy`'s own or others that obey its functions:
-`hrl_comfort.studio.web.arrays` traces what is computed here, in `rating`, `separation`, `shield` and `drive`.
+`hrl_comfort.studio.web.arrays` traces what is computed here, in `rating`, `separation`, `shield` and `drive`. What is
+asked most often has a compiled twin in `kernels`, for numpy's own.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.compiled import contiguous, plain
+from hrl_comfort.safety import kernels
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
@@ -53,6 +56,8 @@ class ArmGeometry:
         self._local = np.stack([part[1] for part in found])
         self.radius = np.array([part[2] for part in found])
         """(C,) m."""
+        steps = np.ascontiguousarray(self._steps[..., 0])
+        self._compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
         self.lever = self._levers()
@@ -65,6 +70,9 @@ class ArmGeometry:
 
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
+        if plain(angles):
+            sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
+            return ArmPose(*kernels.pose(sine, versine, *self._compiled))
         rotation, anchor, origins = self._frames(angles)
         local = self._local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
@@ -90,6 +98,8 @@ class ArmGeometry:
         `angles` (N, J) rad, `velocity` (N, J) rad/s.
         """
         pose = self.pose(angles)
+        if plain(pose.ends, velocity):
+            return kernels.points(*contiguous(pose.axis, pose.anchor, pose.ends, velocity), self.link)
         first, second = pose.ends[:, :, 0], pose.ends[:, :, 1]
         points = np.concatenate([first, (first + second) / 2, second], axis=1)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
@@ -106,6 +116,9 @@ class ArmGeometry:
 
     def speeds(self, pose: ArmPose, velocity: Array) -> Array:
         """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
+        if plain(velocity, pose.ends):
+            moving = contiguous(pose.axis, pose.anchor, pose.ends, velocity)
+            return kernels.speeds(*moving, self.link, self.radius)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
         shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         spin = turning[:, self.link]
@@ -119,9 +132,12 @@ class ArmGeometry:
         A serial chain at constant joint rates accelerates a point by the sum over joints i <= j of
         u_i z_i x (u_j z_j x r_j), twice for i < j, where r_j reaches from joint j to the point.
         """
-        rate = np.abs(velocity)
-        before = np.cumsum(rate, axis=1) - rate
-        bound: Array = self.lever @ (rate * (rate + 2 * before)).T
+        if plain(velocity):
+            swept = kernels.swept(*contiguous(velocity))
+        else:
+            rate = np.abs(velocity)
+            swept = rate * (rate + 2 * (np.cumsum(rate, axis=1) - rate))
+        bound: Array = self.lever @ swept.T
         return bound
 
     def _levers(self) -> Array:
@@ -150,6 +166,8 @@ class PersonGeometry:
 
     def ends(self, limbs: Array) -> Array:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
+        if plain(limbs):
+            return kernels.limb_ends(*contiguous(limbs), self._limb, self._local)
         moved = limbs.transpose(2, 1, 0)
         turns = rotations(moved[3:])[:, :, self._limb, None]
         return moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
@@ -160,9 +178,19 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
 
     `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and person.
     """
+    if plain(ends, limbs):
+        return kernels.gaps(*contiguous(ends, limbs), arm.radius, person.radius)
     apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
     nearest: Array = (apart - (arm.radius[:, None, None] + person.radius[:, None])).min(axis=1)
     return nearest
+
+
+def farthest(ends: Array, before: Array) -> Array:
+    """Return how far (N,) m the capsules' ends that moved most went from `before` to `ends` (3, P, 2, N) m."""
+    if plain(ends, before):
+        return kernels.farthest(*contiguous(ends, before))
+    way: Array = norm(ends - before).max(axis=(0, 1))
+    return way
 
 
 def segment_distance(p: Array, p_end: Array, q: Array, q_end: Array) -> Array:

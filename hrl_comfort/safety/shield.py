@@ -16,8 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
-from hrl_comfort.safety.geometry import ArmPose, gaps, norm
+from hrl_comfort.safety import kernels
+from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -67,6 +69,11 @@ class Shield:
         """Share of a speed that the arm still has after a control step."""
         self._first = config.human_speed_m_s * CONTROL_STEP_S * np.array([0.0, 0.0, 1.0])[:, None, None, None]
         parts, sent = len(self._person.radius), int(np.ceil(config.latency_s / CONTROL_STEP_S - 1e-9))
+        self._limits = tuple(map(float, (
+            CONTROL_STEP_S, self._settled_s, SERVO_SHARE * config.safe_speed_m_s, config.safe_speed_m_s,
+            config.delay_s, config.margin_m, config.human_speed_m_s,
+            np.inf if config.bound == "worst" else config.human_acceleration_m_s2,
+        )))  # fmt: skip
         self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), 1 + sent, rows)))
         self._decision: list[Memory] = []
         """The memory after each control step of a decision."""
@@ -115,23 +122,27 @@ class Shield:
         pace, trail = self._pace(now), self.memory.trail
         behind = np.maximum(motion.way, trail.max(axis=1) * self._behind_s)
         moving = np.maximum(motion.speed, trail[:, 1:].max(axis=1)) if trail.shape[1] > 1 else motion.speed
-        brake = self._rating.brake(before)
+        room, brake = now.apart - behind, self._rating.brake(before)
         slow, fast = self.arm.speeds(set_points, brake), self.arm.speeds(set_points, wanted)
 
         def largest(rows: Rows) -> Array:
             """Return the largest of SHARES that is safe in `rows`, 0 if none is."""
             # All shares of all rows at once, those of a share together.
+            if isinstance(rows, np.ndarray) and plain(brake, wanted, slow, fast, room, moving, pace):
+                given = contiguous(brake, wanted, slow, fast, room, moving, pace)
+                safe = self._safe(*kernels.spread(SHARES, rows, *given)).reshape(len(SHARES), -1)
+                return np.where(safe, SHARES[:, None], 0.0).max(axis=0)
             start, change = (np.tile(each[rows], (len(SHARES), 1)) for each in (brake, wanted - brake))
-            least, gained, room, real, speed = (
-                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, now.apart - behind, moving, pace)
+            least, gained, free, real, speed = (
+                np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, room, moving, pace)
             )
             tried = np.repeat(SHARES, len(start) // len(SHARES))
             # The speeds are convex in the share, so not below the true ones.
-            safe = self._safe(start + tried[:, None] * change, least + tried * gained, room, real, speed)
+            safe = self._safe(start + tried[:, None] * change, least + tried * gained, free, real, speed)
             found: Array = np.where(safe, tried, 0.0).reshape(len(SHARES), -1).max(axis=0)
             return found
 
-        safe = self._safe(wanted, fast, now.apart - behind, moving, pace)
+        safe = self._safe(wanted, fast, room, moving, pace)
         share = self._in_rows(~safe, largest, np.ones(len(wanted)))
         velocity = brake + share[:, None] * (wanted - brake)
         sent = np.concatenate([trail, (slow + share * (fast - slow))[:, None]], axis=1)
@@ -160,13 +171,12 @@ class Shield:
             closed: Array = (now.apart[..., rows] - then).max(axis=0)
             return closed
 
-        moved: Array = norm(person - now.person).max(axis=(0, 1))
+        moved = farthest(person, now.person)
         return self._in_rows(moved > most, nearer, moved) > most
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""
-        pace: Array = norm(now.person - self.memory.seen).max(axis=(0, 1)) / CONTROL_STEP_S
-        return pace
+        return farthest(now.person, self.memory.seen) / CONTROL_STEP_S
 
     def _bound(self, time_s: Array | float, speed: Array) -> Any:
         """Return how far (...,) m any part of the person gets within `time_s` (...,) s, measured at `speed` (...,) m/s.
@@ -202,6 +212,9 @@ class Shield:
         from the person until the arm is at its set-points, `moving` (C, N) m/s speeds that the arm has or will have
         before, `pace` (N,) m/s that of the person's fastest part.
         """
+        if plain(velocity, speeds, room, moving, pace):
+            braking, bending = self._rating.stopping_time(velocity), self.arm.bending(velocity)
+            return kernels.safe(*contiguous(braking, bending, speeds, room, moving, pace), *self._limits)
         until, travel = self._plan(velocity, speeds)
         until = np.maximum(until, np.where(moving > self._config.safe_speed_m_s, self._settled_s, 0.0))
         clear = np.logical_or(until == 0.0, room > travel + self._bound(until, pace) + self._config.margin_m)

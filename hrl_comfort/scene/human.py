@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import ArrayLike, NDArray
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.humans.body import (
     ARM_RADIUS_M,
     FOREARM_M,
@@ -15,6 +18,7 @@ from hrl_comfort.humans.body import (
     SHOULDER_M,
     UPPER_ARM_M,
 )
+from hrl_comfort.scene import kernels
 
 LIMBS = (
     "trunk", "left_leg", "right_leg", "left_upper_arm", "right_upper_arm", "left_forearm", "right_forearm",
@@ -73,6 +77,8 @@ def limb_poses(
     `directions` (..., 6, 3) are unit vectors down all limbs but the trunk, in the person's frame: x forward, y left,
     z up. NaN is the direction of the gait.
     """
+    if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
+        return _compiled(x, y, yaw, swing_rad * np.sin(phase), floor_z, directions)
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
@@ -99,6 +105,17 @@ def limb_poses(
     poses[..., _ELBOWS, 2] -= UPPER_ARM_M * cos_angle
     if directions is not None:
         _direct(poses, yaw, directions)
+    return poses
+
+
+def _compiled(x: Any, y: Any, yaw: Any, angle: Any, floor_z: Any, directions: Any) -> NDArray[np.float64]:
+    """Return `limb_poses` of n people whose legs would swing by `angle` (n,) rad."""
+    angle = np.where(np.isnan(directions[:, 0, 0]), angle, 0.0)
+    turns = np.stack([yaw, yaw / 2, angle, angle / 2])
+    waves = np.concatenate([np.cos(turns), np.sin(turns[[0, 1, 3]])])
+    arms = np.sin(angle[:, None] * _SWING[_SHOULDERS])
+    given = contiguous(x, y, waves, arms, directions)
+    poses: NDArray[np.float64] = kernels.limb_poses(*given, float(floor_z), _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M)
     return poses
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.humans.retreat import begin_retreat
-from hrl_comfort.safety.geometry import gaps, norm
+from hrl_comfort.safety.geometry import farthest, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.signals import limbs_of
@@ -41,7 +41,7 @@ def stop_at_contact(
     """
     limbs = limbs_of(scene, walk)
     person = separation.person.ends(limbs)
-    room, moved = now.apart.min(axis=0), norm(person - now.person).max(axis=(0, 1))
+    room, moved = now.apart.min(axis=0), farthest(person, now.person)
     near = np.flatnonzero(room <= moved)
     gap = gaps(separation.arm, now.pose.ends[..., near], separation.person, person[..., near]).min(axis=0)
     touched, gap = near[gap <= 0.0], gap[gap <= 0.0]

@@ -42,14 +42,23 @@ def test_contestants_take_turns_in_every_round(tmp_path: Path, monkeypatch) -> N
 
 def test_ratios_are_the_medians_of_those_of_each_round() -> None:
     rates = {"engine": (8, 30, 10), "bare mujoco.rollout": (10, 10, 20)}
-    rows = [(4, name, turn, rate) for name, each in rates.items() for turn, rate in enumerate(each)]
+    worlds = {"pick": 1, "shift": 2}
+    rows = [
+        (world, 4, name, turn, rate * factor ** (name == "engine"))
+        for world, factor in worlds.items()
+        for name, each in rates.items()
+        for turn, rate in enumerate(each)
+    ]
     frame = DataFrame(rows, columns=list(bench_env.COLUMNS))
     assert bench_env.table(frame).splitlines() == [
-        "| num_envs | loop | policy_steps/s | of bare rollout |",
-        "| --- | --- | --- | --- |",
-        "| 4 | engine | 10 (8 to 30) | 0.80 (0.50 to 3.00) |",
-        "| 4 | bare mujoco.rollout | 10 (10 to 20) |  |",
+        "| world | num_envs | loop | policy_steps/s | of bare rollout |",
+        "| --- | --- | --- | --- | --- |",
+        "| pick | 4 | engine | 10 (8 to 30) | 0.80 (0.50 to 3.00) |",
+        "| pick | 4 | bare mujoco.rollout | 10 (10 to 20) |  |",
+        "| shift | 4 | engine | 20 (16 to 60) | 1.60 (1.00 to 6.00) |",
+        "| shift | 4 | bare mujoco.rollout | 10 (10 to 20) |  |",
     ]
+    frame = frame[frame["world"] == "pick"].drop(columns="world")
     frame.columns = list(bench_update.COLUMNS)
     frame["learner"] = frame["learner"].replace({"bare mujoco.rollout": "hrl-comfort"})
     line = bench_update.table(frame).splitlines()[2]
@@ -70,11 +79,14 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     assert main(["bench", "env", f"output={tmp_path}"]) == 0
     frame = pd.read_csv(tmp_path / "env.csv")
     loops = ["engine", "bare mujoco.rollout"]
-    expected = [(1, name) for name in [*loops, "dm_control front"]] + [(4, name) for name in loops]
+    worlds = ["pick", "shielded", "shift"]
+    expected = [(world, cells, name) for world in worlds for cells in (1, 4) for name in loops]
+    expected.insert(2, ("pick", 1, "dm_control front"))
     for turn in range(measure.ROUNDS):
         rows = frame[frame["round"] == turn]
-        assert [*zip(rows["num_envs"], rows["loop"], strict=True)] == expected
-    assert made == {1: 2 * measure.ROUNDS, 4: 2 * measure.ROUNDS}, "one to warm up, one in no time"
+        assert [*zip(rows["world"], rows["num_envs"], rows["loop"], strict=True)] == expected
+    each = len(worlds) * 2 * measure.ROUNDS
+    assert made == {1: each, 4: each}, "one to warm up, one in no time"
 
 
 @pytest.mark.parametrize("name", list(bench_update.LEARNERS))

@@ -1,0 +1,351 @@
+"""Compiled twins of the functions of `geometry`; see `hrl_comfort.compiled`.
+
+Loops over the N cells are innermost, where the compiler vectorises them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.compiled import kernel
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def pose(
+    sine: Array,
+    versine: Array,
+    steps: Array,
+    offset: Array,
+    axis: Array,
+    anchor: Array,
+    link: NDArray[np.int64],
+    local: Array,
+) -> tuple[Array, Array, Array]:
+    """See `ArmGeometry.pose`: of `sine` and `versine` (J, N), 1 less the cosine, and fields of the geometry."""
+    joints, n = sine.shape
+    turns, anchors, origins = np.empty((3, 3, joints, n)), np.empty((3, joints, n)), np.empty((3, joints, n))
+    before, here = np.zeros((3, 3, n)), np.zeros((3, n))
+    for i in range(3):
+        before[i, i] = 1.0
+    step = np.empty((3, 3, n))
+    for j in range(joints):
+        for i in range(3):
+            for k in range(3):
+                fixed, first, second = steps[0, i, k, j], steps[1, i, k, j], steps[2, i, k, j]
+                for m in range(n):
+                    step[i, k, m] = fixed + sine[j, m] * first + versine[j, m] * second
+        x, y, z = offset[j]
+        for i in range(3):
+            for m in range(n):
+                anchors[i, j, m] = here[i, m] + (before[i, 0, m] * x + before[i, 1, m] * y + before[i, 2, m] * z)
+            for k in range(3):
+                for m in range(n):
+                    turns[i, k, j, m] = (
+                        before[i, 0, m] * step[0, k, m]
+                        + before[i, 1, m] * step[1, k, m]
+                        + before[i, 2, m] * step[2, k, m]
+                    )
+        x, y, z = anchor[j]
+        for i in range(3):
+            for m in range(n):
+                there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+                here[i, m] = anchors[i, j, m] - there
+                origins[i, j, m] = here[i, m]
+            for k in range(3):
+                for m in range(n):
+                    before[i, k, m] = turns[i, k, j, m]
+    axes, ends = np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
+    for i in range(3):
+        for j in range(joints):
+            x, y, z = axis[j]
+            for m in range(n):
+                axes[i, j, m] = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+        for part in range(len(link)):
+            j = link[part]
+            for end in range(2):
+                x, y, z = local[part, end]
+                for m in range(n):
+                    there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
+                    ends[i, part, end, m] = origins[i, j, m] + there
+    return axes, anchors, ends
+
+
+@kernel
+def speeds(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArray[np.int64], radius: Array) -> Array:
+    """See `ArmGeometry.speeds`."""
+    joints, n = axis.shape[1:]
+    spin, shift = np.empty((3, joints, n)), np.empty((3, joints, n))
+    for j in range(joints):
+        for i in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            for m in range(n):
+                rate = velocity[m, j]
+                turning = axis[i, j, m] * rate
+                moving = (axis[a, j, m] * anchor[b, j, m] - axis[b, j, m] * anchor[a, j, m]) * rate
+                spin[i, j, m] = spin[i, j - 1, m] + turning if j else turning
+                shift[i, j, m] = shift[i, j - 1, m] + moving if j else moving
+    fastest = np.empty((len(link), n))
+    for part in range(len(link)):
+        j, thick = link[part], radius[part]
+        for m in range(n):
+            a, b, c = spin[0, j, m], spin[1, j, m], spin[2, j, m]
+            most = -np.inf
+            for end in range(2):
+                x, y, z = ends[0, part, end, m], ends[1, part, end, m], ends[2, part, end, m]
+                u = b * z - c * y - shift[0, j, m]
+                v = c * x - a * z - shift[1, j, m]
+                w = a * y - b * x - shift[2, j, m]
+                speed = np.sqrt(u * u + v * v + w * w)
+                most = speed if speed > most else most
+            fastest[part, m] = most + thick * np.sqrt(a * a + b * b + c * c)
+    return fastest
+
+
+@kernel
+def points(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArray[np.int64]) -> tuple[Array, Array]:
+    """See `ArmGeometry.points`."""
+    (joints, n), parts = axis.shape[1:], len(link)
+    at, moving = np.empty((n, 3 * parts, 3)), np.empty((n, 3 * parts, 3))
+    spin, shift, here = np.empty((joints, 3)), np.empty((joints, 3)), np.empty(3)
+    for m in range(n):
+        for j in range(joints):
+            rate = velocity[m, j]
+            for i in range(3):
+                a, b = (i + 1) % 3, (i + 2) % 3
+                turning = axis[i, j, m] * rate
+                pushing = (axis[a, j, m] * anchor[b, j, m] - axis[b, j, m] * anchor[a, j, m]) * rate
+                spin[j, i] = spin[j - 1, i] + turning if j else turning
+                shift[j, i] = shift[j - 1, i] + pushing if j else pushing
+        for place in range(3):
+            for part in range(parts):
+                j, index = link[part], place * parts + part
+                for i in range(3):
+                    first, second = ends[i, part, 0, m], ends[i, part, 1, m]
+                    here[i] = first if place == 0 else second if place == 2 else (first + second) / 2
+                    at[m, index, i] = here[i]
+                for i in range(3):
+                    a, b = (i + 1) % 3, (i + 2) % 3
+                    moving[m, index, i] = spin[j, a] * here[b] - spin[j, b] * here[a] - shift[j, i]
+    return at, moving
+
+
+@kernel
+def swept(velocity: Array) -> Array:
+    """See `ArmGeometry.bending`: what the levers are multiplied with, (N, J)."""
+    found = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        total = 0.0
+        for j in range(velocity.shape[1]):
+            rate = abs(velocity[m, j])
+            total = total + rate if j else rate
+            found[m, j] = rate * (rate + 2 * (total - rate))
+    return found
+
+
+@kernel
+def limb_ends(limbs: Array, limb: NDArray[np.int64], local: Array) -> Array:
+    """See `PersonGeometry.ends`; `local` (P, 2, 3)."""
+    n, parts = len(limbs), len(limb)
+    ends = np.empty((3, parts, 2, n))
+    for part in range(parts):
+        for m in range(n):
+            at = limbs[m, limb[part]]
+            w, x, y, z = at[3], at[4], at[5], at[6]
+            for end in range(2):
+                a, b, c = local[part, end, 0], local[part, end, 1], local[part, end, 2]
+                ends[0, part, end, m] = at[0] + (
+                    (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+                )
+                ends[1, part, end, m] = at[1] + (
+                    2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+                )
+                ends[2, part, end, m] = at[2] + (
+                    2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+                )
+    return ends
+
+
+@kernel
+def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> Array:
+    """See `geometry.gaps`."""
+    parts, n, others = ends.shape[1], ends.shape[3], limbs.shape[1]
+    nearest = np.full((parts, n), np.inf)
+    for part in range(parts):
+        for other in range(others):
+            thick = arm_radius[part] + person_radius[other]
+            for m in range(n):
+                px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
+                dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
+                qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
+                ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
+                rx, ry, rz = px - qx, py - qy, pz - qz
+                aa = dx * dx + dy * dy + dz * dz
+                aa = aa if aa > 1e-12 else 1e-12
+                ee = ex * ex + ey * ey + ez * ez
+                ee = ee if ee > 1e-12 else 1e-12
+                b = dx * ex + dy * ey + dz * ez
+                c = dx * rx + dy * ry + dz * rz
+                f = ex * rx + ey * ry + ez * rz
+                denominator = aa * ee - b * b
+                s = (b * f - c * ee) / (denominator if denominator > 1e-12 else 1e-12)
+                s = s if denominator > 1e-12 else 0.0
+                s = s if s > 0.0 else 0.0
+                s = s if s < 1.0 else 1.0
+                t = (b * s + f) / ee
+                t = t if t > 0.0 else 0.0
+                t = t if t < 1.0 else 1.0
+                s = (b * t - c) / aa
+                s = s if s > 0.0 else 0.0
+                s = s if s < 1.0 else 1.0
+                ux = px + dx * s - (qx + ex * t)
+                uy = py + dy * s - (qy + ey * t)
+                uz = pz + dz * s - (qz + ez * t)
+                gap = np.sqrt(ux * ux + uy * uy + uz * uz) - thick
+                nearest[part, m] = gap if gap < nearest[part, m] else nearest[part, m]
+    return nearest
+
+
+@kernel
+def farthest(ends: Array, before: Array) -> Array:
+    """See `geometry.farthest`."""
+    n, most = ends.shape[3], np.zeros(ends.shape[3])
+    for part in range(ends.shape[1]):
+        for end in range(2):
+            for m in range(n):
+                x = ends[0, part, end, m] - before[0, part, end, m]
+                y = ends[1, part, end, m] - before[1, part, end, m]
+                z = ends[2, part, end, m] - before[2, part, end, m]
+                way = np.sqrt(x * x + y * y + z * z)
+                most[m] = way if way > most[m] else most[m]
+    return most
+
+
+@kernel
+def brake(velocity: Array, acceleration: Array, step_s: float) -> Array:
+    """See `Rating.brake`."""
+    left = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        stopping = step_s
+        for j in range(velocity.shape[1]):
+            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
+        for j in range(velocity.shape[1]):
+            left[m, j] = velocity[m, j] * (1 - step_s / stopping)
+    return left
+
+
+@kernel
+def follow(before: Array, wanted: Array, acceleration: Array, step_s: float) -> Array:
+    """See `Rating.follow`."""
+    after = np.empty_like(wanted)
+    for m in range(len(wanted)):
+        needed = 0.0
+        for j in range(wanted.shape[1]):
+            needed = max(abs(wanted[m, j] - before[m, j]) / acceleration[j], needed)
+        needed = max(needed / step_s, 1.0)
+        for j in range(wanted.shape[1]):
+            after[m, j] = before[m, j] + (wanted[m, j] - before[m, j]) / needed
+    return after
+
+
+@kernel
+def within(
+    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
+) -> Array:
+    """See `Rating.within`."""
+    after = np.empty_like(velocity)
+    for m in range(len(velocity)):
+        least = np.inf
+        for j in range(velocity.shape[1]):
+            rate, half = abs(velocity[m, j]), acceleration[j] * step_s / 2
+            room = high[j] - angles[m, j] if velocity[m, j] > 0 else angles[m, j] - low[j]
+            fastest = np.sqrt(max(half * half + 2 * acceleration[j] * room, 0.0)) - half
+            share = fastest / max(rate, rounding) if rate > fastest else 1.0
+            least = min(max(share, 0.0), least)
+        for j in range(velocity.shape[1]):
+            after[m, j] = velocity[m, j] * least
+    return after
+
+
+@kernel
+def keeps(
+    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
+) -> NDArray[np.bool_]:
+    """See `Rating.keeps`."""
+    inside = np.ones(len(velocity), dtype=np.bool_)
+    for m in range(len(velocity)):
+        stopping = 0.0
+        for j in range(velocity.shape[1]):
+            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
+        steps = max(stopping / step_s, rounding)
+        whole = np.floor(steps)
+        time = step_s * (1 + whole * (2 * steps - whole - 1) / (2 * steps))
+        for j in range(velocity.shape[1]):
+            end = angles[m, j] + velocity[m, j] * time
+            inside[m] &= low[j] - rounding < end < high[j] + rounding
+    return inside
+
+
+@kernel
+def safe(
+    braking: Array,
+    bending: Array,
+    speeds: Array,
+    room: Array,
+    moving: Array,
+    pace: Array,
+    step_s: float,
+    settled_s: float,
+    servo_speed: float,
+    safe_speed: float,
+    delay_s: float,
+    margin_m: float,
+    human_speed: float,
+    human_acceleration: float,
+) -> NDArray[np.bool_]:
+    """See `Shield._safe`; `human_acceleration` is infinite where the bound does not depend on the measured speed."""
+    parts, n = speeds.shape
+    clear = np.ones(n, dtype=np.bool_)
+    for part in range(parts):
+        for m in range(n):
+            fastest = speeds[part, m] + bending[part, m] * (step_s + braking[m] / 2)
+            left = min(servo_speed / max(fastest, 1e-9), 1.0)
+            until = step_s + braking[m] * (1 - left) + settled_s if left < 1.0 else 0.0
+            travel = fastest * (step_s + braking[m] * (1 - left * left) / 2)
+            until = max(until, settled_s if moving[part, m] > safe_speed else 0.0)
+            if until == 0.0:
+                continue
+            time = until + delay_s
+            if human_acceleration == np.inf:
+                bound = human_speed * time
+            else:
+                speed = min(pace[m], human_speed)
+                rising = min(time, (human_speed - speed) / human_acceleration)
+                top = speed + human_acceleration * rising
+                bound = (speed + top) / 2 * rising + top * (time - rising)
+            clear[m] &= room[part, m] > travel + bound + margin_m
+    return clear
+
+
+@kernel
+def spread(
+    shares: Array, rows: NDArray[np.int64], brake: Array, wanted: Array, slow: Array, fast: Array, room: Array,
+    moving: Array, pace: Array,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Return the arguments of `Shield._safe` for all shares of `rows` (r,) at once, those of a share together."""
+    n, joints, parts = len(rows), wanted.shape[1], len(slow)
+    count = n * len(shares)
+    velocity, speed = np.empty((count, joints)), np.empty(count)
+    speeds, free, real = np.empty((parts, count)), np.empty((parts, count)), np.empty((parts, count))
+    for index, share in enumerate(shares):
+        for m in range(n):
+            row, at = rows[m], index * n + m
+            speed[at] = pace[row]
+            for j in range(joints):
+                velocity[at, j] = brake[row, j] + share * (wanted[row, j] - brake[row, j])
+            for part in range(parts):
+                speeds[part, at] = slow[part, row] + share * (fast[part, row] - slow[part, row])
+                free[part, at], real[part, at] = room[part, row], moving[part, row]
+    return velocity, speeds, free, real, speed
