@@ -124,8 +124,7 @@ def points(axis: Array, anchor: Array, ends: Array, velocity: Array, link: NDArr
                 j, index = link[part], place * parts + part
                 for i in range(3):
                     first, second = ends[i, part, 0, m], ends[i, part, 1, m]
-                    here[i] = first if place == 0 else second if place == 2 else (first + second) / 2
-                    at[m, index, i] = here[i]
+                    here[i] = at[m, index, i] = (first, (first + second) / 2, second)[place]
                 for i in range(3):
                     a, b = (i + 1) % 3, (i + 2) % 3
                     moving[m, index, i] = spin[j, a] * here[b] - spin[j, b] * here[a] - shift[j, i]
