@@ -18,7 +18,7 @@ ROOT = HERE.parents[1]
 BUILD = ROOT / "build" / "docs"
 PAGES, SITE = BUILD / "pages", BUILD / "site"
 SHIM = "https://unpkg.com/iframe-worker/shim"
-"""What the theme loads from the network; the site has it beside its pages."""
+"""Files that the theme loads from the network; the site has them beside its pages."""
 PLAYED = ["policy=runs/reference/comfort_shift/levels0", "human=mixture"]
 """Overrides of the studio for the page that plays."""
 NAMES = {

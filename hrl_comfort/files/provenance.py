@@ -22,7 +22,7 @@ from hrl_comfort.files.documents import read_json
 ROOT = Path(__file__).resolve().parents[2]
 """The checkout; in a wheel, the folder that holds the package."""
 DECIDING = (".", ":!runs", ":!docs", ":!*.md")
-"""What decides results, as pathspecs of git: all but the results themselves and the pages."""
+"""Files that decide results, as pathspecs of git: all but the results themselves and the pages."""
 RESUMABLE = ("latest.pt", "previous.pt")
 """Checkpoints to resume from, the newest first."""
 STEP_FILE = re.compile(r"step_(\d{9})\.pt")

@@ -15,7 +15,7 @@ KEYS = ("beside", "calibration", "demonstrator", "file", "initial_policy", "next
 NAMES = (*SCRIPTED_POLICIES, "ik")
 """Values of these keys that are no paths; `package.module:callable` and `udp://HOST:PORT` are none either."""
 PREFIXES = ("sb3:", "onnx:")
-"""What may stand before a path."""
+"""Prefixes that may stand before a path."""
 
 
 def stored(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -39,7 +39,7 @@ class Run:
     """Configuration of the evaluation, or else of the training; empty without a config.yaml."""
     provenance: Provenance | None = None
     unfinished: str | None = None
-    """How far the training is; None if it is finished."""
+    """Progress of the training in words; None if it is finished."""
     metrics: DataFrame | None = None
     minutes: float | None = None
     """Duration of the training."""

@@ -43,7 +43,7 @@ NEAR_M = 10.0
 FASTEST_M_S, SLOWEST_M_S, STROLL_M = 12.0, 0.05, 0.3
 """The record of a sprint; a speed that somebody who moves at all exceeds, and what counts as moving."""
 TURN_RAD, TURN_RAD_S = 2 * np.pi, 4.0
-"""What a yaw may jump by, wrapped, and the turning that goes on beside it."""
+"""Jump of a yaw that is a wrap, and the turning that goes on beside it."""
 REACH_M, TALLEST_M = 1.5, 3.0
 """Farthest place of a hand: from the person's axis, and above the floor."""
 

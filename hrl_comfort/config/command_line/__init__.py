@@ -1,1 +1,1 @@
-"""What the command line and the studio know of configurations: their keys, and words that stand for policies."""
+"""Keys of configurations and words that stand for policies, for the command line and the studio."""
