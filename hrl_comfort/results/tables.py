@@ -10,7 +10,7 @@ import pandas as pd
 
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown
-from hrl_comfort.benchmarks import entries, env, safety, train, update
+from hrl_comfort.benchmarks import entries, env, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
@@ -121,7 +121,6 @@ KINDS: dict[str, Callable[[str], str]] = {
     "responses": of_entries(entries.responses),
     "closed loop": of_entries(entries.at_same_throughput),
     "bench env": of_rows(env.table),
-    "bench safety": of_rows(safety.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),
     "attacks": of_rows(attacks),
