@@ -24,7 +24,7 @@ MEASURING = (
                                          "policies", "safety", "scene", "sim", "tasks")),
     "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks",
 )  # fmt: skip
-"""What decides an evaluation of given policies, as pathspecs of git."""
+"""Files that decide an evaluation of given policies, as pathspecs of git."""
 
 
 class Entry(BaseModel):
@@ -44,7 +44,7 @@ class Entry(BaseModel):
     decided_by: list[str] = list(MEASURING)
     """Files of which a change makes the result stale, as pathspecs of git."""
     by_hand: str | None = None
-    """How the files are made where no command makes them."""
+    """Way in which the files are made where no command makes them."""
 
     def commands(self, phase: str) -> list[list[str]]:
         """Return the words of the commands of a phase, one of PHASES, for each seed."""

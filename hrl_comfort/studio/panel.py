@@ -44,7 +44,7 @@ class Panel(Watcher):
     def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop) -> None:
         self._server, self._play, self._loop = server, play, loop
         self._outcomes: dict[int, str] = {}
-        """How the last episode of each cell ended."""
+        """End of the last episode of each cell, in words."""
         self._message, self._drawn = "", 0.0
         self.recording = False
         """Whether the readout has the mark of a recording."""

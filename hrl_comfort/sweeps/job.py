@@ -26,7 +26,7 @@ from hrl_comfort.training.preemption import Preempted
 Command = Callable[[list[str]], None]
 """Runs a verb with overrides."""
 OUTCOMES = {RunState.NEW: "done", RunState.STOPPED: "resumed", RunState.FINISHED: "skipped, finished"}
-"""What a sweep reports of a job that ended well, by its state before."""
+"""Outcome that a sweep reports of a job that ended well, by its state before."""
 LOCAL_LAUNCHERS = ("basic", "joblib")
 """Launchers whose sweep ends when one job gets SIGTERM; the jobs of others are stopped one by one."""
 
