@@ -17,7 +17,7 @@ from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
-"""Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
+"""Kinds of `sim.variation.disturbance`: nothing; the ball is dropped; a human blocks a table."""
 LIVE_MOTIONS = ("live", "recorded", "none")
 """Motions of people beside a real arm."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)

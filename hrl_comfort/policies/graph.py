@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.policies.actor import ActorPolicy
-from hrl_comfort.tasks import LazyState, State, Subtask
+from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
@@ -33,9 +33,15 @@ NAMES = tuple(field.name for field in fields(State))
 
 def inputs_of(function: StateFunction, state: State) -> tuple[str, ...]:
     """Return the fields of `state` that `function` reads, in the order of State."""
-    seen = LazyState.of(lambda name: getattr(state, name))
-    function(seen)
-    return tuple(name for name in NAMES if name in vars(seen))
+    read: set[str] = set()
+
+    class Watched(State):
+        def __getattr__(self, name: str) -> Any:
+            read.add(name)
+            return getattr(state, name)
+
+    function(Watched.of())
+    return tuple(name for name in NAMES if name in read)
 
 
 class PolicyGraph(nn.Module):
@@ -57,9 +63,8 @@ class PolicyGraph(nn.Module):
 
 
 def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
-    """Return a state with `values` in its fields `inputs`; to read another raises KeyError."""
-    given = dict(zip(inputs, values, strict=True))
-    return LazyState.of(given.__getitem__, **given)
+    """Return a state with `values` in its fields `inputs` alone."""
+    return State.of(**dict(zip(inputs, values, strict=True)))
 
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from functools import partial
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -12,10 +12,13 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class State:
-    """One instant of N cells. Tensors are float64 unless said otherwise; cell frame, SI units.
+    """One instant of N cells, or K of them. Tensors are float64 unless said otherwise; cell frame, SI units.
 
     The cell frame has its origin in the robot's base, z up. Every quantity belongs to the same
     instant: the last physics step of a control step, before it is integrated.
+
+    Shapes are those of one instant. Of K instants a field that changes is (N, K, ...) and one that does not is
+    (N, 1, ...): they broadcast, and functions of State take either.
     """
 
     joint_pos: Tensor
@@ -101,7 +104,7 @@ class State:
     def drops(self) -> Tensor:
         """(N, B, 3) m, the drop point of each ball's colour."""
         pink = (self.colours == 1)[..., None]
-        return torch.where(pink, self.pink_drop[:, None], self.orange_drop[:, None])
+        return torch.where(pink, self.pink_drop[..., None, :], self.orange_drop[..., None, :])
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields by their names."""
@@ -112,43 +115,28 @@ class State:
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
         return State(**{name: value.index_select(0, index) for name, value in self.fields().items()})
 
-    def with_(self, **changes: Tensor) -> State:
+    def instants(self) -> State:
+        """Return this instant as the only one of several, (N, 1, ...)."""
+        return State(**{name: value[:, None] for name, value in self.fields().items()})
+
+    def at(self, k: int) -> State:
+        """Return instant `k` of several."""
+        return State(**{name: value[:, min(k, value.shape[1] - 1)] for name, value in self.fields().items()})
+
+    def with_(self, **changes: Tensor) -> Self:
         """Return a copy with the given fields replaced."""
-        return State(**(self.fields() | changes))
+        changed = copy(self)
+        vars(changed).update(changes)
+        return changed
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = other.fields()
         return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in self.fields().items()})
 
-
-class LazyState(State):
-    """A state whose fields are made when they are first read.
-
-    It keeps what they are made of. Its copies, pickles, `rows` and `put` are states that have all fields.
-    """
-
     @classmethod
-    def of(cls, make: Callable[[str], Tensor], **known: Tensor) -> LazyState:
-        """Return a state of which some fields are known; `make` gives another by its name."""
+    def of(cls, **known: Tensor) -> Self:
+        """Return a state of which some fields are known; to read another raises AttributeError."""
         state = object.__new__(cls)
-        vars(state).update(known, _make=make)
+        vars(state).update(known)
         return state
-
-    def __getattr__(self, name: str) -> Tensor:
-        if name not in State.__dataclass_fields__:
-            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
-        made: Tensor = vars(self)["_make"](name)
-        vars(self)[name] = made
-        return made
-
-    def with_(self, **changes: Tensor) -> State:
-        """Return a copy with the given fields replaced, the others still to be made."""
-        return LazyState.of(partial(getattr, self), **changes)
-
-    def fields(self) -> dict[str, Tensor]:
-        """Return all fields by their names."""
-        return {name: getattr(self, name) for name in State.__dataclass_fields__}
-
-    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
-        return State, tuple(self.fields().values())

@@ -1,0 +1,55 @@
+"""Control vectors of the compiled model."""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort import humans
+from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.workcell import Scene, ball_props
+
+Array = NDArray[np.float64]
+
+
+def limbs_of(scene: Scene, walk: humans.Walk) -> Array:
+    """Return the limb poses (n, 7, 7) of n people."""
+    phase, swing = humans.gait(walk)
+    x, y = walk.position.T
+    return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z, walk.limbs)
+
+
+def pack_controls(
+    scene: Scene, targets: Array, limbs: Array, balls: Array, colours: NDArray[np.int64], points: Array
+) -> Array:
+    """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
+
+    targets (n, K * s, J) rad, s to a control step; limbs (n * K, 7, 7) stay put over a control step; balls
+    (n, B, 3) m, of colours (n, B), and points (n, P, 3) m over all of them. Balls are absent if there are points.
+    """
+    n, steps, joints = len(targets), len(limbs) // len(targets), targets.shape[-1]
+    places = joints + 3 * len(scene.mocap)
+    control = np.empty((n, steps, targets.shape[1] // steps, scene.ncontrol))
+    control[..., :joints] = targets.reshape(*control.shape[:3], joints)
+    # Whole runs of numbers at once: numpy is slow on many short ones.
+    position, quaternion = control[..., joints:places], control[..., places:]
+    props, limbs = len(scene.mocap) - len(LIMBS), limbs.reshape(n, steps, 1, len(LIMBS), 7)
+    position[..., : 3 * len(LIMBS)] = limbs[..., :3].reshape(n, steps, 1, -1)
+    position[..., 3 * len(LIMBS) :] = _absent(props)[0]
+    quaternion[..., : 4 * len(LIMBS)] = limbs[..., 3:].reshape(n, steps, 1, -1)
+    quaternion[..., 4 * len(LIMBS) :] = _absent(props)[1]
+    balls_at = position[..., 3 * len(LIMBS) :].reshape(*control.shape[:3], props, 3)
+    if count := points.shape[1]:
+        balls_at[..., 2 : 2 + count, :] = points[:, None, None]
+    else:
+        for index in range(balls.shape[1]):
+            prop = ball_props(index)[colours[:, index]]
+            balls_at[np.arange(n), :, :, prop] = balls[:, index, None, None]
+    return control.reshape(n, -1, scene.ncontrol)
+
+
+@cache
+def _absent(props: int) -> tuple[Array, Array]:
+    """Return position (3 * props,) m and quaternion (4 * props,) of props that are not there."""
+    return np.tile((FAR_AWAY_M, 0.0, 0.0), props), np.tile((1.0, 0.0, 0.0, 0.0), props)
