@@ -37,7 +37,7 @@ class Engine:
         measure_arm: bool = False,
         disturbance: str = "none",
     ) -> None:
-        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
+        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance)
         self.num_envs = rows
         self._models = [copy(self.scene.model) for _ in range(rows if config.randomise.links else 0)]

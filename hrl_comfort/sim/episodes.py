@@ -23,10 +23,10 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene, tool_at
-from hrl_comfort.sim.balls import go_on, rendered_positions, target_ball, update_placed
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.disturbance import Disturbance
 from hrl_comfort.sim.episode_sampler import ARRIVALS, ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
+from hrl_comfort.sim.objects import choose_target, go_on, rendered_positions, update_placed
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.randomisation import Servos, Values, observed
 from hrl_comfort.sim.signals import Sensors, limbs_of, pack_controls
@@ -37,6 +37,8 @@ from hrl_comfort.tasks import State, Subtask, subtask
 from hrl_comfort.tasks.observations import share
 
 Array = NDArray[np.float64]
+Objects = tuple[Array, NDArray[np.int64]]
+"""Centres (n, B, 3) m, and kinds (n, B)."""
 Probe = Callable[[Array, Array], Array]
 """(joints (r, 2 J): angles rad, velocities rad/s; control (r, ncontrol)) -> sensordata (r, nsensor)."""
 
@@ -60,7 +62,7 @@ class Episodes:
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         task, source = config.task, config.comfort.source
-        known = subtask(task.name, task.observation, task.balls)
+        known = subtask(task.name, task.observation, task.objects)
         plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
         seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
@@ -74,7 +76,6 @@ class Episodes:
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
-        self._drops = self.sampler.goals[1:]
         self._tcp_home = tool_at(scene, scene.home)
 
         self.episode = np.full(rows, -1, dtype=np.int64)
@@ -123,7 +124,7 @@ class Episodes:
                 for name, value in vars(next(attempts[row])).items():
                     getattr(self.draw, name)[row] = value
                 rng = self.sampler.generator(int(row), int(self.episode[row]), DISTURBANCE_STREAM)
-                self._disturbance.begin(row, self.draw, self._drops, self.config.human.keep_out_m, rng)
+                self._disturbance.begin(row, self.draw, self.config.human.keep_out_m, rng)
             self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
             fresh = humans.begin(self.config.human, self.draw.spawn[pending], self.draw.traits[pending])
@@ -137,12 +138,13 @@ class Episodes:
             seen = self._tracker.begin(pending, values, self.draw.frames[pending], fresh.position, limbs)
             planned = self._plan(fresh, seen, limbs, SetPoints.unshielded(targets, still, steps), steps)
             # The control holds the robot and the human where they begin.
-            control = self._controls(targets[:, None], planned["limbs"], self.draw.balls[pending], pending)[:, 0]
+            objects = self.draw.objects(pending), self.draw.kinds[pending]
+            control = self._controls(targets[:, None], planned["limbs"], objects, pending)[:, 0]
             sensed = probe(self.draw.start[pending, :moving], control)
             state = State(
                 **self._sensors.read_first(sensed, planned),
                 **first_fields(
-                    self.draw, pending, self._drops, self.config.task.precision, self.precision_m,
+                    self.draw, pending, self.config.task.precision, self.precision_m,
                     level=self.source.level[pending], tcp_home=self._tcp_home, joint_home=self.scene.home,
                 ),
             )  # fmt: skip
@@ -199,7 +201,7 @@ class Episodes:
         arm = cache(partial(self._separation.arm.points, self.state.joint_pos.numpy(), self.state.joint_vel.numpy()))
         self._around = self.state.tcp_pos.numpy()[:, :2], self.sampler.keep_out(self.draw.points), arm
         noise = self.draw.noise[np.arange(self.rows)[:, None], np.minimum(times, self.sampler.horizon - 1)]
-        balls = rendered_positions(self.state, self.subtask)
+        objects = rendered_positions(self.state, self.subtask), self.state.kinds.numpy()
         for part in self._planning:
             part.begin_decision()
         if self.drive is None:
@@ -213,19 +215,19 @@ class Episodes:
             self.walks = humans.Walk.along(list(self._walking(times, noise, ends.reshape(self.rows, steps, -1))))
             limbs = limbs_of(self.scene, self.walks)
             self._tracker.follow(times + 1, self.draw.frames, self.walks.position, limbs)
-            yield self._controls(self._servos.follow(targets), limbs, balls)
+            yield self._controls(self._servos.follow(targets), limbs, objects)
         else:
-            points, limbs = yield from self._driven(increment / CONTROL_STEP_S, joints, times, noise, balls)
+            points, limbs = yield from self._driven(increment / CONTROL_STEP_S, joints, times, noise, objects)
         places = self._tracker.seen(self.walks.position)
         self._planned = self._plan(self.walks, places, limbs, points, times.reshape(-1) + 1)
 
     def _driven(
-        self, asked: Array, joints: Callable[[], Array], times: NDArray[np.int64], noise: Array, balls: Array
+        self, asked: Array, joints: Callable[[], Array], times: NDArray[np.int64], noise: Array, objects: Objects
     ) -> Generator[Array, None, tuple[SetPoints, Array]]:
         """Yield the controls of each control step under the drive, as `controls` does; set the walks.
 
         Return the set-points (N * K) and limbs (N * K, L, 7). `asked` (N, J) rad/s, `times` (N, K), `noise`
-        (N, K, NOISE), `balls` (N, B, 3) m.
+        (N, K, NOISE), `objects` (N).
         """
         assert self.drive is not None and self.state is not None
         points, walks, limbs = [set_points(self.state)], [self.walk], [limbs_of(self.scene, self.walk)]
@@ -240,7 +242,7 @@ class Episodes:
             limbs.append(poses)
             self._tracker.see(times[:, k] + 1, self.draw.frames, walks[-1].position, limbs[-1])
             targets = self._servos.follow(point.ramp(begin, self.config.engine.substeps))
-            yield self._controls(targets, limbs[-1], balls)
+            yield self._controls(targets, limbs[-1], objects)
         self.walks = humans.Walk.along(walks[1:])
         beside = np.stack(limbs[1:], axis=1)
         return SetPoints.along(points[1:]), beside.reshape(-1, *beside.shape[2:])
@@ -263,7 +265,8 @@ class Episodes:
         state = self._disturbance.applied(update_placed(state, self.state.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
             arriving = self.draw.arriving[np.arange(self.rows), state.steps.numpy() % ARRIVALS]
-            state = go_on(state, self.state, result.failed, torch.from_numpy(arriving), self.subtask)
+            drawn = torch.from_numpy(arriving), torch.from_numpy(self.draw.arrivals)
+            state = go_on(state, self.state, result.failed, *drawn, self.subtask)
         self.state, last = state, result.decision_steps.numpy() - 1
         self.walk = self.walks.rows(np.arange(self.rows) * self.planned_steps + last)
         for part in self._planning:
@@ -283,14 +286,14 @@ class Episodes:
         """Return the present `state` (N rows) as the sensors report it, for policies."""
         return observed(self.config.randomise, self.values(), self.draw.readings, state, self._separation.arm)
 
-    def aim(self, rows: Tensor, ball: Tensor) -> None:
-        """Make the balls (r,) the targets of `rows` (r,).
+    def aim(self, rows: Tensor, index: Tensor) -> None:
+        """Make the objects `index` (r,) the targets of `rows` (r,).
 
         Raises:
-          ValueError: a row is not to pick now, or the ball has been placed.
+          ValueError: a row is not to pick now, or the object has been placed.
         """
         assert self.state is not None
-        self.state = target_ball(self.state, rows, ball, self.subtask)
+        self.state = choose_target(self.state, rows, index, self.subtask)
 
     def _walking(self, times: NDArray[np.int64], noise: Array, angles: Array) -> Iterator[humans.Walk]:
         """Yield the K walks over control steps that begin at `times` (N, K) and take arms to `angles` (N, K, J) rad."""
@@ -307,10 +310,10 @@ class Episodes:
         assert self._around is not None
         return self._disturbance.walked(walk, humans.advance(self.config.human, walk, noise, *self._around), times)
 
-    def _controls(self, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
+    def _controls(self, targets: Array, limbs: Array, objects: Objects, rows: Any = slice(None)) -> Array:
         """Return the controls of `rows`; see `pack_controls`."""
-        points = self.draw.points[rows, : self.subtask.points]
-        return pack_controls(self.scene, targets, limbs, balls, self.draw.colours[rows], points)
+        layout, points = self.draw.layout(rows), self.draw.points[rows, : self.subtask.points]
+        return pack_controls(self.scene, targets, limbs, layout, *objects, points)
 
     def max_episode_steps(self, level: Tensor) -> Tensor:
         """Return the time limits (N,) in control steps at levels (N,)."""

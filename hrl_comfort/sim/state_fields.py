@@ -48,20 +48,18 @@ def planned_fields(
 
 
 def first_fields(
-    draw: Draw, rows: NDArray[np.int64], drops: Array, precision: PrecisionConfig, precision_m: float, level: Array,
+    draw: Draw, rows: NDArray[np.int64], precision: PrecisionConfig, precision_m: float, level: Array,
     tcp_home: Array, joint_home: Array,
 ) -> dict[str, Tensor]:  # fmt: skip
     """Return the fields (r, ...) of `rows` (r,) that stay, or begin, as drawn.
 
-    The first ball is the target, none is placed. All tolerances scale with `precision_m`. `drops` (2, 3) m, by colour.
+    The first object is the target, none is placed. All tolerances scale with `precision_m`.
     """
     n, scale = len(rows), precision_m / precision.grasp_tolerance_m
-    balls, colours = draw.balls[rows], draw.colours[rows]
+    kinds = draw.kinds[rows]
     constant = {
         "tcp_home": tcp_home,
         "joint_home": joint_home,
-        "orange_drop": drops[0],
-        "pink_drop": drops[1],
         "target": np.int64(0),
         "stage": np.int64(0),
         "grasp_tolerance": precision_m,
@@ -70,13 +68,12 @@ def first_fields(
     }
     known = {
         **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
-        "ball_pos": balls[:, 0],
-        "drop_pos": drops[colours[:, 0]],
+        "places": draw.places[rows, :, :3],
+        "kind_places": draw.kind_places[rows],
         "points": draw.points[rows],
-        "colour": colours[:, 0],
-        "balls": balls,
-        "colours": colours,
-        "placed": np.zeros(colours.shape, dtype=bool),
+        "objects": draw.objects(rows),
+        "kinds": kinds,
+        "placed": np.zeros(kinds.shape, dtype=bool),
         "level": level,
     }
     return {name: torch.from_numpy(value) for name, value in known.items()}
