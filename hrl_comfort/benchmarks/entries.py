@@ -225,8 +225,8 @@ def pairs(folder: Path, other: Path) -> tuple[list[Entry], list[Entry]]:
 def at_same_throughput(folder: Path, fixed: Path) -> str:
     """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
 
-    The latter is the best that a mix of two fixed levels gives at the same objects a minute, some shifts being worked at
-    one and some at the other.
+    The latter is the best that a mix of two fixed levels gives at the same objects a minute, some shifts being worked
+    at one and some at the other.
 
     Raises:
       ConfigError: an entry is damaged, the folders have no seed in common or other policies for it, or no mix is as

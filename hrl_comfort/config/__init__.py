@@ -57,11 +57,12 @@ from hrl_comfort.config.training import (
 )
 
 __all__ = [
-    "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "HIERARCHY", "POLICIES", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
-    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
-    "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
-    "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
-    "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig", "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig",
-    "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED", "HIERARCHY",
+    "POLICIES", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
+    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig",
+    "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig",
+    "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",
+    "MetaControllerConfig", "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig",
+    "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig", "RobotConfig",
+    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

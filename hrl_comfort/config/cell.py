@@ -110,7 +110,10 @@ class ObstacleConfig:
 
 @dataclass(frozen=True)
 class CellConfig:
-    """A cell: what stands round the robot, and the objects in it. Metres, cell frame (robot base at the origin, z up)."""
+    """A cell: what stands round the robot, and the objects in it.
+
+    Metres, cell frame (robot base at the origin, z up).
+    """
 
     places: Annotated[dict[Name, PlaceConfig], Field(min_length=1)]
     """Surfaces on which objects lie, by name."""
@@ -180,9 +183,9 @@ class ConnectionConfig:
     host: str
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
-    """Frame in which places and obstacles of `cell`, `task.*point_m` and live positions of people are given; null: that of the robot's
-    base. For another frame give three tool positions, measured in the frame of the base, m: the new frame's origin, a
-    point on its x axis, and a point in its x-y plane with y > 0."""
+    """Frame in which places and obstacles of `cell`, `task.*point_m` and live positions of people are given; null:
+    that of the robot's base. For another frame give three tool positions, measured in the frame of the base, m: the new
+    frame's origin, a point on its x axis, and a point in its x-y plane with y > 0."""
 
 
 @dataclass(frozen=True)
@@ -213,10 +216,10 @@ class RandomiseConfig:
     """Probability that a frame is lost; at most two in a row are lost."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            low, high = getattr(self, field.name)
+        for each in fields(self):
+            low, high = getattr(self, each.name)
             if low > high:
-                raise ConfigError(f"randomise.{field.name}=[{low:g}, {high:g}] is not [low, high]")
+                raise ConfigError(f"randomise.{each.name}=[{low:g}, {high:g}] is not [low, high]")
 
     @property
     def sensors(self) -> bool:

@@ -19,7 +19,7 @@ from hrl_comfort.sim.engine import Engine
 
 
 def record_terminal_states(config: EvaluateConfig) -> Path:
-    """Write the last states of successful episodes by kind of object, float32 (`sim.starts`), to `config.terminal_states`.
+    """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
     A state holds the joints and, with a person, their position and the level in force. Episodes are drawn as
     in training, from seeds of their own: what is recorded becomes training data.

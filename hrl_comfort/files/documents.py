@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import (
+    Annotated,
+    Any,
+    NotRequired,  # pydantic takes those of typing from Python 3.12 on
+    TypeVar,
+)
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter, ValidationError, with_config
-from typing_extensions import NotRequired, TypedDict  # pydantic takes those of typing from Python 3.12 on
+from typing_extensions import TypedDict
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
 from hrl_comfort.files.reading import read_bytes, read_text

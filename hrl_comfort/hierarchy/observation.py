@@ -30,8 +30,8 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
 
     Person (2) and their facing direction (2, zero where their position is clipped or masked) or, with the layout
     `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of the round (3), level and
-    whether there is one (2); of each object its position (3), where it belongs (2), the person's distance from both (2),
-    whether it is placed and whether it is the target (2).
+    whether there is one (2); of each object its position (3), where it belongs (2), the person's distance from both
+    (2), whether it is placed and whether it is the target (2).
     """
     place = state.object_places
     person = human(state)[:, None]

@@ -92,9 +92,7 @@ def _add_top(body: mjcf.Element, name: str, place: PlaceConfig) -> None:
     body.add("geom", name=f"{name}_top", type="box", pos=(0, 0, -half), size=(x, y, half), rgba=_WOOD, **_SOLID)
     for index, (u, v) in enumerate(leg_axes(place)):
         axis = (u, v, -half - 0.03, u, v, -_LONGEST_LEG_M)
-        body.add(
-            "geom", name=f"{name}_leg_{index}", type="capsule", fromto=axis, size=[_LEG_M], rgba=_STEEL, **_SOLID
-        )
+        body.add("geom", name=f"{name}_leg_{index}", type="capsule", fromto=axis, size=[_LEG_M], rgba=_STEEL, **_SOLID)
 
 
 def leg_axes(place: PlaceConfig) -> list[tuple[float, float]]:

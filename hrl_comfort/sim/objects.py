@@ -49,8 +49,9 @@ def go_on(state: State, before: State, failed: Tensor, kinds: Tensor, arrivals: 
     rows = torch.nonzero(lost | (task.grasping(state.stage) & (state.stage > before.stage))).squeeze(1)
     if not len(rows):
         return state
-    index, placed, every, centres = before.target[rows], *(
-        each.clone() for each in (state.placed, state.kinds, state.objects)
+    index, placed, every, centres = (
+        before.target[rows],
+        *(each.clone() for each in (state.placed, state.kinds, state.objects)),
     )
     placed[rows, index], every[rows, index] = False, kinds[rows]
     centres[rows, index] = arrivals[rows, index, kinds[rows]]

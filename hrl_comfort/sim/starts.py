@@ -57,9 +57,7 @@ def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
     precision, cell, home = config.task.precision, config.cell, tuple(scene.home)
     picked = start == Start.AT_OBJECT
     near = precision.grasp_tolerance_m if picked else precision.place_tolerance_m
-    goals = [
-        cell.centre(kind, each.arrives_at if picked else each.belongs_at) for kind, each in cell.objects.items()
-    ]
+    goals = [cell.centre(kind, each.arrives_at if picked else each.belongs_at) for kind, each in cell.objects.items()]
     return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal in goals]
 
 

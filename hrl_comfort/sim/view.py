@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.scene.workcell import CONTROL_SPEC
-from hrl_comfort.sim.objects import rendered_positions
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.objects import rendered_positions
 from hrl_comfort.sim.signals import limbs_of, pack_controls
 
 AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M = 60.0, -45.0, 2.9

@@ -142,7 +142,7 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
         for key, value in _fields(part, attrgetter(part)(run)):
             if key.split(".")[1] not in stated:
                 # Hydra would add the entries of a mapping to those of conf/.
-                trained += [f"~{key}"] * isinstance(value, dict)
+                trained += [override(key, None)] * isinstance(value, dict)
                 trained.append(override(key, value))
     return [*trained, *overrides]
 

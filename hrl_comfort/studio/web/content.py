@@ -22,7 +22,7 @@ from hrl_comfort.humans.motions.live import ARRIVED_M
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, inputs_of
 from hrl_comfort.policies.load import observed_by
-from hrl_comfort.scene import LIMBS, Scene, human
+from hrl_comfort.scene import Scene, human
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.studio.clip import decision_clip
 from hrl_comfort.studio.person import FARTHEST_M, fastest_m_s, motion_config
