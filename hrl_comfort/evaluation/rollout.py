@@ -15,7 +15,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.frightened import mean_level
 from hrl_comfort.comfort.trajectory import Trajectory, metrics
-from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.composition.hydra_conf import run_folder
 from hrl_comfort.config.composition.run_config import environment, load_config, save_config
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
@@ -183,7 +183,7 @@ class EpisodeRecorder:
             episode = self._found[row]
             stops = episode.protective_stops or 0
             kept = dict(zip(COURSE, course, strict=True))
-            through = Course(**kept, balls_placed=episode.balls_placed, protective_stops=stops, human_here=here)
+            through = Course(**kept, objects_placed=episode.objects_placed, protective_stops=stops, human_here=here)
             values = metrics(Trajectory(tool, human, through.joint_target, through.arm_distance, here))
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
@@ -210,7 +210,7 @@ class EpisodeRecorder:
         subtask = self.engine.episodes.subtask
         # A shift is over, and done, when its time is up.
         success = bool(step.truncated[row] if subtask.repeats else step.success[row])
-        colour = COLOURS[int(state.colours[row, 0])]
+        kind = config.cell.kinds[int(self.engine.episodes.draw.kinds[row, 0])]
         episodes, shielded = self.engine.episodes, config.safety.kind != "none"
         return Episode(
             task=config.task.name,
@@ -219,7 +219,7 @@ class EpisodeRecorder:
             split=config.split,
             episode_seed=int(entries.episode_seed[row]),
             episode=int(entries.episode[row]),
-            colour=colour,
+            object=kind,
             spawn_id=None if episodes.draw.spawn_id[row] < 0 else int(episodes.draw.spawn_id[row]),
             motion_id=int(episodes.draw.motion_id[row]),
             seen=None if entries.drawn else bool(entries.seen[row]),
@@ -234,7 +234,7 @@ class EpisodeRecorder:
             unsafe_contact=False,
             other_collision="none",
             truncated=not success and not bool(step.terminated[row]),
-            balls_placed=int(subtask.released(state.stage)[row]),
+            objects_placed=int(subtask.released(state.stage)[row]),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
             protective_stops=int(state.protective_stops[row]) if shielded else None,

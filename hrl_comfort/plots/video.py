@@ -47,7 +47,7 @@ def frames(
     robot: RobotConfig,
     cell: CellConfig,
     task: str,
-    colour: str,
+    kind: str,
     speed: float = 1.0,
     view_deg: float | None = None,
 ) -> Iterator[NDArray[np.uint8]]:
@@ -57,8 +57,8 @@ def frames(
       path: the episode's rows of paths.csv.
       robot: the arm.
       cell: the cell.
-      task: the subtask; it says what the stages are, and so where the ball is.
-      colour: orange or pink.
+      task: the subtask; it says what the stages are, and so where the object is.
+      kind: of the object, a name of `cell.objects`.
       speed: 0.5 for a video at half speed.
       view_deg: azimuth of the camera; None is `azimuth_deg`.
 
@@ -66,7 +66,7 @@ def frames(
       PicturesUnavailableError: there is no off-screen OpenGL.
     """
     scene = dressed(build_scene(robot, cell, substeps=2))
-    clip, data = path_clip(path, scene, cell, task, colour, balls=True), mujoco.MjData(scene.model)
+    clip, data = path_clip(path, scene, task, kind), mujoco.MjData(scene.model)
     view_deg = azimuth_deg(path) if view_deg is None else view_deg
     with closing(Camera(scene.model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
         for time_s in np.arange(0.0, clip.duration_s + 1e-9, speed / FRAMES_PER_S):

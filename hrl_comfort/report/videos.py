@@ -68,8 +68,10 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
         tape = Tape(run)
     except ConfigError as error:
         raise PicturesUnavailableError(f"No video: {error}") from None
-    if not tape.knows_balls:
-        raise PicturesUnavailableError(f"No video: {run.name} has its balls in other places than the picture knows of.")
+    if not tape.knows_objects:
+        raise PicturesUnavailableError(
+            f"No video: {run.name} has its objects in other places than the picture knows of."
+        )
     takes = [(recording, take) for recording in tape.recordings for take in recording.takes]
     if config.episode is not None:
         chosen = {"success": next(each for each in takes if each[0].episode == config.episode)}
@@ -87,7 +89,7 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
 
     tape, view = take.tape, azimuth_deg(take.path)
     shown = recording.ends if take in recording.ends else [take]
-    pictures = [frames(each.path, tape.robot, tape.cell, each.task, each.colour, speed, view) for each in shown]
+    pictures = [frames(each.path, tape.robot, tape.cell, each.task, each.kind, speed, view) for each in shown]
     write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:

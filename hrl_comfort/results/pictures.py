@@ -30,13 +30,13 @@ from hrl_comfort.scene.looks import dressed
 
 LEVELS, LEAST_STEPS = (1, 10), 60
 """Shown by `levels`, and how long its episode lasts at least, control steps."""
-CROP, COLOURS, FONT = (75, 8, 395, 338), 255, ImageFont.load_default(14)
+CROP, PALETTE, FONT = (75, 8, 395, 338), 255, ImageFont.load_default(14)
 FRAME_MS, HOLD = 100, 12
 """Duration of a frame (2.5 times slower than real time), and repetitions of the last one."""
 STAGE, SHARE, WIDTH, HEIGHT = 1, 0.65, 1000, 620
-"""The stage shown by `cell`, 1: the ball is carried; the share of it that has gone by; and the picture's size."""
+"""The stage shown by `cell`, 1: the object is carried; the share of it that has gone by; and the picture's size."""
 DOTS = ((0.15, 0.45, 0.9, 1), (1.0, 0.5, 0.1, 1), (0.3, 0.65, 0.3, 1))
-"""Colours of the tool's path: to the ball, with the ball, home."""
+"""Colours of the tool's path: to the object, with it, home."""
 LINES = {1: ("-", "#440154"), 4: ("--", "#31688e"), 7: ("-.", "#35b779"), 10: (":", "#d9a400")}
 """Style and colour of a level, dark to light."""
 
@@ -56,7 +56,7 @@ def levels(folder: Path, output: Path) -> None:
     images = []
     for index in range(length):
         both = np.hstack([np.asarray(side[min(index, len(side) - 1)]) for side in sides])
-        images.append(Image.fromarray(both).quantize(COLOURS, dither=Image.Dither.NONE))
+        images.append(Image.fromarray(both).quantize(PALETTE, dither=Image.Dither.NONE))
     images[0].save(output, save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0, optimize=True)
 
 
@@ -67,8 +67,8 @@ def panels(folder: Path, episode: DataFrame, level: int) -> list[Image.Image]:
     mine = episode[episode["comfort_level"] == level]
     both = paths[paths["episode"] == mine["episode"].item()]
     path = both[both["level"] == level].reset_index(drop=True)
-    colour, pictures = str(mine["colour"].item()), []
-    drawn = frames(path, config.robot, config.cell, config.task.name, colour, view_deg=azimuth_deg(both))
+    kind, pictures = str(mine["object"].item()), []
+    drawn = frames(path, config.robot, config.cell, config.task.name, kind, view_deg=azimuth_deg(both))
     for index, picture in enumerate(drawn):
         step = min(round(index / FRAMES_PER_S / CONTROL_STEP_S), len(path) - 1)
         image = Image.fromarray(picture).crop(CROP)
@@ -79,7 +79,7 @@ def panels(folder: Path, episode: DataFrame, level: int) -> list[Image.Image]:
 
 
 def cell(folder: Path, output: Path) -> None:
-    """Draw the second recorded episode of `folder` while a ball is carried, the tool's path as dots."""
+    """Draw the second recorded episode of `folder` while an object is carried, the tool's path as dots."""
     rows, config = read_table(folder / "paths.csv"), compose("train")
     assert rows is not None and isinstance(config, TrainConfig)
     path = rows[rows["episode"] == 1].reset_index(drop=True)
@@ -92,7 +92,7 @@ def cell(folder: Path, output: Path) -> None:
     data.qpos[:] = [path[f"q{i}"][now] for i in range(6)]
     limbs = limb_poses(path["human_x"][now], path["human_y"][now], path["human_yaw"][now], 1.2, 0.35, scene.floor_z)
     data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
-    data.mocap_pos[scene.mocap.index("orange_ball")] = [path[f"tcp_{axis}"][now] for axis in "xyz"]
+    data.mocap_pos[scene.first_prop + scene.object_prop(0, 0)] = [path[f"tcp_{axis}"][now] for axis in "xyz"]
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.05, 0.12, 0.15)

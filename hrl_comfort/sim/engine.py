@@ -35,7 +35,7 @@ class Engine:
         physics: Callable[[Scene, EnvConfig, int], Physics] = Rollout,
         **planning: Any,
     ) -> None:
-        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
+        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance, **planning)
         self.physics = physics(self.scene, config, rows)
         self.num_envs = rows

@@ -23,8 +23,8 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene, tool_at
-from hrl_comfort.sim.balls import target_ball
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
+from hrl_comfort.sim.objects import choose_target
 from hrl_comfort.sim.plan import Joints, Plan
 from hrl_comfort.sim.referee import Referee
 from hrl_comfort.sim.step_result import StepResult
@@ -60,7 +60,7 @@ class Episodes:
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         task = config.task
-        known = subtask(task.name, task.observation, task.balls)
+        known = subtask(task.name, task.observation, task.objects)
         plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
         seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
@@ -135,7 +135,7 @@ class Episodes:
                 for name, value in vars(next(attempts[row])).items():
                     getattr(self.draw, name)[row] = value
                 rng = self.sampler.generator(int(row), int(self.episode[row]), DISTURBANCE_STREAM)
-                drop = self.sampler.goals[1 + self.draw.colours[row, 0]]
+                drop = self.draw.kind_places[row, self.draw.kinds[row, 0]]
                 place = self._disturbance.begin(row, drop, self.config.human.keep_out_m, rng)
                 if place is not None:
                     self.draw.spawn_id[row], self.draw.spawn[row] = -1, place
@@ -159,16 +159,13 @@ class Episodes:
     def _drawn(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
         """Return the fields (r, ...) of `rows` (r,) that stay, or begin, as drawn.
 
-        The first ball is the target, none is placed. All tolerances scale with `precision_m`.
+        The first object is the target, none is placed. All tolerances scale with `precision_m`.
         """
-        precision, drops = self.config.task.precision, self.sampler.goals[1:]
-        n, scale = len(rows), self.precision_m / precision.grasp_tolerance_m
-        balls, colours = self.draw.balls[rows], self.draw.colours[rows]
+        precision, draw = self.config.task.precision, self.draw
+        n, scale, kinds = len(rows), self.precision_m / precision.grasp_tolerance_m, draw.kinds[rows]
         constant = {
             "tcp_home": self._tcp_home,
             "joint_home": self.scene.home,
-            "orange_drop": drops[0],
-            "pink_drop": drops[1],
             "target": np.int64(0),
             "stage": np.int64(0),
             "grasp_tolerance": self.precision_m,
@@ -177,13 +174,12 @@ class Episodes:
         }
         known = {
             **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
-            "ball_pos": balls[:, 0],
-            "drop_pos": drops[colours[:, 0]],
-            "points": self.draw.points[rows],
-            "colour": colours[:, 0],
-            "balls": balls,
-            "colours": colours,
-            "placed": np.zeros(colours.shape, dtype=bool),
+            "places": draw.places[rows, :, :3],
+            "kind_places": draw.kind_places[rows],
+            "points": draw.points[rows],
+            "objects": draw.objects(rows),
+            "kinds": kinds,
+            "placed": np.zeros(kinds.shape, dtype=bool),
             "level": self.source.level[rows],
         }
         return {name: torch.from_numpy(value) for name, value in known.items()}
@@ -245,14 +241,14 @@ class Episodes:
         """Return the time limits (N,) in control steps at levels (N,)."""
         return self.referee.max_episode_steps(level)
 
-    def aim(self, rows: Tensor, ball: Tensor) -> None:
-        """Make the balls (r,) the targets of `rows` (r,).
+    def aim(self, rows: Tensor, index: Tensor) -> None:
+        """Make the objects `index` (r,) the targets of `rows` (r,).
 
         Raises:
-          ValueError: a row is not to pick now, or the ball has been placed.
+          ValueError: a row is not to pick now, or the object has been placed.
         """
         assert self.state is not None
-        self.state = target_ball(self.state, rows, ball, self.subtask)
+        self.state = choose_target(self.state, rows, index, self.subtask)
 
     def measured(self, **fields: Array) -> State:
         """Take `fields` (N, ...) of State, measured by somebody else, and return the state."""

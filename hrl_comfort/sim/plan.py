@@ -16,10 +16,10 @@ from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, HumanConfig
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.balls import rendered_positions
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.controls import limbs_of, pack_controls
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
+from hrl_comfort.sim.objects import rendered_positions
 from hrl_comfort.sim.people import stop_at_contact
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Servos, Values
@@ -108,7 +108,7 @@ class Plan:
         planned = self._planned(
             fresh.position[:, None], fresh.yaw[:, None], measured[:, None], limbs[:, None], points, steps
         )
-        return planned, self._controls(draw, targets[:, None], limbs, draw.balls[rows], rows)[:, 0]
+        return planned, self._controls(draw, targets[:, None], limbs, draw.objects(rows), draw.kinds[rows], rows)[:, 0]
 
     def accepted(self, rows: NDArray[np.int64], planned: Planned) -> None:
         """Begin the drive of `rows` (r,), whose episodes began as `planned`."""
@@ -131,7 +131,7 @@ class Plan:
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
         self._around = state.tcp_pos.numpy()[:, :2], self._sampler.keep_out(draw.points), arm
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
-        balls = rendered_positions(state, self._subtask)
+        objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:
             part.begin_decision()
         points, walks, limbs = [set_points(state)], [self.walk], [limbs_of(self._scene, self.walk)]
@@ -161,7 +161,7 @@ class Plan:
             walks.append(walk)
             limbs.append(poses)
             self.tracker.see(times[:, k] + 1, draw.frames, walk.position, poses)
-            waiting.append(self._controls(draw, self._servos.follow(targets), poses, balls))
+            waiting.append(self._controls(draw, self._servos.follow(targets), poses, objects, kinds))
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
@@ -235,10 +235,18 @@ class Plan:
         targets = np.minimum(np.maximum(before[:, None] + ramp[:, None] * increment[:, None], lowest), highest)
         return targets, SetPoints.unshielded(targets[:, -1], increment / CONTROL_STEP_S, steps)
 
-    def _controls(self, draw: Draw, targets: Array, limbs: Array, balls: Array, rows: Any = slice(None)) -> Array:
+    def _controls(
+        self,
+        draw: Draw,
+        targets: Array,
+        limbs: Array,
+        objects: Array,
+        kinds: NDArray[np.int64],
+        rows: Any = slice(None),
+    ) -> Array:
         """Return the controls of `rows` over a control step; see `pack_controls`."""
         points = draw.points[rows, : self._subtask.points]
-        return pack_controls(self._scene, targets, limbs, balls, draw.colours[rows], points)
+        return pack_controls(self._scene, targets, limbs, draw.layout(rows), objects, kinds, points)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""

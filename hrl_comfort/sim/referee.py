@@ -15,8 +15,8 @@ from hrl_comfort.comfort.sources import Source
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.balls import go_on, update_placed
 from hrl_comfort.sim.episode_sampler import ARRIVALS, Draw
+from hrl_comfort.sim.objects import go_on, update_placed
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.sim.sensors import Sensors
 from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
@@ -85,7 +85,8 @@ class Referee:
         state = self._disturbance.applied(update_placed(state, before.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
             arriving = draw.arriving[np.arange(len(draw.arriving)), state.steps.numpy() % ARRIVALS]
-            state = go_on(state, before, result.failed, torch.from_numpy(arriving), self.subtask)
+            drawn = torch.from_numpy(arriving), torch.from_numpy(draw.arrivals)
+            state = go_on(state, before, result.failed, *drawn, self.subtask)
         return result if state is result.state else replace(result, state=state)
 
     def max_episode_steps(self, level: Tensor) -> Tensor:

@@ -111,7 +111,7 @@ class Recorder:
         assert table is not None
         path = table[table["episode"] == row.episode].reset_index(drop=True)
         return write_video(
-            self.folder / "video.mp4", frames(path, config.robot, config.cell, config.task.name, row.colour)
+            self.folder / "video.mp4", frames(path, config.robot, config.cell, config.task.name, row.object)
         )
 
     def _finish(self) -> None:

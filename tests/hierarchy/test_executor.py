@@ -122,7 +122,7 @@ def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) ->
     assert row == [(1, "preempted"), (2, "preempted")]
 
 
-def test_a_lost_ball_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
+def test_a_lost_object_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
     path = [([5, 5, 5], [1, 1, 1]), ([9, 9, 9], [0, 0, 0]), ([18, 18, 18], [1, 1, 1])]
     _, steps = played([outcome(at(state, *where), NO, NO, NO) for where in path], three(), retries=0)
     row = [(r.option, r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]

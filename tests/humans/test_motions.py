@@ -107,17 +107,17 @@ def test_they_walk_round_the_discs_without_being_cut_at_them(name: str) -> None:
     assert np.linalg.norm(position, axis=-1).max() < 2.5
 
 
-def test_the_worker_reaches_with_both_hands_to_where_the_balls_lie() -> None:
+def test_the_worker_reaches_with_both_hands_to_where_the_objects_lie() -> None:
     walks = strolled("worker")
     config, hand = human("worker"), hands(walks)
     stations = np.array(config.stations_m)
     nearest = np.linalg.norm(walks[0].position[:, None] - stations, axis=-1).argmin(axis=1)
     arrived = stacked(walks[-300:], "position")
     assert np.linalg.norm(arrived - stations[nearest], axis=-1).max() < 0.05
-    # Both hands are within a hand's breadth of a ball's place, and away again.
-    to_balls = np.linalg.norm(hand[..., None, :2] - GOALS, axis=-1).min(axis=-1)[-300:]
-    assert to_balls.min(axis=0).max() < 0.15
-    assert to_balls.max(axis=0).min() > 0.15
+    # Both hands are within a hand's breadth of an object's place, and away again.
+    to_objects = np.linalg.norm(hand[..., None, :2] - GOALS, axis=-1).min(axis=-1)[-300:]
+    assert to_objects.min(axis=0).max() < 0.15
+    assert to_objects.max(axis=0).min() > 0.15
     assert (hand[..., 2] > 0.9).all()
     shoulders = poses(walks)[..., 3:5, :3]
     assert np.linalg.norm(hand - shoulders, axis=-1).max() <= ARM_LENGTH_M

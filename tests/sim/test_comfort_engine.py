@@ -92,7 +92,7 @@ def test_comfort_changes_nothing_else_of_an_episode() -> None:
     variants = [(), ("comfort=conditioned",), CHANGING] + [
         ("comfort=conditioned", "comfort.source=fixed", f"comfort.level={level}") for level in (1, 5, 10)
     ]
-    fields = ("human_pos", "human_yaw", "colour", "joint_pos", "tcp_pos", "steps")
+    fields = ("human_pos", "human_yaw", "target_kind", "joint_pos", "tcp_pos", "steps")
     first: list[list[Tensor]] = []
     for variant in variants:
         engine, told = begun(*variant, "task.max_episode_steps=40"), []
@@ -113,7 +113,7 @@ def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either(
     assert slow.episodes.draw.noise.shape[1] > plain.episodes.draw.noise.shape[1]
     for action in actions(6, 7):
         ours, theirs = plain.step(action), slow.step(action)
-        for name in ("human_pos", "colour", "tcp_pos"):
+        for name in ("human_pos", "target_kind", "tcp_pos"):
             assert torch.equal(getattr(ours.state, name), getattr(theirs.state, name))
     for action in actions(6, 3, seed=1):
         plain.step(action)

@@ -50,8 +50,8 @@ def test_the_states_that_terms_get_are_whole_states() -> None:
             assert value.shape[1] in (1, 5)
             if name != "stage":  # that of the decision
                 torch.testing.assert_close(value, earlier, rtol=0, atol=0, equal_nan=True)
-    with pytest.raises(AttributeError, match="has no attribute 'colours_of'"):
-        _ = before.colours_of  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match="has no attribute 'kinds_of'"):
+        _ = before.kinds_of  # type: ignore[attr-defined]
 
 
 def test_actions_of_another_shape_and_no_rows_are_refused_at_once() -> None:

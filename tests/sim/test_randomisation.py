@@ -80,7 +80,7 @@ def test_a_loaded_engine_goes_on_bit_for_bit(world: tuple[str, ...]) -> None:
 def test_episodes_draw_different_cells_and_nothing_else_changes() -> None:
     plain, other = Engine(config(), 8, 0), Engine(config(ALL), 8, 0)
     first, second = plain.reset(), other.reset()
-    for name in ("joint_pos", "human_pos", "ball_pos", "colour"):
+    for name in ("joint_pos", "human_pos", "objects", "kinds"):
         assert torch.equal(getattr(first, name), getattr(second, name))
     lags = other.episodes.values().of("servo_lag_s")
     assert len(set(lags.tolist())) == 8 and (lags >= 0).all() and (lags <= 0.2).all()

@@ -163,7 +163,7 @@ def test_the_same_episode_has_the_same_cell_arm_and_walk_at_another_level() -> N
 
     def played() -> list[np.ndarray]:
         draw = session.engine.episodes.draw
-        begins = [np.array(each) for each in (draw.start, draw.balls, draw.spawn, session.state.joint_pos)]
+        begins = [np.array(each) for each in (draw.start, draw.arrivals, draw.spawn, session.state.joint_pos)]
         return [*begins, *(session.step().clip.person[-1, :3] for _ in range(3))]
 
     session.reset()
@@ -266,7 +266,7 @@ def test_options_are_forced_where_they_can_start() -> None:
 
 def sorting_config() -> StudioConfig:
     policies = [f"policies.{name}=random" for name in ("pick", "place", "return")]
-    config = compose("studio", ["task=sort", "task.balls=2", "meta_controller=scripted", "human=still", *policies])
+    config = compose("studio", ["task=sort", "task.objects=2", "meta_controller=scripted", "human=still", *policies])
     assert isinstance(config, StudioConfig)
     return config
 
