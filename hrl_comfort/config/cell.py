@@ -109,6 +109,30 @@ class ObstacleConfig:
 
 
 @dataclass(frozen=True)
+class VaryConfig:
+    """Ranges [low, high] from which the layouts of a cell are drawn, uniformly."""
+
+    layouts: Annotated[int, within(1, 100_000)]
+    """Number of layouts in each split; `train`, `validation` and `test` have none in common."""
+    distance_m: Annotated[XY, Field()]
+    """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any."""
+    height_m: Annotated[XY, Field()]
+    """Height of a place's top above the robot's base, m."""
+    apart_m: Annotated[float, within(0.0, 2.0)]
+    """Smallest horizontal distance between the middles of two places, and of a place and an obstacle, m."""
+    home_deg: Annotated[float, within(0.0, 45.0)]
+    """Largest difference of each joint's home angle from that of `robot.home_deg`, degrees."""
+    obstacle_probability: Annotated[float, within(0.0, 1.0)]
+    """Probability that an obstacle is there; it stands at a distance in `distance_m`, as high as configured."""
+
+    def __post_init__(self) -> None:
+        for name in ("distance_m", "height_m"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ConfigError(f"cell.vary.{name}=[{low:g}, {high:g}] is not [low, high]")
+
+
+@dataclass(frozen=True)
 class CellConfig:
     """A cell: what stands round the robot, and the objects in it.
 
@@ -123,6 +147,10 @@ class CellConfig:
     """What else the arm must not touch, by name."""
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
+    stations_m: list[XY] | None = None
+    """Where people work who live there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
+    vary: VaryConfig | None = None
+    """How the layout differs from one episode to another; null: it is always the one given."""
 
     def __post_init__(self) -> None:
         for section in ("objects", "obstacles"):

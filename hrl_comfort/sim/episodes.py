@@ -22,7 +22,7 @@ from hrl_comfort.config import ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
 from hrl_comfort.safety.separation import Separation
-from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
 from hrl_comfort.sim.objects import choose_target
 from hrl_comfort.sim.plan import Joints, Plan
@@ -67,7 +67,6 @@ class Episodes:
         self.reward_names = tuple(self.subtask.rewards)
         self.precision_m = task.precision.grasp_tolerance_m
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
-        self._tcp_home = tool_at(scene, scene.home)
         self.separation, self._disturbance = Separation(scene), Disturbance(disturbance, rows)
         self.plan = Plan(
             scene, self.separation, config, self.subtask, self.sampler, self._disturbance, rows,
@@ -164,8 +163,6 @@ class Episodes:
         precision, draw = self.config.task.precision, self.draw
         n, scale, kinds = len(rows), self.precision_m / precision.grasp_tolerance_m, draw.kinds[rows]
         constant = {
-            "tcp_home": self._tcp_home,
-            "joint_home": self.scene.home,
             "target": np.int64(0),
             "stage": np.int64(0),
             "grasp_tolerance": self.precision_m,
@@ -174,6 +171,8 @@ class Episodes:
         }
         known = {
             **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
+            "tcp_home": draw.tcp_home[rows],
+            "joint_home": draw.home[rows],
             "places": draw.places[rows, :, :3],
             "kind_places": draw.kind_places[rows],
             "points": draw.points[rows],

@@ -89,8 +89,6 @@ class Plan:
         """People (N) after each of the K control steps of the decision."""
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
-        self._around: tuple[Array, humans.KeepOut, humans.ArmSource] | None = None
-        """Tool (N, 2) m, keep-out discs and arm as people see them while a decision lasts: as at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], draw: Draw, values: Values) -> tuple[Planned, Array]:
         """Begin episodes in `rows` (r,), drawn as `draw` (N); `values` (r) are how their cells differ from the model.
@@ -129,7 +127,8 @@ class Plan:
             increment = self._hand.increments(joint_target, action)
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
-        self._around = state.tcp_pos.numpy()[:, :2], self._sampler.keep_out(draw.points), arm
+        discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
+        around = humans.Surroundings(tool, discs, arm, draw.stations)
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:
@@ -148,7 +147,7 @@ class Plan:
                 asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
                 begin, point = self.drive.step(points[-1], asked, moving, now, seen)
                 targets = point.ramp(begin, self._substeps)
-            walk = humans.advance(self.human, walks[-1], noise[:, k], *self._around)
+            walk = humans.advance(self.human, walks[-1], noise[:, k], around)
             walk = self._disturbance.walked(walks[-1], walk, times[:, k])
             if now is None:
                 poses = limbs_of(self._scene, walk)
