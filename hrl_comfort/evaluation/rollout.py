@@ -16,12 +16,12 @@ from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.frightened import mean_level
 from hrl_comfort.comfort.trajectory import Trajectory, metrics
 from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.composition.hydra_conf import run_folder
-from hrl_comfort.config.composition.run_config import environment, load_config, save_config
+from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rates import Course, discomfort_per_min, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
+from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute

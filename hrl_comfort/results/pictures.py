@@ -18,9 +18,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from hrl_comfort.benchmarks.entries import ENTRIES, committed
 from hrl_comfort.comfort.terms import FORMS, THRESHOLDS, TIMED, distance_term
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import override
+from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.files.provenance import policy_steps

@@ -16,8 +16,8 @@ from pandas import DataFrame
 from hrl_comfort import humans
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.analysis.summary import summarise, with_totals
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import read_table, records_of

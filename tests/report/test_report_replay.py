@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EvaluateConfig, ReportConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_folder import read_run, recorded_paths
 from hrl_comfort.plots.tape import Tape

@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, StudioConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_folder import read_run, recorded_paths
 from hrl_comfort.studio.replay import ReplayStudio, tape

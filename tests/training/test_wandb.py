@@ -8,8 +8,8 @@ from pathlib import Path
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.cli import first_checks
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.training import logger
 from hrl_comfort.training.logger import MetricsLog
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.stages import flat
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.hydra_conf import composed
-from hrl_comfort.config.composition.overrides import NAMES, choices, groups, override
-from hrl_comfort.config.composition.run_config import environment
-from hrl_comfort.config.composition.stages import flat
+from hrl_comfort.config.hydra_conf import composed
+from hrl_comfort.config.overrides import NAMES, choices, groups, override
+from hrl_comfort.files.run_config import environment
 
 
 def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
@@ -40,7 +40,7 @@ class Draft:
     """A configuration of `root` under change.
 
     Args:
-      root: key of `config.composition.overrides.ROOTS`.
+      root: key of `config.overrides.ROOTS`.
       lines: overrides to begin with, by key.
     """
 

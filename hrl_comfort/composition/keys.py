@@ -15,8 +15,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from omegaconf import OmegaConf
 
 from hrl_comfort.config import checks
-from hrl_comfort.config.composition.hydra_conf import composed
-from hrl_comfort.config.composition.overrides import ROOTS
+from hrl_comfort.config.hydra_conf import composed
+from hrl_comfort.config.overrides import ROOTS
 
 MOST = 40
 """Longest default, characters, that is shown."""

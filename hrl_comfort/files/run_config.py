@@ -15,9 +15,8 @@ from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.hydra_conf import composed, run_folder
-from hrl_comfort.config.composition.overrides import NAMES, ROOTS, TOO_DEEP, choices, one_line, override
-from hrl_comfort.config.composition.structured import section
+from hrl_comfort.config.hydra_conf import composed, run_folder, section
+from hrl_comfort.config.overrides import NAMES, ROOTS, TOO_DEEP, choices, one_line, override
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import unfinished
