@@ -85,9 +85,9 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
     """Draw a take and return a caption; of one at the first or last of several levels, both beside each other."""
     from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
 
-    tape, view = take.tape, azimuth_deg(take.path)
+    view = azimuth_deg(take.path)
     shown = recording.ends if take in recording.ends else [take]
-    pictures = [frames(each.path, tape.robot, tape.cell, each.task, each.colour, speed, view) for each in shown]
+    pictures = [frames(each, speed, view) for each in shown]
     write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:
@@ -95,4 +95,4 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
         how = " and".join(f" at level {each.level} ({side}: {each.ended})" for each, side in sides)
     else:
         how = ("" if take.level is None else f" at level {take.level}") + f", {take.ended}"
-    return f"{tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."
+    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."

@@ -16,9 +16,11 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns, rounded
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_folder
-from hrl_comfort.files.tables import read_table, write_table
+from hrl_comfort.files.run_folder import read_run
+from hrl_comfort.files.tables import write_table
 from hrl_comfort.humans import drawn_set
 from hrl_comfort.humans.recordings import HEADER
+from hrl_comfort.plots.tape import Tape
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.sim.step_result import StepResult
@@ -106,13 +108,8 @@ class Recorder:
         Raises:
           PicturesUnavailableError: there is no off-screen OpenGL.
         """
-        config, row = self._session.config, self._result.episodes[-1]
-        table = read_table(self.folder / "paths.csv")
-        assert table is not None
-        path = table[table["episode"] == row.episode].reset_index(drop=True)
-        return write_video(
-            self.folder / "video.mp4", frames(path, config.robot, config.cell, config.task.name, row.colour)
-        )
+        last = max(Tape(read_run(self.folder)).recordings, key=lambda each: each.episode)
+        return write_video(self.folder / "video.mp4", frames(last.takes[0]))
 
     def _finish(self) -> None:
         assert self._recorder is not None

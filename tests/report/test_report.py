@@ -24,6 +24,7 @@ from hrl_comfort.files.tables import read_table, records_of
 from hrl_comfort.plots import training, video
 from hrl_comfort.plots.clip import gait, path_clip
 from hrl_comfort.plots.paths import overview
+from hrl_comfort.plots.tape import Tape
 from hrl_comfort.report import report
 from hrl_comfort.report import videos as module
 from hrl_comfort.report.texts import summary
@@ -463,7 +464,7 @@ def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Write a video as the azimuth and the length of each of its episodes, and the speed; draw nothing."""
-    monkeypatch.setattr(video, "frames", lambda path, *words: (len(path), words[-2:]))
+    monkeypatch.setattr(video, "frames", lambda take, *words: (len(take.path), words))
     monkeypatch.setattr(video, "beside", list)
     monkeypatch.setattr(video, "write_video", lambda file, episodes: file.write_text(repr(episodes)))
 
@@ -511,10 +512,9 @@ def test_the_camera_sees_person_and_tool_beside_each_other(angle):
 
 def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     run = run_folder.find_runs(demo)[0]
-    path = run_folder.recorded_paths(run, 1)[0, None][:12]
-    robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
+    (take,) = next(each.takes for each in Tape(run).recordings if each.episode == 0)
     try:
-        file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))
+        file = video.write_video(tmp_path / "video.mp4", video.frames(replace(take, path=take.path[:12])))
     except PicturesUnavailableError as error:
         pytest.skip(f"nothing can be drawn off screen here: {error}")
     data = file.read_bytes()
