@@ -170,8 +170,7 @@ class Run:
         for each in taken:
             recorder.add(each.result, each.active, each.ended, each.runs)
         if cut and taken and not bool(taken[-1].ended.all()):
-            every, latest = torch.ones(1, dtype=torch.bool), taken[-1].result
-            recorder.add(replace(latest, decision_steps=torch.zeros_like(latest.decision_steps)), ~every, every, [])
+            recorder.cut(taken[-1].result)
         if taken:
             recorder.finish()
 

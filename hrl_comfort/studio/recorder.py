@@ -23,7 +23,6 @@ from hrl_comfort.humans.recordings import HEADER
 from hrl_comfort.plots.tape import Tape
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
-from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.play import LivePlay, Watcher
@@ -89,7 +88,7 @@ class Recorder:
           ConfigError: no decision was recorded, or the folder is taken by now.
         """
         if self._recorder is not None and self._levels:
-            self._recorder.add(void(self._last), ~ROW, ROW, [])
+            self._recorder.cut(self._last.result)
             self._finish()
         if not self.episodes:
             raise ConfigError("nothing was recorded: let it run for a decision before you stop")
@@ -124,11 +123,6 @@ class Recorder:
             for line in self._result.options[first:]:
                 line["comfort_level"] = None
         self._result.episodes[-1] = row
-
-
-def void(step: Step) -> StepResult:
-    """Return the result of a decision that took no control step, after the latest one."""
-    return replace(step.result, decision_steps=torch.zeros_like(step.result.decision_steps))
 
 
 class RecordControl(Watcher):
