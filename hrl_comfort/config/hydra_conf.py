@@ -50,6 +50,13 @@ def composed(root: str, known: Iterable[str]) -> DictConfig:
         return node
 
 
+def values_of(root: str, known: Iterable[str] = ()) -> dict[str, Any]:
+    """Return what `composed` returns as plain values."""
+    values = OmegaConf.to_container(composed(root, known), resolve=True)
+    assert isinstance(values, dict)
+    return {str(key): value for key, value in values.items()}
+
+
 def _is_choice(asked: Override) -> bool:
     """Return whether Hydra needs the override for its list of defaults, or for itself."""
     key = asked.key_or_group

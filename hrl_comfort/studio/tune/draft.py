@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.composition.stages import flat
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.config.hydra_conf import composed
+from hrl_comfort.config.hydra_conf import values_of
 from hrl_comfort.config.overrides import NAMES, choices, groups, override
 from hrl_comfort.files.run_config import environment
 
@@ -23,17 +23,9 @@ def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
     values = {name: value for name, value in asdict(config).items() if name in fields}
     chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items()}
     lines = {group: f"{group}={name}" for group, name in chosen.items() if name in choices(group)}
-    default = dict(flat(plain(composed(root, lines.values()))))
-    plainest = dict(flat(plain(composed(root, []))))
+    default, plainest = dict(flat(values_of(root, lines.values()))), dict(flat(values_of(root)))
     lines = {group: line for group, line in lines.items() if plainest[NAMES[group]] != chosen[group]}
     return lines | {key: override(key, value) for key, value in flat(values) if default.get(key) != value}
-
-
-def plain(node: Any) -> Mapping[str, Any]:
-    """Return a composed configuration as plain values."""
-    values = OmegaConf.to_container(node, resolve=True)
-    assert isinstance(values, dict)
-    return {str(key): value for key, value in values.items()}
 
 
 class Draft:
