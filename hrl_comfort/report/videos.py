@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hrl_comfort.config import ConfigError, ReportConfig
-from hrl_comfort.files.run_folder import Run, recorded_paths
+from hrl_comfort.files.run_folder import Run, recorded
 
 if TYPE_CHECKING:
     from hrl_comfort.plots.tape import Recording, Take
@@ -49,7 +49,7 @@ def _data(file: Path, caption: str) -> tuple[str, str]:
 
 def _with_episode(runs: Sequence[Run], episode: int) -> Run:
     for run in runs:
-        if recorded_paths(run, 1, [episode]):
+        if recorded(run, 1, [episode]):
             return run
     raise ConfigError(f"episode={episode} is not recorded; evaluate with record=true and more episodes")
 

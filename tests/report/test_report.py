@@ -229,9 +229,9 @@ def test_text_of_a_run_is_escaped(tmp_path):
 
 
 def test_paths_without_a_human_or_a_cell_are_drawn(demo):
-    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)[0, None]
-    alone = path.assign(human_x=50.0, human_distance_m=np.nan)
-    figure = overview({(0, None): alone}, {}, {}, {})
+    (first,) = run_folder.recorded(run_folder.find_runs(demo)[0], 1)
+    alone = replace(first, path=first.path.assign(human_x=50.0, human_distance_m=np.nan))
+    figure = overview([alone], {}, {})
     assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "Top view",
         "Side view",
@@ -294,7 +294,7 @@ def test_a_folder_without_runs_is_named(tmp_path):
 
 def test_the_pictures_of_a_path_are_in_time_and_the_yaw_does_not_spin(demo):
     run = run_folder.find_runs(demo)[0]
-    path = run_folder.recorded_paths(run, 1)[0, None].iloc[[0] * 101].reset_index(drop=True)
+    path = run_folder.recorded(run, 1)[0].path.iloc[[0] * 101].reset_index(drop=True)
     path = path.assign(step=np.arange(101), human_yaw=np.where(np.arange(101) < 50, 3.1, -3.1))
     robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
     clip = path_clip(path.assign(stage=np.arange(101) // 60), build_scene(robot, cell, 2), cell, "pick", "orange", True)
@@ -323,7 +323,7 @@ def test_the_gait_is_the_one_that_was_simulated():
 def test_goals_have_circles_of_the_tolerance_in_both_views(demo):
     run = run_folder.find_runs(demo)[0]
     precision = {"grasp_tolerance_m": 0.1, "place_tolerance_m": 0.02}
-    figure = overview(run_folder.recorded_paths(run, 2), {}, run.config["cell"], precision)
+    figure = overview(run_folder.recorded(run, 2), run.config["cell"], precision)
     for axis in figure.axes[:2]:
         dotted = [patch for patch in axis.patches if patch.get_linestyle() == ":"]
         assert sorted(patch.radius for patch in dotted) == [0.02, 0.02, 0.1]
