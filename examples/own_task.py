@@ -7,12 +7,12 @@ import torch
 
 import hrl_comfort
 from hrl_comfort.tasks.standard import standard_subtask
-from hrl_comfort.tasks.subtask import Ball, Stage, tool_distance
+from hrl_comfort.tasks.subtask import ObjectAt, Stage, tool_distance
 
 
 def above(state):
-    """Return the point (N, 3) 20 cm above the ball, m."""
-    return state.ball_pos + torch.tensor([0.0, 0.0, 0.2], dtype=state.ball_pos.dtype)
+    """Return the point (N, 3) 20 cm above the object, m."""
+    return state.target_object + torch.tensor([0.0, 0.0, 0.2], dtype=state.target_object.dtype)
 
 
 def done(state):
@@ -25,7 +25,7 @@ def hinge(distance, theta, config):
     return -(theta - distance).clamp(min=0) / config.max_m
 
 
-STAGE = Stage("hover", above, tool_distance(above), done, bonus="pick", ball=Ball.TABLE)
+STAGE = Stage("hover", above, tool_distance(above), done, bonus="pick", object=ObjectAt.ARRIVAL)
 HOVER = standard_subtask("hover", (STAGE,))
 
 if __name__ == "__main__":

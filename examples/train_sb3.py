@@ -1,6 +1,6 @@
 """Train SAC of Stable-Baselines3 on pick, in 16 cells: `python examples/train_sb3.py [STEPS] [FILE]`.
 
-Needs the extra `sb3`. With 200,000 steps the policy takes the ball at nearly every try.
+Needs the extra `sb3`. With 200,000 steps the policy takes the object at nearly every try.
 """
 
 import sys

@@ -88,7 +88,7 @@ def budget(words: list[str]) -> tuple[str, ...]:
     if any(word.startswith(("resume=", "-h", "--")) for word in words):
         return ()
     if any(word.startswith("terminal_states=") for word in words):
-        return ("episodes=8",)  # a ball of each colour
+        return ("episodes=8",)  # an object of each kind
     return BUDGETS.get(verb, BUDGETS.get(words[0], ()) if words else ())
 
 

@@ -119,7 +119,7 @@ SIZES = {
     "human_pos": (2,), "human_seen": (2,), "human_yaw": (), "grasp_tolerance": (), "place_tolerance": (),
     "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (), "human_beyond_bound": (),
     "arm_distance": (),
-    "level": (), "balls": (1, 3),
+    "level": (), "objects": (1, 3), "places": (3, 3), "kind_places": (2, 3),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
 FLAGS = ("human_shown", "braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")
@@ -135,8 +135,7 @@ def random_state(rng: np.random.Generator, exponents: tuple[int, int]) -> State:
         return torch.from_numpy(rng.choice([-1.0, 1.0], (ROWS, *size)) * scale * kept)
 
     whole: dict[str, torch.Tensor] = {
-        "colour": torch.from_numpy(rng.integers(2, size=ROWS)),
-        "colours": torch.from_numpy(rng.integers(2, size=(ROWS, 1))),
+        "kinds": torch.from_numpy(rng.integers(2, size=(ROWS, 1))),
         "placed": torch.from_numpy(rng.random((ROWS, 1)) < 0.5),
         "target": torch.zeros(ROWS, dtype=torch.int64),
         "stage": torch.from_numpy(rng.integers(4, size=ROWS)),

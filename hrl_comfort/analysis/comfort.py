@@ -1,7 +1,7 @@
 """The effect of the comfort level: means at each level and paired changes between levels.
 
 Every level runs the same entries of the evaluation set, so episodes pair across levels: same spawn point,
-same walk, same colour. Over `pairs` a number is a mean over the entries that succeed at every level compared;
+same walk, same kind of object. Over `pairs` a number is a mean over the entries that succeed at every level compared;
 over `all` over all of them, a failure's steps counted at the time limit, everything else as measured.
 """
 
@@ -33,7 +33,7 @@ SAME = ["task", "precision_m"]
 """Columns that everything compared must agree in."""
 ENTRY = ["train_seed", "human", "episode_seed", "episode"]
 """Columns that tell an entry: one training seed's run of one entry of the evaluation set."""
-SAME_ENTRY = ["spawn_id", "motion_id", "colour"]
+SAME_ENTRY = ["spawn_id", "motion_id", "object"]
 """Columns that an entry must have alike at every level."""
 
 

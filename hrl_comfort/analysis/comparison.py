@@ -23,7 +23,7 @@ from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import column
 
 PARTS = ("success", "return", "placed", "time", "discomfort")
-"""Success and return of a controller, and the parts of its return: placed balls, costs of time and discomfort."""
+"""Success and return of a controller, and the parts of its return: placed objects, costs of time and discomfort."""
 RESULTS = ("success", "contact", "steps", "distance")
 """Results of a division; steps and mean distance to the person of episodes that succeed."""
 QUANTITIES = {
@@ -35,7 +35,7 @@ QUANTITIES = {
     "steps": Quantity("steps", digits=1),
     "distance": Quantity("distance, m"),
     "return": Quantity("return"),
-    "placed": Quantity("balls placed"),
+    "placed": Quantity("objects placed"),
     "time": Quantity("cost of time"),
     "discomfort": Quantity("cost of discomfort"),
 }
@@ -44,7 +44,7 @@ SAME = ("robot", "cell", "human", "safety", "randomise", "comfort", "task", "rew
 EPISODE = ["train_seed", "episode", "spawn_id"]
 """Columns that tell which episode of which training seed a row is of."""
 REWARDED = ("place", "step", "k1", "k2", "k3")
-"""Weights of the reward that may differ from zero: of balls, time and discomfort."""
+"""Weights of the reward that may differ from zero: of objects, time and discomfort."""
 Groups = Mapping[str, Sequence[Run]]
 Numbers = dict[str, dict[str, Any]]
 
@@ -59,7 +59,7 @@ def controllers(groups: Groups) -> dict[str, Numbers]:
     the training seeds of their first skill.
 
     Raises:
-      ConfigError: an evaluation has several levels, another reward or no `balls_placed`; two of the first controller
+      ConfigError: an evaluation has several levels, another reward or no `objects_placed`; two of the first controller
         are of one training seed and the same skills; or two did not run the same episodes in the same way.
     """
     for run in (run for runs in groups.values() for run in runs):
@@ -126,7 +126,7 @@ def _earnings(runs: Sequence[Run], seeds: Sequence[int | None] | None = None) ->
     if seeds is not None:
         counts = [len(_episodes(run)) for run in runs]
         frame["train_seed"] = pd.array(np.repeat(np.array(seeds, dtype=object), counts), dtype="Int64")
-    placed, time = reward["place"] * column(frame, "balls_placed"), -reward["step"] * column(frame, "steps")
+    placed, time = reward["place"] * column(frame, "objects_placed"), -reward["step"] * column(frame, "steps")
     return frame.assign(placed=placed, time=time, discomfort=placed - time - column(frame, "return"))
 
 
@@ -137,8 +137,8 @@ def _unfit(run: Run) -> str | None:
         return "no reward in its config.yaml"
     if run.config.get("levels"):
         return "several comfort levels"
-    if run.episodes is None or run.episodes.empty or np.isnan(column(run.episodes, "balls_placed")).any():
-        return "no balls_placed in its episodes.csv"
+    if run.episodes is None or run.episodes.empty or np.isnan(column(run.episodes, "objects_placed")).any():
+        return "no objects_placed in its episodes.csv"
     missing = [name for name in EPISODE if name not in run.episodes]
     if missing:
         return f"no {missing[0]} in its episodes.csv"

@@ -16,7 +16,7 @@ TERMINATIONS = ("success", "unsafe contact", "contact", "hit table", "self-colli
 LEVEL = r"(?:_as_\d+)?"
 """End of the name of an option with a level of its own."""
 PICK = re.compile(rf"pick_(\d+){LEVEL}")
-"""An option that picks one of several balls."""
+"""An option that picks one of several objects."""
 
 
 def terminations(episodes: DataFrame) -> pd.Series:
@@ -42,7 +42,7 @@ def success(episodes: DataFrame) -> Estimate:
 
 
 def kind_of(option: str) -> str:
-    """Return what an option does: its name without the ball and the level it is told."""
+    """Return what an option does: its name without the object and the level it is told."""
     return "pick" if PICK.fullmatch(option) else re.sub(f"{LEVEL}$", "", option)
 
 
@@ -50,7 +50,7 @@ def chain_lengths(episodes: DataFrame, options: DataFrame, least: int = 0) -> li
     """Return, for 1, 2, ... options in a row, the share of episodes in which so many succeeded.
 
     As far as any episode got, and at least to `least`. What takes the task no further does not count: waits,
-    a pick whose ball was lost, and retreats, but for those that take the place of a return. What a retreat
+    a pick whose object was lost, and retreats, but for those that take the place of a return. What a retreat
     places on its way home does not count either, nor does the pick after it.
     """
     done = dict.fromkeys(episodes["episode"], 0)
@@ -61,7 +61,7 @@ def chain_lengths(episodes: DataFrame, options: DataFrame, least: int = 0) -> li
             kind = "return"
         if ended != "success" or kind in ("wait", "retreat"):
             continue
-        if (kind, before) != ("pick", "pick"):  # else the ball was lost, or placed on a way home
+        if (kind, before) != ("pick", "pick"):  # else the object was lost, or placed on a way home
             done[episode] += 1
         last[episode] = kind
     lengths, clusters = episodes["episode"].map(done).to_numpy(), Clusters.of(episodes)

@@ -56,7 +56,7 @@ def curve_of(metrics: DataFrame) -> LearningCurve:
 
 
 def training_end(metrics: DataFrame) -> dict[str, float]:
-    """Return the means of success, return, steps and balls placed over the last tenth, and the last precision.
+    """Return the means of success, return, steps and objects placed over the last tenth, and the last precision.
 
     A row of the log is the mean of the episodes since the row before, and weighs as much as they are. A
     quantity without a value is left out.

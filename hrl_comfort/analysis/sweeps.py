@@ -52,7 +52,7 @@ QUANTITIES = {
     "success": Quantity("training success (%)", 100, 1, SHARE),
     "return": Quantity("return", digits=2),
     "steps": Quantity("steps", digits=1, bounds=POSITIVE),
-    "placed": Quantity("balls placed", digits=2, bounds=POSITIVE),
+    "placed": Quantity("objects placed", digits=2, bounds=POSITIVE),
     "precision_m": Quantity("training at (cm)", 100, 1, POSITIVE),
     "minutes": Quantity("training (min)", digits=1, bounds=POSITIVE),
 }

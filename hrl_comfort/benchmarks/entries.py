@@ -33,7 +33,7 @@ class Level(TypedDict):
 
     level: int | None
     shifts: PositiveInt
-    balls_per_min: Estimate
+    objects_per_min: Estimate
     discomfort_per_min: Estimate
     unsafe_contacts_per_h: Estimate
     contacts_per_h: NotRequired[Estimate | None]
@@ -59,7 +59,7 @@ class Entry(TypedDict):
 RATE = (0.0, math.inf)
 """Bounds of a rate."""
 QUANTITIES = {
-    "balls_per_min": Quantity("balls a minute", digits=2, bounds=RATE),
+    "objects_per_min": Quantity("objects a minute", digits=2, bounds=RATE),
     "discomfort_per_min": Quantity("discomfort, s a minute", digits=2, bounds=RATE),
     "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2, bounds=RATE),
     "contacts_per_h": Quantity("contacts an hour", digits=1, bounds=RATE),
@@ -71,10 +71,10 @@ QUANTITIES = {
 }
 """Columns of the table."""
 HEADLINE = (
-    "balls_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
+    "objects_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
 )  # fmt: skip
 """Quantities of the short table."""
-ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "balls_per_min")
+ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "objects_per_min")
 """Quantities that a level is meant to change."""
 
 
@@ -225,8 +225,8 @@ def pairs(folder: Path, other: Path) -> tuple[list[Entry], list[Entry]]:
 def at_same_throughput(folder: Path, fixed: Path) -> str:
     """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
 
-    The latter is the best that a mix of two fixed levels gives at the same balls a minute, some shifts being worked at
-    one and some at the other.
+    The latter is the best that a mix of two fixed levels gives at the same objects a minute, some shifts being worked
+    at one and some at the other.
 
     Raises:
       ConfigError: an entry is damaged, the folders have no seed in common or other policies for it, or no mix is as
@@ -236,13 +236,13 @@ def at_same_throughput(folder: Path, fixed: Path) -> str:
     for told, untold in zip(*pairs(folder, fixed), strict=True):
         if told.get("policies") != untold.get("policies"):
             raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
-        (balls, person), *_ = work_and_mood(told)
-        same = best_mix(work_and_mood(untold), balls)
+        (objects, person), *_ = work_and_mood(told)
+        same = best_mix(work_and_mood(untold), objects)
         if same is None:
-            raise ConfigError(f"{folder}: no mix of the levels in {fixed} gives {balls:g} balls a minute")
-        columns.append((balls, person, same, person - same))
+            raise ConfigError(f"{folder}: no mix of the levels in {fixed} gives {objects:g} objects a minute")
+        columns.append((objects, person, same, person - same))
     runs = Clusters.of_runs(len(columns))
-    heads = ["balls a minute", "person's level, told", "the same, at fixed levels", "difference"]
+    heads = ["objects a minute", "person's level, told", "the same, at fixed levels", "difference"]
     return markdown(heads, [[cell(runs.estimate(np.array(each)), digits=2) for each in zip(*columns, strict=True)]])
 
 
@@ -256,6 +256,6 @@ def best_mix(points: Sequence[tuple[float, float]], x: float) -> float | None:
 
 
 def work_and_mood(entry: Entry) -> list[tuple[float, float]]:
-    """Return the balls a minute and the level of a frightened person at each level of an entry."""
+    """Return the objects a minute and the level of a frightened person at each level of an entry."""
     rows: list[Any] = list(entry["levels"])
-    return [(row["balls_per_min"]["mean"], row["person_level_mean"]["mean"]) for row in rows]
+    return [(row["objects_per_min"]["mean"], row["person_level_mean"]["mean"]) for row in rows]

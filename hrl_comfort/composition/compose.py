@@ -140,14 +140,20 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
         for key, value in _fields(part, attrgetter(part)(run)):
             if key.split(".")[1] not in stated:
+                # Hydra would add the entries of a mapping to those of conf/.
+                trained += [override(key, None)] * isinstance(value, dict)
                 trained.append(override(key, value))
     return [*trained, *overrides]
 
 
 def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of nested dataclasses by their dotted keys."""
+    """Yield the fields of nested dataclasses by their dotted keys; those in a mapping as plain values."""
     if not dataclasses.is_dataclass(value):
-        yield key, value
+        yield key, {name: _plain(each) for name, each in value.items()} if isinstance(value, dict) else value
         return
     for field in dataclasses.fields(value):
         yield from _fields(f"{key}.{field.name}", getattr(value, field.name))
+
+
+def _plain(value: Any) -> Any:
+    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value

@@ -6,7 +6,16 @@ Each part of the program is given its own section, never the root.
 
 from __future__ import annotations
 
-from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
+from hrl_comfort.config.cell import (
+    CellConfig,
+    ConnectionConfig,
+    EngineConfig,
+    ObjectConfig,
+    ObstacleConfig,
+    PlaceConfig,
+    RandomiseConfig,
+    RobotConfig,
+)
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.commands import (
@@ -38,7 +47,7 @@ from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControll
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import COLOURS, SORTING, PrecisionConfig, RewardConfig, TaskConfig
+from hrl_comfort.config.task import RANDOM, SORTING, PrecisionConfig, RewardConfig, TaskConfig
 from hrl_comfort.config.training import (
     HierarchyConfig,
     HierarchyTrainConfig,
@@ -48,11 +57,12 @@ from hrl_comfort.config.training import (
 )
 
 __all__ = [
-    "COLOURS", "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED",
-    "HIERARCHY", "POLICIES", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
-    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig", "DeployConfig",
-    "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "HierarchyConfig",
-    "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig", "MetaControllerConfig",
-    "MetaControllerTrainConfig", "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig",
-    "RobotConfig", "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED", "HIERARCHY",
+    "POLICIES", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
+    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig",
+    "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig",
+    "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",
+    "MetaControllerConfig", "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig",
+    "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig", "RobotConfig",
+    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
 ]  # fmt: skip

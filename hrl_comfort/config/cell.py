@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Annotated
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import XYZ, ConfigError, Coordinate, choice, within
+from hrl_comfort.config.checks import XY, XYZ, ConfigError, Coordinate, Name, choice, choice_of, one_of, within
 from hrl_comfort.config.constants import MAX_ENVS
 
 Pair = Field(min_length=2, max_length=2)
@@ -15,6 +15,13 @@ Delay = Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
 Factor = Annotated[list[Annotated[float, within(0.5, 2.0)]], Pair]
 Fraction = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]
 Noise = Annotated[list[Annotated[float, within(0.0, 100.0)]], Pair]
+Rgb = Annotated[list[Annotated[float, within(0.0, 1.0)]], Field(min_length=3, max_length=3)]
+Sizes = Annotated[list[Annotated[float, within(0.001, 5.0)]], Field(min_length=1, max_length=3)]
+SIZES = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2}
+"""Numbers that the size of a shape has."""
+SHAPES = tuple(SIZES)
+DIGITS = 12
+"""Decimals to which the sum of two heights is rounded: 0.257 + 0.03 is 0.287."""
 Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
 
 
@@ -39,21 +46,120 @@ class RobotConfig:
 
 
 @dataclass(frozen=True)
-class CellConfig:
-    """Layout of the cell: metres, cell frame (robot base at the origin, z up)."""
+class PlaceConfig:
+    """A horizontal surface on which objects lie: a table, a tray, a shelf, a part of a larger table."""
 
-    ball_m: XYZ
-    """Centre of the ball on the pick table, m."""
-    orange_drop_m: XYZ
-    """Drop point of orange balls, m."""
-    pink_drop_m: XYZ
-    """Drop point of pink balls, m."""
-    ball_radius_m: Annotated[float, within(0.005, 0.2)]
-    """Radius of a ball, m."""
-    table_half_width_m: Annotated[float, within(0.02, 1.0)]
-    """Half the side of each square table, m."""
+    top_m: XYZ
+    """Middle of the surface, m."""
+    size_m: Annotated[list[Annotated[float, within(0.02, 4.0)]], Pair]
+    """Sides of the surface, x and y of its own frame, m."""
+    yaw_deg: Coordinate = 0.0
+    """Turn of the surface about the vertical, degrees."""
+    slots_m: Annotated[list[XY], Field(min_length=1)] = field(default_factory=lambda: [[0.0, 0.0]])
+    """Where objects lie if there are several: (x, y) from the middle, in the surface's frame, m. One object alone lies
+    in the middle."""
+    legs: Annotated[int, choice_of(0, 1, 4)] = 1
+    """Legs down to the floor: one in the middle, four at the corners, or none for a place that something else
+    carries."""
+
+
+@dataclass(frozen=True)
+class ObjectConfig:
+    """A kind of object: what it is like, where it arrives and where it belongs."""
+
+    shape: Annotated[str, choice(*SHAPES)]
+    """`sphere`, `box`, `cylinder` or `capsule`; the last two stand upright."""
+    size_m: Sizes
+    """`sphere`: radius. `box`: half its sides. `cylinder`, `capsule`: radius, and half the length of the straight part.
+    Metres."""
+    arrives_at: str
+    """Name of the place where it is picked."""
+    belongs_at: str
+    """Name of the place where it is put down."""
+    mass_kg: Annotated[float, within(0.001, 50.0)] = 0.05
+    """Mass, kg."""
+    rgb: Rgb = field(default_factory=lambda: [0.3, 0.5, 0.8])
+    """Colour in pictures: red, green and blue, 0 to 1."""
+
+    @property
+    def half_height_m(self) -> float:
+        """Height of its centre above what it lies on, m."""
+        return self.size_m[-1] if self.shape != "capsule" else self.size_m[0] + self.size_m[1]
+
+    @property
+    def half_width_m(self) -> float:
+        """Largest horizontal distance from its centre, along x or y, m."""
+        return max(self.size_m[:2]) if self.shape == "box" else self.size_m[0]
+
+
+@dataclass(frozen=True)
+class ObstacleConfig:
+    """A solid that stands still; the arm must not touch it."""
+
+    shape: Annotated[str, choice(*SHAPES[1:])]
+    """`box`, `cylinder` or `capsule`; the last two stand upright."""
+    position_m: XYZ
+    """Its centre, m."""
+    size_m: Sizes
+    """As of an object."""
+    yaw_deg: Coordinate = 0.0
+    """Turn about the vertical, degrees."""
+    rgb: Rgb = field(default_factory=lambda: [0.55, 0.57, 0.6])
+    """Colour in pictures: red, green and blue, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class CellConfig:
+    """A cell: what stands round the robot, and the objects in it.
+
+    Metres, cell frame (robot base at the origin, z up).
+    """
+
+    places: Annotated[dict[Name, PlaceConfig], Field(min_length=1)]
+    """Surfaces on which objects lie, by name."""
+    objects: Annotated[dict[Name, ObjectConfig], Field(min_length=1)]
+    """Kinds of objects, by name."""
+    obstacles: dict[Name, ObstacleConfig]
+    """What else the arm must not touch, by name."""
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
+
+    def __post_init__(self) -> None:
+        for section in ("objects", "obstacles"):
+            for name, each in getattr(self, section).items():
+                if len(each.size_m) != (count := SIZES[each.shape]):
+                    raise ConfigError(
+                        f"cell.{section}.{name}.size_m={each.size_m} has {len(each.size_m)} numbers; "
+                        f"shape={each.shape} takes {count}"
+                    )
+        for name, each in self.objects.items():
+            one_of(f"cell.objects.{name}.arrives_at", each.arrives_at, tuple(self.places))
+            one_of(f"cell.objects.{name}.belongs_at", each.belongs_at, tuple(self.places))
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the kinds of objects, by their number."""
+        return tuple(self.objects)
+
+    def centre(self, kind: str, place: str) -> list[float]:
+        """Return where the centre (3,) m of an object of a kind is that lies in the middle of a place."""
+        x, y, top = self.places[place].top_m
+        return [x, y, round(top + self.objects[kind].half_height_m, DIGITS)]
+
+    @property
+    def goals(self) -> dict[str, list[float]]:
+        """Goal (3,) m of the tool at each place: the centre of the first kind that arrives or belongs there.
+
+        The middle of a place where nothing does.
+        """
+        found = {name: place.top_m for name, place in self.places.items()}
+        for end in ("belongs_at", "arrives_at"):
+            for kind, each in reversed(self.objects.items()):
+                found[getattr(each, end)] = self.centre(kind, getattr(each, end))
+        return found
 
 
 @dataclass(frozen=True)
@@ -77,9 +183,9 @@ class ConnectionConfig:
     host: str
     """`ur`: address of the robot's controller."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
-    """Frame in which `cell.*_m`, `task.*point_m` and live positions of people are given; null: that of the robot's
-    base. For another frame give three tool positions, measured in the frame of the base, m: the new frame's origin, a
-    point on its x axis, and a point in its x-y plane with y > 0."""
+    """Frame in which places and obstacles of `cell`, `task.*point_m` and live positions of people are given; null:
+    that of the robot's base. For another frame give three tool positions, measured in the frame of the base, m: the new
+    frame's origin, a point on its x axis, and a point in its x-y plane with y > 0."""
 
 
 @dataclass(frozen=True)
@@ -110,10 +216,10 @@ class RandomiseConfig:
     """Probability that a frame is lost; at most two in a row are lost."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            low, high = getattr(self, field.name)
+        for each in fields(self):
+            low, high = getattr(self, each.name)
             if low > high:
-                raise ConfigError(f"randomise.{field.name}=[{low:g}, {high:g}] is not [low, high]")
+                raise ConfigError(f"randomise.{each.name}=[{low:g}, {high:g}] is not [low, high]")
 
     @property
     def sensors(self) -> bool:

@@ -74,6 +74,24 @@ def choice(*names: str) -> AfterValidator:
     return AfterValidator(partial(_passed, check=one_of, names=names))
 
 
+def choice_of(*numbers: int) -> AfterValidator:
+    """Return the check of a field that its value is one of `numbers`."""
+    return AfterValidator(partial(_passed, check=_one_number, numbers=numbers))
+
+
+def _one_number(key: str, value: int, numbers: tuple[int, ...]) -> None:
+    if value not in numbers:
+        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {', '.join(map(str, numbers))}")
+
+
+def _plain_name(value: str) -> str:
+    if re.fullmatch(r"[A-Za-z_]\w*", value, re.ASCII) is None:
+        raise ConfigError(f"={value!r} is not a name; it takes letters, digits and _, and begins with no digit")
+    return value
+
+
+Name = Annotated[str, AfterValidator(_plain_name)]
+"""Name of a part of a cell."""
 unique = AfterValidator(_unique)
 """Check of a list that no entry is in it twice."""
 Coordinate = Annotated[float, within(-FARTHEST, FARTHEST)]

@@ -8,20 +8,20 @@ from typing import Annotated
 from pydantic import ConfigDict, Field
 
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
-from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
+from hrl_comfort.config.checks import ConfigError, between, choice, one_of, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import SPLITS
 from hrl_comfort.config.hierarchy import MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig
+from hrl_comfort.config.task import RANDOM, SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
-"""Kinds of `sim.disturbance`: nothing; the ball is dropped; a human blocks a table."""
+"""Kinds of `sim.variation.disturbance`: nothing; the object is dropped; a human blocks a place."""
 LIVE_MOTIONS = ("live", "recorded", "none")
 """Motions of people beside a real arm."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
-"""Tasks that pick a ball and then place it."""
+"""Tasks that pick an object and then place it."""
 FIGURES = (
     "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
     "handover",
@@ -48,6 +48,16 @@ class EnvConfig(CommandConfig):
     engine: EngineConfig
     safety: SafetyConfig
     randomise: RandomiseConfig
+
+    def __post_init__(self) -> None:
+        task, cell = self.task, self.cell
+        one_of("task.object", task.object, (RANDOM, *cell.kinds))
+        for name in sorted({each.arrives_at for each in cell.objects.values()}):
+            if task.objects > (slots := len(cell.places[name].slots_m)):
+                raise ConfigError(
+                    f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots, or choose "
+                    f"task.objects={slots}"
+                )
 
 
 @dataclass(frozen=True)
@@ -81,7 +91,8 @@ class EvaluateConfig(EnvConfig):
     realtime: bool
     """Run episodes no faster than the wall clock, for live levels and people."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
-    """Once in every episode: `drop` knocks a ball out of the gripper, `block` puts a person at a drop table for 8 s."""
+    """Once in every episode: `drop` knocks an object out of the gripper, `block` puts a person where it
+    belongs for 8 s."""
     terminal_states: str | None
     """File (.npz) for the states at the end of successful episodes: joint angles, velocities and servo targets (rad,
     rad/s), and the person's position (m) and level. Episodes are drawn as in training, and nothing else is written."""
@@ -89,6 +100,7 @@ class EvaluateConfig(EnvConfig):
     """Folder of the evaluation."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.disturbance != "none":
             self._check_disturbance()
         chained = self.meta_controller.name != "none"
@@ -124,7 +136,7 @@ class EvaluateConfig(EnvConfig):
     def _check_disturbance(self) -> None:
         if self.disturbance == "drop" and self.task.name not in PICK_AND_PLACE:
             raise ConfigError(
-                f"disturbance=drop needs a ball that is picked and then placed; task.name={self.task.name!r} "
+                f"disturbance=drop needs an object that is picked and then placed; task.name={self.task.name!r} "
                 f"is not one of {', '.join(PICK_AND_PLACE)}"
             )
         if self.disturbance == "block" and self.human.motion in ("none", "recorded"):
@@ -202,6 +214,7 @@ class ExportConfig(EnvConfig):
     """Folder of the files."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.policy is None) == (not self.policies):
             raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
 
@@ -267,7 +280,7 @@ class FigureConfig(CommandConfig):
     levels: list[int]
     """`paths`: levels to show. `people`: the level to show."""
     episodes: list[int]
-    """`paths`, `people`: one or two episodes; []: for each colour of ball, the first that succeeds at all levels shown
+    """`paths`, `people`: one or two episodes; []: for each kind of object, the first that succeeds at all levels shown
     (`paths`) or beside all motions shown (`people`). `timeline`: any number; []: the first twelve."""
     jump_s: float | None
     """`jump`: time of the level change, s from the start of the episode."""

@@ -43,7 +43,7 @@ class MetaControllerAgentConfig:
 
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
     """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). Both also
-    have the person's distance from each ball and each drop point."""
+    have the person's distance from each object and from where it belongs."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]

@@ -210,7 +210,10 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             kind = get_args(kind)[0]
             continue
         if get_origin(kind) is dict:
-            return line if line[0] in "+~" else f"++{line}"  # Hydra adds new keys of a dict only with ++
+            kind, entry = get_args(kind)[1], depth == len(parts) - 1
+            if entry or not is_dataclass(kind):
+                return line if line[0] in "+~" else f"++{line}"  # Hydra adds new keys of a dict only with ++
+            continue
         fields = get_type_hints(kind) if is_dataclass(kind) else {}
         if name not in fields:
             inside = ".".join(parts[:depth]) or root.replace("_", " ")
@@ -223,8 +226,19 @@ def _checked(root: str, parsed: Override, line: str) -> str:
         raise ConfigError(deletes)
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
-    in_list = any(part.isdigit() for part in parts)  # an entry may leave out keys that have a default
-    return f"++{line}" if in_list and line[0] != "+" else line
+    # An entry of a list or a mapping may leave out keys that have a default.
+    optional = any(part.isdigit() for part in parts) or _in_mapping(root, parts)
+    return f"++{line}" if optional and line[0] != "+" else line
+
+
+def _in_mapping(root: str, parts: list[str]) -> bool:
+    """Return whether a key lies in an entry of a mapping, as `cell.places.NAME.size_m`."""
+    kind: Any = ROOTS[root]
+    for name in parts[:-1]:
+        kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
+        if get_origin(kind) is dict:
+            return True
+    return False
 
 
 def _meant(root: str, word: str) -> str:

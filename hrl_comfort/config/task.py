@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import XY, XYZ, ConfigError, choice, within
+from hrl_comfort.config.checks import XYZ, ConfigError, choice, within
 
-COLOURS = ("orange", "pink")
-"""By number in `State.colour`."""
 OBSERVATIONS = ("default", "proximity", "set_points", "paper")
 SORTING = ("sort", "shift")
-"""Tasks of several balls."""
+"""Tasks of several objects."""
+RANDOM = "random"
+"""Value of `task.object`: any kind of the cell's."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class PrecisionConfig:
     grasp_tolerance_m: Annotated[float, within(0.005, 0.5)]
     """Distance of the tool from its goal at which a stage of `pick`, `reach` or `point_to_point` is done, m."""
     place_tolerance_m: Annotated[float, within(0.005, 0.5)]
-    """Distance of the tool from the drop point at which `place` is done, m."""
+    """Distance of the tool from the goal at which `place` is done, m."""
     home_tolerance_deg: Annotated[float, within(0.1, 60.0)]
     """Largest joint error at which `return` is done, degrees."""
 
@@ -33,14 +33,13 @@ class TaskConfig:
     name: str
     """A built-in subtask, a subtask that an installed package offers as an entry point (both by name), or
     `package.module:name`."""
-    colour: Annotated[str, choice("random", *COLOURS)]
-    """Colour of the balls."""
-    balls: int
-    """Number of balls on the pick table; above 1 for `sort` and `shift` only."""
-    ball_slots_m: list[XY]
-    """Possible positions (x, y) of balls relative to `cell.ball_m`, m; each ball has a slot of its own."""
-    ball_jitter_m: Annotated[float, within(0.0, 0.1)]
-    """Largest offset of a ball from its slot along x and along y, m."""
+    object: str
+    """Kind of the objects: a name of `cell.objects`, or `random` for any of them."""
+    objects: Annotated[int, within(1, 64)]
+    """Number of objects to be picked; above 1 for `sort` and `shift` only. Each has a slot of its own
+    (`cell.places.NAME.slots_m`)."""
+    object_jitter_m: Annotated[float, within(0.0, 0.1)]
+    """Largest offset of an object from its slot along x and along y, m."""
     precision: PrecisionConfig
     max_episode_steps: Annotated[int, within(1, 100_000)]
     """Control steps of 20 ms after which an episode is out of time. If `comfort.source` is not `none` and
@@ -82,12 +81,8 @@ class TaskConfig:
     from the start."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.balls <= len(self.ball_slots_m):
-            raise ConfigError(
-                f"task.balls={self.balls} must be from 1 to {len(self.ball_slots_m)}, the length of task.ball_slots_m"
-            )
-        if self.balls > 1 and self.name not in SORTING:
-            raise ConfigError(f"task.balls={self.balls}, but task.name={self.name} has one; choose sort or shift")
+        if self.objects > 1 and self.name not in SORTING:
+            raise ConfigError(f"task.objects={self.objects}, but task.name={self.name} has one; choose sort or shift")
 
 
 Weight = Annotated[float, within(-1e4, 1e4)]

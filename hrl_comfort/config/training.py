@@ -41,6 +41,7 @@ class TrainConfig(TrainingConfig):
     """Destination of the curves of metrics.csv: TensorBoard's file alone, or Weights & Biases too."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         between("agent.buffer_size", self.agent.buffer_size, self.engine.num_envs, 1e8)
         if self.agent.demonstrator_envs >= self.engine.num_envs:
             raise ConfigError(
@@ -58,9 +59,11 @@ class MetaControllerTrainConfig(TrainingConfig):
     policies: dict[str, str]
     """Policy of each subtask."""
     disturbance: Annotated[str, choice(*DISTURBANCES)]
-    """Once in every episode: `drop` knocks a ball out of the gripper, `block` puts a person at a drop table for 8 s."""
+    """Once in every episode: `drop` knocks an object out of the gripper, `block` puts a person where it
+    belongs for 8 s."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.task.name not in SORTING:
             raise ConfigError(
                 f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort or shift"

@@ -16,8 +16,6 @@ NEAREST_M = 0.1
 """Smallest distance of the points from the origin, and of the third one from the x axis."""
 STEEPEST_RAD = math.radians(2.0)
 """Largest tilt: floor and gravity of the model are those of the robot's base."""
-PLACES = {"cell": ("ball_m", "orange_drop_m", "pink_drop_m"), "task": ("point_m", "second_point_m")}
-"""Keys of what is given in the cell's frame, by section."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +62,19 @@ class Frame:
         return at[0], at[1], None if yaw is None else yaw + math.atan2(self.axes[1, 0], self.axes[0, 0])
 
     def places(self, config: DeployConfig) -> DeployConfig:
-        """Return `config` with its PLACES, of this frame, in the base frame."""
-        for section, keys in PLACES.items():
-            part = getattr(config, section)
-            moved = replace(part, **{key: self.point(getattr(part, key)) for key in keys})
-            config = replace(config, **{section: moved})
-        return replace(config, connection=replace(config.connection, frame_m=None))
+        """Return `config` with its places, obstacles and points, of this frame, in the base frame."""
+        cell, task, turn = config.cell, config.task, math.degrees(math.atan2(self.axes[1, 0], self.axes[0, 0]))
+        places = {
+            name: replace(each, top_m=self.point(each.top_m), yaw_deg=each.yaw_deg + turn)
+            for name, each in cell.places.items()
+        }
+        obstacles = {
+            name: replace(each, position_m=self.point(each.position_m), yaw_deg=each.yaw_deg + turn)
+            for name, each in cell.obstacles.items()
+        }
+        return replace(
+            config,
+            cell=replace(cell, places=places, obstacles=obstacles),
+            task=replace(task, point_m=self.point(task.point_m), second_point_m=self.point(task.second_point_m)),
+            connection=replace(config.connection, frame_m=None),
+        )

@@ -62,7 +62,7 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
     torch.set_num_threads(1)
     output = Path(config.output)
     with output_folder(output, DeployConfig, "config.yaml"):
-        scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
+        scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
         limits = Limits.of(config, scene)
         simulated = partial(SimulatedArm, scene.model, scene.home)
         with interruption() as interrupted:

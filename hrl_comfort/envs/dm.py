@@ -97,8 +97,7 @@ class CellTask(control.Task):
     @_random.setter
     def _random(self, state: np.random.RandomState) -> None:
         self._state = state
-        self.episodes.sampler.seed = episode_seed(state.randint(SEEDS, dtype=np.uint64))
-        self.episodes.rewind()
+        self.episodes.rewind(episode_seed(state.randint(SEEDS, dtype=np.uint64)))
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name != "episodes"}
@@ -163,7 +162,7 @@ def make_environment(config: EnvConfig, seed: int, flat_observation: bool = Fals
     Raises:
       ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
     """
-    scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.balls)
+    scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
     task = CellTask(scene, config, seed)
     # dm_control reads the observation spec before the first reset, which needs a state.

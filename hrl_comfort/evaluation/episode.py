@@ -18,7 +18,7 @@ class Episode:
     split: str
     episode_seed: int
     episode: int
-    colour: str
+    object: str
     spawn_id: int | None
     motion_id: int
     seen: bool | None
@@ -34,7 +34,7 @@ class Episode:
     unsafe_contact: bool
     other_collision: str
     truncated: bool
-    balls_placed: int
+    objects_placed: int
     comfort_level_mean: float | None
     shield_share_mean: float | None
     protective_stops: int | None
@@ -53,8 +53,8 @@ class Episode:
 OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measures", "max_episode_steps"))
 """Fields of an Episode that are a column each."""
 RATES = (
-    "discomfort_per_min", "person_level_mean", "balls_lost", "balls_per_min", "contacts_per_h", "unsafe_contacts_per_h",
-    "other_collisions_per_h", "protective_stops_per_min",
+    "discomfort_per_min", "person_level_mean", "objects_lost", "objects_per_min", "contacts_per_h",
+    "unsafe_contacts_per_h", "other_collisions_per_h", "protective_stops_per_min",
 )  # fmt: skip
 """Measures of `evaluation.rates`; those after the first two are of a shift alone."""
 COLUMNS = (*(name.rstrip("_") for name in OWN), *RATES, *MEASURES)

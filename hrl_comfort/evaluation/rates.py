@@ -26,7 +26,7 @@ class Course(Trajectory):
     unsafe_contact: NDArray[np.bool_]
     table_collision: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
-    balls_placed: int
+    objects_placed: int
     protective_stops: int
 
     def touched(self) -> dict[str, Any]:
@@ -54,8 +54,8 @@ def shift_rates(course: Course, shielded: bool) -> dict[str, float | None]:
     spent_s = (len(course.stage) - 1) * CONTROL_STEP_S
     collision = course.table_collision | course.self_collision
     return {
-        "balls_lost": float((np.diff(course.stage) < 0).sum()),
-        "balls_per_min": course.balls_placed * MINUTE_S / spent_s,
+        "objects_lost": float((np.diff(course.stage) < 0).sum()),
+        "objects_per_min": course.objects_placed * MINUTE_S / spent_s,
         "contacts_per_h": begun(course.touching) * HOUR_S / spent_s,
         "unsafe_contacts_per_h": begun(course.unsafe_contact) * HOUR_S / spent_s,
         "other_collisions_per_h": begun(collision) * HOUR_S / spent_s,

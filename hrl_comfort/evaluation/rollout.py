@@ -15,7 +15,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.frightened import mean_level
 from hrl_comfort.comfort.trajectory import metrics
-from hrl_comfort.config import COLOURS, CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
@@ -131,7 +131,7 @@ class EpisodeRecorder:
         rows = len(self.entries.episode)
         self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
         self.seen: list[tuple[dict[str, torch.Tensor], torch.Tensor]] = []
-        self._keep(state, torch.ones(rows, 1, dtype=torch.bool))
+        self._keep(state.instants(), torch.ones(rows, 1, dtype=torch.bool))
         self._found: dict[int, Episode] = {}
         self._runs: list[OptionRun] = []
         if self.config.record:
@@ -169,7 +169,8 @@ class EpisodeRecorder:
         self.result.options += [self._option(run) for run in sorted(self._runs, key=lambda r: (r.row, r.start_step))]
 
     def _keep(self, instants: State, valid: torch.Tensor) -> None:
-        self.seen.append(({name: getattr(instants, name) for name in (*SEEN, *COURSE)}, valid))
+        kept = {name: getattr(instants, name) for name in (*SEEN, *COURSE)}
+        self.seen.append(({name: v.expand(*valid.shape, *v.shape[2:]) for name, v in kept.items()}, valid))
 
     def _measured(self) -> list[Episode]:
         """Return the episode of each row with the measures of `comfort.trajectory` and `evaluation.rates`."""
@@ -177,9 +178,7 @@ class EpisodeRecorder:
         valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
 
         def column(name: str) -> NDArray[Any]:
-            parts = [fields[name] for fields, _ in self.seen]
-            whole = [part.view(rows, -1, *part.shape[1:]) for part in parts]
-            return np.asarray(torch.cat(whole, dim=1).numpy())
+            return np.asarray(torch.cat([fields[name] for fields, _ in self.seen], dim=1).numpy())
 
         columns = {name: column(name) for name in (*SEEN, *COURSE)}
         here, shielded = self.config.human.motion != "none", self.config.safety.kind != "none"
@@ -188,7 +187,7 @@ class EpisodeRecorder:
             tool, human, *course = (values[row][valid[row]] for values in columns.values())
             episode = self._found[row]
             stops = episode.protective_stops or 0
-            kept = dict(zip(COURSE, course, strict=True), human_here=here, balls_placed=episode.balls_placed)
+            kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
             through = Course(tool=tool, human=human, **kept, protective_stops=stops)
             values = metrics(through)
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
@@ -216,7 +215,7 @@ class EpisodeRecorder:
         subtask = self.engine.episodes.subtask
         # A shift is over, and done, when its time is up.
         success = bool(step.truncated[row] if subtask.repeats else step.success[row])
-        colour = COLOURS[int(state.colours[row, 0])]
+        kind = config.cell.kinds[int(self.engine.episodes.draw.kinds[row, 0])]
         episodes, shielded = self.engine.episodes, config.safety.kind != "none"
         return Episode(
             task=config.task.name,
@@ -225,7 +224,7 @@ class EpisodeRecorder:
             split=config.split,
             episode_seed=int(entries.episode_seed[row]),
             episode=int(entries.episode[row]),
-            colour=colour,
+            object=kind,
             spawn_id=None if episodes.draw.spawn_id[row] < 0 else int(episodes.draw.spawn_id[row]),
             motion_id=int(episodes.draw.motion_id[row]),
             seen=None if entries.drawn else bool(entries.seen[row]),
@@ -240,7 +239,7 @@ class EpisodeRecorder:
             unsafe_contact=False,
             other_collision="none",
             truncated=not success and not bool(step.terminated[row]),
-            balls_placed=int(subtask.released(state.stage)[row]),
+            objects_placed=int(subtask.released(state.stage)[row]),
             comfort_level_mean=None if config.comfort.source == "none" else rounded(self._mean_level(row)),
             shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
             protective_stops=int(state.protective_stops[row]) if shielded else None,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from rich.console import Console
 
-from hrl_comfort.config import COLOURS, TERMINAL_STATES_SEED, ConfigError, EvaluateConfig
+from hrl_comfort.config import RANDOM, TERMINAL_STATES_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.evaluation.rollout import BATCH
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.run_config import environment
@@ -18,37 +19,37 @@ from hrl_comfort.sim.engine import Engine
 
 
 def record_terminal_states(config: EvaluateConfig) -> Path:
-    """Write the last states of successful episodes by colour, float32 (`sim.starts`), to `config.terminal_states`.
+    """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
     A state holds the joints and, with a person, their position and the level in force. Episodes are drawn as
     in training, from seeds of their own: what is recorded becomes training data.
 
     Raises:
-      ConfigError: the path does not end in .npz, or no episode of a colour succeeded.
+      ConfigError: the path does not end in .npz, or no episode of a kind succeeded.
     """
     path = Path(config.terminal_states or "")
     if path.suffix != ".npz":
         raise ConfigError(f"terminal_states={config.terminal_states!r} must be the path of an .npz file")
-    if config.task.colour != "random":
-        raise ConfigError(f"terminal_states= needs both colours; task.colour={config.task.colour!r} makes one")
+    if config.task.object != RANDOM:
+        raise ConfigError(f"terminal_states= needs every kind; task.object={config.task.object!r} makes one")
     torch.set_num_threads(1)
-    found: dict[str, list[np.ndarray]] = {colour: [] for colour in COLOURS}
+    found: dict[str, list[np.ndarray]] = {kind: [] for kind in config.cell.kinds}
     for begin in range(0, config.episodes, BATCH):
         rows = min(BATCH, config.episodes - begin)
-        for colour, state in successes(config, rows, TERMINAL_STATES_SEED + begin // BATCH):
-            found[colour].append(state)
-    for colour, states in found.items():
+        for kind, state in successes(config, rows, TERMINAL_STATES_SEED + begin // BATCH):
+            found[kind].append(state)
+    for kind, states in found.items():
         if not states:
-            raise ConfigError(f"terminal_states={str(path)!r}: no {colour} episode succeeded, so none is written")
-    orange, pink = (np.array(found[colour]) for colour in COLOURS)
-    write_atomically(path, lambda file: np.savez(file, orange=orange, pink=pink))
+            raise ConfigError(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
+    banks: dict[str, Any] = {kind: np.array(states) for kind, states in found.items()}
+    write_atomically(path, lambda file: np.savez(file, **banks))
     count = sum(map(len, found.values()))
     Console().print(f"{path}: {count} terminal states of {config.episodes} episodes", soft_wrap=True)
     return path
 
 
 def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
-    """Run an episode, drawn as in training, in each of `rows` cells; return colour and last state of successes."""
+    """Run an episode, drawn as in training, in each of `rows` cells; return kind and last state of successes."""
     engine = Engine(environment(config), rows, seed)
     executor, choose = make_executor(config, None, engine, seed)
     engine.reset()
@@ -60,6 +61,6 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
             parts += [state.human_pos, executed.result.level[:, None]]
         states = torch.cat(parts, dim=-1).numpy().astype(np.float32)
         for row in torch.nonzero(executed.ended & executed.result.success).squeeze(-1).tolist():
-            found.append((COLOURS[int(state.colour[row])], states[row].copy()))
+            found.append((config.cell.kinds[int(state.target_kind[row])], states[row].copy()))
     engine.close()
     return found

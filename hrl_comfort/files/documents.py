@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import (
+    Annotated,
+    Any,
+    NotRequired,  # pydantic takes those of typing from Python 3.12 on
+    TypeVar,
+)
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, TypeAdapter, ValidationError, with_config
-from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
+from typing_extensions import TypedDict
 
 from hrl_comfort.config.checks import XYZ, ConfigError, first_error
 from hrl_comfort.files.reading import read_bytes, read_text
 from hrl_comfort.files.relative_paths import resolved
+from hrl_comfort.files.versions import converted
 
 MOST_BYTES = 10**6
 """Largest YAML file; those of a run are of some kB."""
@@ -47,13 +53,29 @@ class Summary(BaseModel):
 
 
 @with_config(ConfigDict(extra="allow"))
+class PlaceSection(TypedDict):
+    """Keys of a place that pictures need."""
+
+    top_m: XYZ
+    size_m: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    yaw_deg: NotRequired[FiniteFloat]
+
+
+@with_config(ConfigDict(extra="allow"))
+class ObjectSection(TypedDict):
+    """Keys of a kind of object that pictures need."""
+
+    arrives_at: str
+    belongs_at: str
+    rgb: NotRequired[Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=3, max_length=3)]]
+
+
+@with_config(ConfigDict(extra="allow"))
 class CellSection(TypedDict, total=False):
     """Keys of the section `cell` that pictures need."""
 
-    ball_m: XYZ
-    orange_drop_m: XYZ
-    pink_drop_m: XYZ
-    table_half_width_m: FiniteFloat
+    places: dict[str, PlaceSection]
+    objects: dict[str, ObjectSection]
 
 
 @with_config(ConfigDict(extra="allow"))
@@ -61,8 +83,8 @@ class TaskSection(TypedDict, total=False):
     """Keys that reports need of the section `task`."""
 
     name: str
-    balls: int
-    ball_jitter_m: FiniteFloat
+    objects: int
+    object_jitter_m: FiniteFloat
     max_episode_steps: PositiveInt
 
 
@@ -115,7 +137,7 @@ def read_config(path: Path) -> tuple[str, dict[str, Any]]:
     """
     text, content = read_yaml(path)
     try:
-        return text, dict(TypeAdapter(RunConfig).validate_python(resolved(content, path.parent)))
+        return text, dict(TypeAdapter(RunConfig).validate_python(converted(resolved(content, path.parent))))
     except ValidationError as error:
         raise damaged(path, first_error(error)) from None
 

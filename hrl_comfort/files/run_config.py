@@ -21,7 +21,7 @@ from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import unfinished
 from hrl_comfort.files.relative_paths import resolved, same, stored
-from hrl_comfort.files.versions import of_this_version
+from hrl_comfort.files.versions import converted, of_this_version
 
 C = TypeVar("C", bound=CommandConfig)
 
@@ -103,7 +103,7 @@ def _of_file(cls: type[C], root: str, values: Mapping[str, Any], folder: Path, f
         return values_of(root, [override(group, name) for group, name in named.items() if name in choices(group)])
 
     try:
-        return section(cls, of_this_version(cls, resolved(values, folder), defaults))
+        return section(cls, of_this_version(cls, converted(resolved(values, folder)), defaults))
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from None
 

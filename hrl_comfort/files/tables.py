@@ -22,6 +22,7 @@ from hrl_comfort.config.checks import FARTHEST
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import damaged
 from hrl_comfort.files.reading import read_text
+from hrl_comfort.files.versions import COLUMNS
 
 Floats = NDArray[np.float64]
 DTYPES = {
@@ -48,9 +49,9 @@ NEEDED: dict[str, dict[str, str]] = {
 """Columns that a table cannot do without, by the stem of its file."""
 KNOWN: dict[str, dict[str, str]] = {
     "metrics": {"stage": "text?"},
-    "episodes": dict.fromkeys(("task", "policy", "split", "colour", "human", "other_collision"), "text?")
+    "episodes": dict.fromkeys(("task", "policy", "split", "object", "human", "other_collision"), "text?")
     | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
-    | dict.fromkeys(("steps", "policy_steps", "balls_placed", "protective_stops", "human_beyond_bound"), "int?")
+    | dict.fromkeys(("steps", "policy_steps", "objects_placed", "protective_stops", "human_beyond_bound"), "int?")
     | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated"), "bool?"),
     "checkpoints": {"task": "text?", "human": "text?", "split": "text?", "comfort_level": "int?"},
     "options": {"comfort_level": "int?"},
@@ -77,6 +78,8 @@ def read_table(path: Path) -> DataFrame | None:
         frame = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
     except (ValueError, OSError, csv.Error) as error:  # pyarrow's errors are of the first two classes
         raise damaged(file, error) from None
+    if path.stem == "episodes":
+        frame = frame.rename(columns=COLUMNS)
     return conform(frame, path.stem, file) if len(frame) else None
 
 

@@ -3,7 +3,7 @@
 Files are never rewritten: what differs is settled in reading. A key that has come since takes its value in BEFORE, or
 else its default in conf/ for the task, the robot and the people of the file. So a new key whose default changes what
 older runs do needs an entry in BEFORE. A key that is gone is refused, unless it had its value in GONE, which did
-nothing.
+nothing. Keys that were renamed, or put in another form, are `converted` first.
 """
 
 from __future__ import annotations
@@ -18,6 +18,68 @@ BEFORE: dict[str, Any] = {}
 """Value, by dotted key, that does what was done before the key came; where it is the default of conf/, none."""
 GONE: dict[str, Any] = {"reward.human_collision": 0.0}
 """Value, by dotted key, with which a key that is gone did nothing."""
+TASK = {"colour": "object", "balls": "objects", "ball_jitter_m": "object_jitter_m"}
+"""Keys of the section `task` that were renamed."""
+CONTROLLER = {"balls": "objects"}
+"""Keys that were renamed in the `spec` of a controller's file."""
+COLUMNS = {
+    "colour": "object", "balls_placed": "objects_placed", "balls_lost": "objects_lost",
+    "balls_per_min": "objects_per_min",
+}  # fmt: skip
+"""Columns of episodes.csv that were renamed, and measures of a benchmark's entry."""
+INPUTS = {"ball_pos": "target_object", "drop_pos": "target_place", "colour": "target_kind"}
+"""Inputs of exported policies that were renamed."""
+BALL_TABLES = {"ball_table": "ball_m", "orange_table": "orange_drop_m", "pink_table": "pink_drop_m"}
+"""Places of a cell with the goals of its tables in keys of their own, which were the centres of balls on them."""
+RGB = {"orange": [1.0, 0.5, 0.1], "pink": [1.0, 0.4, 0.7]}
+ONE_SLOT = [[0.0, 0.0]]
+SIX_SLOTS = [[x, y] for x in (-0.035, 0.035) for y in (-0.07, 0.0, 0.07)]
+"""Of `task=sort`, when a task had the slots."""
+
+
+def renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """Return `values` with the keys that `names` gives them; a key that has its name already wins."""
+    kept = {key: value for key, value in values.items() if names.get(key) not in values}
+    return {names.get(key, key): value for key, value in kept.items()}
+
+
+def converted(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `values` of a configuration with the sections `cell` and `task` as this version has them.
+
+    A cell had a ball table and two drop tables, and a task the slots of the balls. Sections that are damaged, or that
+    this version cannot have, stay as they are: the check of keys refuses them.
+    """
+    found, cell, task = dict(values), values.get("cell"), values.get("task")
+    if isinstance(task, Mapping):
+        found["task"] = task = renamed(task, TASK)
+    if isinstance(cell, Mapping) and (made := _with_places(cell, task)) is not None:
+        found["cell"] = made
+        if isinstance(task, dict):
+            task.pop("ball_slots_m", None)
+    hierarchy = values.get("hierarchy")
+    if isinstance(hierarchy, Mapping) and isinstance(hierarchy.get("controller"), Mapping):
+        found["hierarchy"] = {**hierarchy, "controller": converted(hierarchy["controller"])}
+    return found
+
+
+def _with_places(cell: Mapping[str, Any], task: object) -> dict[str, Any] | None:
+    """Return a cell with tables in keys of their own as one with places and objects; None of any other."""
+    slots = task.get("ball_slots_m", ONE_SLOT) if isinstance(task, Mapping) else ONE_SLOT
+    alone = isinstance(task, Mapping) and task.get("objects", 1) == 1
+    if alone and slots != ONE_SLOT:
+        return None  # one ball lay in one of several slots
+    try:
+        radius, side = float(cell["ball_radius_m"]), 2 * float(cell["table_half_width_m"])
+        points = {name: [float(value) for value in cell[key]] for name, key in BALL_TABLES.items()}
+        tops = {name: [x, y, round(z - radius, 12)] for name, (x, y, z) in points.items()}
+        height = cell["base_height_m"]
+    except (KeyError, TypeError, ValueError):
+        return None
+    places: dict[str, Any] = {name: {"top_m": top, "size_m": [side, side]} for name, top in tops.items()}
+    places["ball_table"]["slots_m"] = SIX_SLOTS if alone else slots
+    ball = {"shape": "sphere", "size_m": [radius], "arrives_at": "ball_table"}
+    objects = {name: {**ball, "belongs_at": f"{name}_table", "rgb": rgb} for name, rgb in RGB.items()}
+    return {"places": places, "objects": objects, "obstacles": {}, "base_height_m": height}
 
 
 def of_this_version(

@@ -125,7 +125,7 @@ class OptionExecutor:
         return Decision(state, self.available(state))
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
-        """Start the options `chosen` (N,) in `rows` (N,) bool; return the state, the balls chosen as targets.
+        """Start the options `chosen` (N,) in `rows` (N,) bool; return the state, the objects chosen as targets.
 
         Raises:
           ValueError: one of them cannot start now.
@@ -144,8 +144,8 @@ class OptionExecutor:
             here = torch.nonzero(rows & (chosen == index)).squeeze(-1)
             if len(here):
                 self._first[here], self._last[here] = option.stages(state.stage[here])
-                if option.ball is not None:
-                    self._episodes.aim(here, torch.full_like(here, option.ball))
+                if option.object is not None:
+                    self._episodes.aim(here, torch.full_like(here, option.object))
         assert self._episodes.state is not None
         return self._episodes.state
 
@@ -163,7 +163,7 @@ class OptionExecutor:
 
         An idle option succeeds when its time is up or it is done. A skill succeeds once its stages are done,
         and is preempted at its time limit. Either is preempted where the task falls back to an earlier stage
-        (the ball is lost) and where the episode is truncated.
+        (the object is lost) and where the episode is truncated.
         """
         state = result.state
         lasted = state.steps - self.started

@@ -1,7 +1,7 @@
 """Meta-controllers: pure functions that choose the next option from a `Decision`.
 
 Those of `sort` rely on the order of `sorting_options`: for each level a skill may be given, the one in force
-first, a pick for each of B balls, place and return; then wait and retreat.
+first, a pick for each of B objects, place and return; then wait and retreat.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ def next_option(decision: Decision, score: Tensor) -> Tensor:
     """Return the option (N,) that advances the task; of the picks that can start, the one of highest score.
 
     Where none of these can start, an option was preempted, and the arm retreats. `score` is (N, B), one for
-    each ball.
+    each object.
     """
-    balls, count = score.shape[1], decision.mask.shape[1]
-    best = torch.where(decision.mask[:, :balls], score, -torch.inf).argmax(dim=1)
-    best = torch.where(decision.mask[:, :balls].any(dim=1), best, count + RETREAT)
-    place, back = decision.mask[:, balls], decision.mask[:, balls + 1]
-    return torch.where(place, balls, torch.where(back, balls + 1, best))
+    objects, count = score.shape[1], decision.mask.shape[1]
+    best = torch.where(decision.mask[:, :objects], score, -torch.inf).argmax(dim=1)
+    best = torch.where(decision.mask[:, :objects].any(dim=1), best, count + RETREAT)
+    place, back = decision.mask[:, objects], decision.mask[:, objects + 1]
+    return torch.where(place, objects, torch.where(back, objects + 1, best))
 
 
 def nearest(decision: Decision) -> Tensor:
-    """Choose the ball nearest to the tool."""
+    """Choose the object nearest to the tool."""
     state = decision.state
-    return next_option(decision, -(state.balls - state.tcp_pos[:, None]).norm(dim=-1))
+    return next_option(decision, -(state.objects - state.tcp_pos[:, None]).norm(dim=-1))
 
 
 def cautious(decision: Decision) -> Tensor:
-    """Choose the ball farthest from the person, and wait, where that is allowed, for a person near the goal."""
+    """Choose the object farthest from the person, and wait, where that is allowed, for a person near the goal."""
     state = decision.state
     person = state.human_pos[:, None]
-    score = torch.minimum(human_distance(state.balls, person), human_distance(state.drops, person))
+    score = torch.minimum(human_distance(state.objects, person), human_distance(state.object_places, person))
     chosen = next_option(decision, score)
-    balls, count = score.shape[1], decision.mask.shape[1]
-    ball = chosen.clamp(max=balls - 1)
-    goal = torch.where((chosen < balls)[:, None], state.balls[torch.arange(len(ball)), ball], state.drop_pos)
+    objects, count = score.shape[1], decision.mask.shape[1]
+    index = chosen.clamp(max=objects - 1)
+    picked = state.objects[torch.arange(len(index)), index]
+    goal = torch.where((chosen < objects)[:, None], picked, state.target_place)
     near = human_distance(goal, state.human_pos) < NEAR_M
-    waits = near & decision.mask[:, WAIT] & (chosen <= balls)
+    waits = near & decision.mask[:, WAIT] & (chosen <= objects)
     return torch.where(waits, count + WAIT, chosen)
 
 
@@ -78,7 +79,7 @@ def with_level_override(choose: Choose) -> Choose:
 
     def chosen(decision: Decision) -> Tensor:
         option, waits = choose(decision), decision.mask.shape[1] + WAIT
-        skills = decision.state.balls.shape[1] + 2
+        skills = decision.state.objects.shape[1] + 2
         return torch.where(option < waits, option + skills, option) if waits > skills else option
 
     return chosen

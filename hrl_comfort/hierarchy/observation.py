@@ -13,16 +13,16 @@ from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations import human, joint_error, nearness, tool
 
 ROUND = len(CYCLE.stages)
-"""Stages of one ball's round: pick, place, return."""
-OTHERS, BALL = 14, 9
-"""Sizes of the parts of neither a ball nor the person, and of each ball."""
+"""Stages of one object's round: pick, place, return."""
+OTHERS, OBJECT = 14, 9
+"""Sizes of the parts of neither an object nor the person, and of each object."""
 PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1})
 """Size of the person's part, by `meta_controller_agent.observation`."""
 
 
-def observation_dim(layout: str, balls: int) -> int:
+def observation_dim(layout: str, objects: int) -> int:
     """Return the size of `meta_observation`."""
-    return PERSON[layout] + OTHERS + BALL * balls
+    return PERSON[layout] + OTHERS + OBJECT * objects
 
 
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
@@ -30,18 +30,18 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
 
     Person (2) and their facing direction (2, zero where their position is clipped or masked) or, with the layout
     `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of the round (3), level and
-    whether there is one (2); of each ball its position (3), its drop point (2), the person's distance from both (2),
-    whether it is placed and whether it is the target (2).
+    whether there is one (2); of each object its position (3), where it belongs (2), the person's distance from both
+    (2), whether it is placed and whether it is the target (2).
     """
-    drop = state.drops
+    place = state.object_places
     person = human(state)[:, None]
-    index = torch.arange(state.balls.shape[1])
-    balls = torch.cat(
+    index = torch.arange(state.objects.shape[1])
+    objects = torch.cat(
         [
-            state.balls,
-            drop[..., :2],
-            human_distance(state.balls, person)[..., None],
-            human_distance(drop, person)[..., None],
+            state.objects,
+            place[..., :2],
+            human_distance(state.objects, person)[..., None],
+            human_distance(place, person)[..., None],
             state.placed[..., None].double(),
             (state.target[:, None] == index)[..., None].double(),
         ],
@@ -52,7 +52,7 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
     level_given = torch.stack([ease, leveled.double()], dim=-1)
     seen = nearness(state) if layout == "proximity" else _position_and_facing(state)
-    return torch.cat([seen, tool(state), joint_error(state), stage, level_given, balls.flatten(1)], dim=-1).float()
+    return torch.cat([seen, tool(state), joint_error(state), stage, level_given, objects.flatten(1)], dim=-1).float()
 
 
 def _position_and_facing(state: State) -> Tensor:

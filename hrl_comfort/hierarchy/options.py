@@ -38,8 +38,8 @@ class Option:
     """First of its stages in the longer task; the policy sees stages counted from here."""
     round_stages: int = 0
     """Stages of a round, in a task of several rounds (`sort`)."""
-    ball: int | None = None
-    """Ball that a pick is for."""
+    object: int | None = None
+    """Index of the object that a pick is for."""
     level: float | None = None
     """Comfort level that the policy is given instead of the one in force."""
 
@@ -49,10 +49,10 @@ class Option:
         return self.first + len(self.subtask.stages)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: one of its stages is in force, and its ball is not placed."""
+        """Return (N,) bool: one of its stages is in force, and its object is not placed."""
         stage = state.stage - self._round(state.stage)
         able = (stage >= self.first) & (stage < self.last)
-        return able if self.ball is None else able & ~state.placed[:, self.ball]
+        return able if self.object is None else able & ~state.placed[:, self.object]
 
     def stages(self, stage: Tensor) -> tuple[Tensor, Tensor]:
         """Return its first stage and one past its last, in the round of the stages (N,) in force."""
@@ -82,7 +82,7 @@ class IdleOption:
     max_runs: int | None = None
     """Times in a row that it can be chosen; None: any number."""
     done: StateFunction | None = None
-    ball: None = None
+    object: None = None
     level: None = None
 
     def can_start(self, state: State) -> Tensor:

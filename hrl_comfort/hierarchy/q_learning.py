@@ -21,12 +21,13 @@ from hrl_comfort.agents.memory import check_networks
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
+from hrl_comfort.files.versions import CONTROLLER, renamed
 from hrl_comfort.hierarchy.executor import Choose, Decision
 from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
 SPEC: dict[str, tuple[type, ...]] = {
-    "names": (list,), "levels": (int,), "balls": (int,), "max_waits": (int, type(None)),
+    "names": (list,), "levels": (int,), "objects": (int,), "max_waits": (int, type(None)),
     "observation": (str,), "observation_dim": (int,), "hidden": (list,),
 }  # fmt: skip
 """Fields of the `spec` in a meta-controller's file, and the types of each."""
@@ -147,6 +148,7 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     spec, weights = state.get("spec"), state.get("network")
     if not isinstance(spec, dict) or not isinstance(weights, dict):
         raise ConfigError(f"{key} is not a trained controller; its folder holds meta_controller.pt")
+    spec = renamed(spec, CONTROLLER)
     for name, kinds in SPEC.items():
         if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
@@ -156,7 +158,7 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     if names != options or spec["levels"] != levels:
         raise ConfigError(
             f"{key} chooses among {names} at {spec['levels']} levels; "
-            f"here there are {options} at {levels} (meta_controller.level_override, task.balls)"
+            f"here there are {options} at {levels} (meta_controller.level_override, task.objects)"
         )
     if spec["max_waits"] != max_waits:
         trained, here = ("null" if each is None else each for each in (spec["max_waits"], max_waits))
@@ -164,7 +166,7 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     layout = spec["observation"]
     if layout not in PERSON:
         raise ConfigError(f"{key} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}")
-    seen = observation_dim(layout, spec["balls"])
+    seen = observation_dim(layout, spec["objects"])
     if spec["observation_dim"] != seen:
         raise ConfigError(
             f"{key} was trained on {spec['observation_dim']} observations; here there are {seen}: train it again"

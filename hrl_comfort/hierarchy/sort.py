@@ -29,7 +29,7 @@ REST_RAD_S = 0.1
 def sorting_options(
     meta_controller: MetaControllerConfig, policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
 ) -> list[Option | IdleOption]:
-    """Return a pick for each ball, place and return, for each level they may be given, then wait and retreat.
+    """Return a pick for each object, place and return, for each level they may be given, then wait and retreat.
 
     Policies, by subtask name, see the level in force or, in further options, one of
     `meta_controller.level_override`.
@@ -57,7 +57,7 @@ def sorting_options(
     skills: list[Option | IdleOption] = []
     for level in (None, *meta_controller.level_override):
         suffix = "" if level is None else f"_as_{level}"
-        skills += [Option(f"pick_{k + 1}{suffix}", PICK, pick, 0, ROUND, k, level) for k in range(config.task.balls)]
+        skills += [Option(f"pick_{k + 1}{suffix}", PICK, pick, 0, ROUND, k, level) for k in range(config.task.objects)]
         skills += [
             Option(f"place{suffix}", PLACE, place, 1, ROUND, level=level),
             Option(f"return{suffix}", RETURN, back, 2, ROUND, level=level),
@@ -73,7 +73,7 @@ def sorting_options(
 
 
 def has_placed(state: State) -> Tensor:
-    """Return (N,) bool: a ball has just been placed; the arm is to return."""
+    """Return (N,) bool: an object has just been placed; the arm is to return."""
     return state.stage % ROUND == CYCLE.stages.index(RETURN_STAGE)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from pydantic import TypeAdapter
 
 from hrl_comfort.config import EVALUATION_EPISODES, FIRST_SEED, CellConfig, HumanConfig
 from hrl_comfort.humans import around, jittered_spawn, moved_spawns, outside, training_spawns
@@ -24,7 +25,7 @@ UNSEEN_JITTER_M = 0.05
 
 def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
     """Return the evaluation set as CSV text."""
-    goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])[:, :2]
+    goals = np.array(list(cell.goals.values()))[:, :2]
     spawns = moved_spawns(human, goals)
     rng = np.random.default_rng(FIRST_SEED)
     text = io.StringIO()
@@ -42,10 +43,10 @@ def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
 
 
 def default_choices(conf: Path) -> tuple[HumanConfig, CellConfig]:
-    """Return the default human and cell of the YAML files in `conf`, read without Hydra."""
+    """Return the default human and the paper's cell of the YAML files in `conf`, read without Hydra."""
     human = yaml.safe_load((conf / "human" / "_shared.yaml").read_text(encoding="utf-8"))
-    cell = yaml.safe_load((conf / "cell" / "default.yaml").read_text(encoding="utf-8"))
-    return HumanConfig(motion="random_walk", **human), CellConfig(**cell)
+    cell = yaml.safe_load((conf / "cell" / "paper.yaml").read_text(encoding="utf-8"))
+    return HumanConfig(motion="random_walk", **human), TypeAdapter(CellConfig).validate_python(cell)
 
 
 if __name__ == "__main__":

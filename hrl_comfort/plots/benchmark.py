@@ -16,7 +16,7 @@ MARKERS = "osD^v"
 
 
 def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw balls over discomfort a minute, a line a policy and a point a level, with 95 % intervals.
+    """Draw objects over discomfort a minute, a line a policy and a point a level, with 95 % intervals.
 
     A cross marks levels with unsafe contacts; a star and a dashed line, entries of another suite.
     """
@@ -26,7 +26,7 @@ def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
         colours = (*CYCLE, BLACK)
         for number, (entry, colour) in enumerate(zip(entries, cycle(colours), strict=False)):
             levels = entry["levels"]
-            y, x = (of_estimates([at[name] for at in levels]) for name in ("balls_per_min", "discomfort_per_min"))
+            y, x = (of_estimates([at[name] for at in levels]) for name in ("objects_per_min", "discomfort_per_min"))
             label = entry["policy"] + "*" * bool(entry["changed"])
             marker = MARKERS[number // len(colours) % len(MARKERS)]
             look: dict[str, Any] = {"marker": marker, "markersize": 4, "capsize": 2, "color": colour, "label": label}
@@ -37,6 +37,6 @@ def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
             for at, place in zip(levels, zip(x[0], y[0], strict=True), strict=True):
                 above: dict[str, Any] = {"xytext": (0, 6), "textcoords": "offset points", "ha": "center"}
                 axis.annotate(str(at["level"] or ""), place, color=colour, size=7.5, path_effects=[OUTLINE], **above)
-        axis.set(title="Throughput against discomfort", xlabel="discomfort (s a minute)", ylabel="balls a minute")
+        axis.set(title="Throughput against discomfort", xlabel="discomfort (s a minute)", ylabel="objects a minute")
         figure.legend(loc="outside lower center", ncols=2)
         return figure

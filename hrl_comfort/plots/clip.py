@@ -1,4 +1,4 @@
-"""Clips: what the arm, the person and the balls do over some control steps, and the picture at any time of them."""
+"""Clips: what the arm, the person and the objects do over some control steps, and the picture at any time of them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pandas import DataFrame, Series
 
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M
 from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.tasks import Ball, subtask
+from hrl_comfort.tasks import ObjectAt, subtask
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Frame:
     limbs: Array
     """(7, 7), as `scene.human.limb_poses`."""
     props: Array
-    """(P, 3), positions of the balls and points by their order in `Scene.mocap`; NaN where one is not there."""
+    """(P, 3), positions of the points and objects by their order in `Scene.mocap`; NaN where one is not there."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +73,24 @@ def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return 2 * math.pi * np.cumsum(walked) / STRIDE_M, swing
 
 
-def path_clip(path: DataFrame, scene: Scene, cell: CellConfig, task: str, colour: str, balls: bool) -> Clip:
-    """Return the clip of the rows of paths.csv of one episode; without `balls` none is shown."""
+def path_clip(path: DataFrame, scene: Scene, task: str, kind: str | None) -> Clip:
+    """Return the clip of the rows of paths.csv of one episode, with an object of a kind of the cell's, or without."""
     x, y, yaw = (column(path, f"human_{name}") for name in ("x", "y", "yaw"))
     there = np.isfinite(x)
     x, y, yaw = np.where(there, x, FAR_AWAY_M), np.where(there, y, 0.0), np.where(np.isfinite(yaw), yaw, 0.0)
     steps = column(path, "step")
-    props = np.full((len(path), len(scene.mocap) - len(LIMBS), 3), np.nan)
-    if balls:
-        index = scene.mocap.index(f"{colour}_ball") - len(LIMBS)
-        goals = {Ball.TABLE: cell.ball_m, Ball.DROP: cell.orange_drop_m if colour == "orange" else cell.pink_drop_m}
+    props = np.full((len(path), len(scene.mocap) - scene.first_prop, 3), np.nan)
+    if kind is not None:
+        cell, own = scene.cell, scene.cell.objects[kind]
+        index = scene.object_prop(0, cell.kinds.index(kind))
+        goals = {
+            ObjectAt.ARRIVAL: cell.centre(kind, own.arrives_at),
+            ObjectAt.PLACE: cell.centre(kind, own.belongs_at),
+        }
         tool = np.column_stack([column(path, f"tcp_{axis}") for axis in "xyz"])
         for row, stage in enumerate(column(path, "stage")):
-            where = subtask(task).ball(0 if math.isnan(stage) else int(stage))
-            if where != Ball.NOWHERE:
+            where = subtask(task).location(0 if math.isnan(stage) else int(stage))
+            if where != ObjectAt.NOWHERE:
                 props[row, index] = goals.get(where, tool[row])
     return Clip(
         time=(steps - steps[0]) * CONTROL_STEP_S,
@@ -102,5 +106,5 @@ def set_pose(data: mujoco.MjData, scene: Scene, frame: Frame) -> None:
     data.qpos[[scene.model.joint(joint).qposadr[0] for joint in scene.joints]] = frame.joints
     data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = frame.limbs[:, :3], frame.limbs[:, 3:]
     away = np.array([FAR_AWAY_M, 0.0, 0.0])
-    data.mocap_pos[len(LIMBS) :] = np.where(np.isnan(frame.props), away, frame.props)
+    data.mocap_pos[scene.first_prop :] = np.where(np.isnan(frame.props), away, frame.props)
     mujoco.mj_kinematics(scene.model, data)

@@ -28,7 +28,7 @@ MARKS = {"failure": "X", "preempted": "D"}
 
 
 def timeline(options: DataFrame, episodes: Sequence[int] = ()) -> Figure:
-    """Draw which option ran when, and how it ended; a bar an episode. A pick of one of several balls says which.
+    """Draw which option ran when, and how it ended; a bar an episode. A pick of one of several objects says which.
 
     Args:
       options: rows of options.csv.

@@ -12,34 +12,29 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from matplotlib.transforms import ScaledTranslation
 from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError
-from hrl_comfort.config.task import COLOURS
 from hrl_comfort.files.run_folder import Recorded, Run, recorded
 from hrl_comfort.files.tables import Floats
-from hrl_comfort.plots.style import BLACK, CYCLE, GOALS, GREY, OUTLINE, TRUNK_RADIUS_M, styled
+from hrl_comfort.plots.cell import draw_from_above, draw_from_side, spots
+from hrl_comfort.plots.style import BLACK, CYCLE, GREY, TRUNK_RADIUS_M, styled
 
 LEVELS = (1, 4, 7, 10)
 """Drawn where none are asked for: those of the paper's figures."""
 MARK_S = 0.5
 """Time between two dots on a path."""
-LABEL_M = 0.03
-"""Between a table's edge and the middle of its name."""
 PANEL_IN = 4.3
 """Width of a panel, inches; its height follows from what is drawn."""
 UNDER_IN = 0.42
 """From a panel to its legend, inches: what the x axis takes."""
-BASE_M = 0.15
-"""Side of the square that stands for the robot's base, about as wide as a UR3e's."""
-Point = tuple[float, float]
 Runs = Mapping[str, tuple[Run, DataFrame]]
 """Evaluations by their name in the legend, each with its episodes; their index is the number of the episode."""
-SHOWN = ("colour", "seen", "comfort_level", "steps", "human_distance_mean_m")
+SHOWN = ("object", "seen", "comfort_level", "steps", "human_distance_mean_m")
 """Columns of episodes.csv that a figure shows where they are there."""
 
 
@@ -96,11 +91,7 @@ def overview(episodes: Sequence[Recorded], cell: Mapping[str, Any], precision: M
             if len(walk := _walk(track.path)):
                 side.axvline(float(walk[:, 0].mean()), color=track.colour, linewidth=5, alpha=0.2)
                 gap.plot(track.path["step"] * CONTROL_STEP_S, track.path["human_distance_m"], color=track.colour)
-        for key, (_, colour) in GOALS.items():
-            if key in cell:
-                side.plot(cell[key][0], cell[key][2], "D", color=colour, markersize=6, markeredgecolor="white")
-                _tolerance(side, (cell[key][0], cell[key][2]), key, precision)
-        side.plot(0, 0, "s", color=GREY, markersize=9)
+        draw_from_side(side, spots(cell, precision))
         for axis in (top, side):
             axis.set_aspect("equal", adjustable="datalim", anchor="W")
         side.margins(0.08)
@@ -121,7 +112,7 @@ def at_levels(runs: Sequence[Run], levels: Sequence[int], episodes: Sequence[int
     Args:
       runs: evaluations that hold the levels together, recorded.
       levels: comfort levels; none is LEVELS.
-      episodes: one or two; none is the first with an orange ball and the first with a pink one that succeed
+      episodes: one or two; none is, of the first two kinds of object, the first that succeeds
         at all levels.
     """
     found: dict[str, tuple[Run, DataFrame]] = {}
@@ -141,7 +132,8 @@ def people(named: Mapping[str, Run], levels: Sequence[int], episodes: Sequence[i
     Args:
       named: one recorded evaluation a walk, by the name it has in the figure.
       levels: the level to draw, where evaluations hold several.
-      episodes: one or two; none is the first orange and the first pink one that succeed under every walk.
+      episodes: one or two; none is, of the first two kinds of object, the first that succeeds under
+        every walk.
     """
     found = {}
     for name, run in named.items():
@@ -168,7 +160,7 @@ def _at_level(run: Run, level: int | None) -> DataFrame:
 
 
 def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
-    """Return the episodes to draw: those asked for, or the first successful ones of each colour of ball."""
+    """Return the episodes to draw: those asked for, or the first successful ones of two kinds of object."""
     tables = [rows for _, rows in found.values()]
     common = [episode for episode in tables[0].index if all(episode in rows.index for rows in tables)]
     for index in episodes:
@@ -177,7 +169,7 @@ def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
     won = [episode for episode in common if all(rows.at[episode, "success"] for rows in tables)]
     if not episodes and not won:
         raise ConfigError(f"no episode succeeds in {' and '.join(found)} alike; choose with episodes=[0,1]")
-    return list(episodes) or tables[0].loc[won].groupby("colour", dropna=False)["episode"].first().tolist()[:2]
+    return list(episodes) or tables[0].loc[won].groupby("object", dropna=False)["episode"].first().tolist()[:2]
 
 
 def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
@@ -241,10 +233,10 @@ def _from_above(
     tracks: Sequence[Track],
     cell: Mapping[str, Any],
     precision: Mapping[str, float],
-    ball: str | None = None,
+    kind: str | None = None,
 ) -> None:
-    """Draw the cell, with a ball of this colour, tools and walks from above, m in the cell's frame."""
-    _draw_cell(axis, cell, precision, ball)
+    """Draw the cell, with an object of this kind, tools and walks from above, m in the cell's frame."""
+    draw_from_above(axis, spots(cell, precision, kind))
     for track in tracks:
         _tool(axis, track, "tcp_y")
     for colour, walk in _walks(tracks):
@@ -258,10 +250,10 @@ def _from_above(
 def _panel(axis: Axes, tracks: Sequence[Track], cell: Mapping[str, Any], precision: Mapping[str, float]) -> None:
     """Draw one episode's paths from above, and what each came to."""
     first = tracks[0].row
-    colour = first["colour"] if first["colour"] in COLOURS else None
-    _from_above(axis, tracks, cell, precision, colour)
+    kind = None if pd.isna(first["object"]) else str(first["object"])
+    _from_above(axis, tracks, cell, precision, kind)
     spawn = "drawn" if pd.isna(first["seen"]) else "seen" if first["seen"] else "unseen"
-    title = f"{colour or ''} ball, episode {first['episode']} ({spawn} spawn)".strip().capitalize()
+    title = f"{kind or 'object'}, episode {first['episode']} ({spawn} spawn)".capitalize()
     axis.set(title=title, xlabel="x (m)")
     axis.legend(
         handles=[Line2D([], [], color=track.colour, label=_words(track)) for track in tracks],
@@ -299,38 +291,3 @@ def _walks(tracks: Sequence[Track]) -> list[tuple[Any, Floats]]:
     longest = max((walk for _, walk in walks), key=len, default=np.zeros((0, 2)))
     same = walks and all(np.allclose(walk, longest[: len(walk)], atol=1e-4) for _, walk in walks)
     return [(GREY, longest)] if same else walks
-
-
-def _draw_cell(axis: Axes, cell: Mapping[str, Any], precision: Mapping[str, float], ball: str | None) -> None:
-    """Draw base, tables, ball in its colour and drop points with their names and tolerances."""
-    half = cell.get("table_half_width_m", 0.0)
-    _square(axis, (0.0, 0.0), BASE_M / 2, "#d9d9d9", "base", (0.0, 0.0))
-    for key, (label, colour) in GOALS.items():
-        if key in cell:
-            x, y, _ = cell[key]
-            # Paths to and from a place run on the robot's side of it.
-            away = max(half, _radius(key, precision) or 0.0) + LABEL_M
-            _square(axis, (x, y), half, "#f0f0f0", label, (x, y + away * (1 if y > 0 else -1)))
-            own = GOALS[f"{ball}_drop_m"][1] if key == "ball_m" and ball else colour
-            axis.plot(x, y, "o" if key == "ball_m" else "D", color=own, markersize=7, markeredgecolor="white", zorder=5)
-            _tolerance(axis, (x, y), key, precision)
-
-
-def _tolerance(axis: Axes, at: Point, goal: str, precision: Mapping[str, float]) -> None:
-    """Draw the distance from a goal at which the tool has arrived."""
-    if (radius := _radius(goal, precision)) is not None:
-        look: dict[str, Any] = {"edgecolor": GOALS[goal][1], "linestyle": ":", "linewidth": 0.9, "zorder": 2}
-        axis.add_patch(Circle(at, radius, fill=False, **look))
-
-
-def _radius(goal: str, precision: Mapping[str, float]) -> float | None:
-    return precision.get("grasp_tolerance_m" if goal == "ball_m" else "place_tolerance_m")
-
-
-def _square(axis: Axes, at: Point, half: float, colour: str, label: str, label_at: Point) -> None:
-    """Draw a square of half a side `half`, m, and its label."""
-    corner = at[0] - half, at[1] - half
-    edge: dict[str, Any] = {"edgecolor": "#cccccc", "linewidth": 0.6, "zorder": 1}
-    axis.add_patch(Rectangle(corner, 2 * half, 2 * half, facecolor=colour, **edge))
-    look: dict[str, Any] = {"fontsize": 7, "ha": "center", "va": "center", "color": "#555555", "zorder": 2}
-    axis.text(*label_at, label, path_effects=[OUTLINE], **look)

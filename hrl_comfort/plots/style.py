@@ -26,8 +26,6 @@ BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 ORANGE, SKY, PURPLE, BLACK, GREY = "#E69F00", "#56B4E9", "#CC79A7", "#222222", "#777777"
 CYCLE = (BLUE, VERMILLION, GREEN, SKY, PURPLE, ORANGE)
 TRUNK_RADIUS_M = 0.13
-GOALS = {"ball_m": ("ball", BLACK), "orange_drop_m": ("orange drop", ORANGE), "pink_drop_m": ("pink drop", PURPLE)}
-"""Keys of the cell's configuration that are goals: their labels and colours."""
 OUTLINE = withStroke(linewidth=2, foreground="white")
 """Keeps text readable on lines."""
 DPI = 200

@@ -77,10 +77,10 @@ class Tape:
         """Most levels at which an episode was recorded."""
 
     @property
-    def knows_balls(self) -> bool:
-        """Whether the balls lie where the cell says."""
+    def knows_objects(self) -> bool:
+        """Whether the objects lie where the cell says."""
         task = self.run.config["task"]
-        return bool(task.get("balls", 1) == 1 and task.get("ball_jitter_m", 0.0) == 0)
+        return bool(task.get("objects", 1) == 1 and task.get("object_jitter_m", 0.0) == 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +115,13 @@ class Take(Recorded):
         return str(self.row.get("task") or self.tape.run.config["task"]["name"])
 
     @property
-    def colour(self) -> str:
-        """Colour of the first ball."""
-        return str(self.row.get("colour") or "orange")
+    def kind(self) -> str:
+        """Kind of the first object; the cell's first where the episode's is not known."""
+        kinds, named = self.tape.cell.kinds, str(self.row.get("object"))
+        return named if named in kinds else kinds[0]
 
     @cached_property
     def clip(self) -> Clip:
         """Its pictures."""
         tape = self.tape
-        return path_clip(self.path, tape.scene, tape.cell, self.task, self.colour, tape.knows_balls)
+        return path_clip(self.path, tape.scene, self.task, self.kind if tape.knows_objects else None)

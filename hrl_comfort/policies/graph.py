@@ -10,32 +10,53 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.files.atomic import write_atomically
+from hrl_comfort.files.versions import INPUTS
 from hrl_comfort.policies.actor import ActorPolicy
-from hrl_comfort.tasks import LazyState, State, Subtask
+from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
 """Prefix of a file that `hrl-comfort export` wrote."""
 OUTPUT = "joint_increment"
-NAMES = tuple(field.name for field in fields(State))
+DERIVED = tuple(name for name, each in vars(State).items() if isinstance(each, cached_property))
+"""What a state tells of its fields: for one target, not for all objects."""
+NAMES = (*(field.name for field in fields(State)), *DERIVED)
 
 
 def inputs_of(function: StateFunction, state: State) -> tuple[str, ...]:
-    """Return the fields of `state` that `function` reads, in the order of State."""
-    seen = LazyState.of(lambda name: getattr(state, name))
-    function(seen)
-    return tuple(name for name in NAMES if name in vars(seen))
+    """Return the fields of `state` that `function` reads, and what it reads of DERIVED, in the order of NAMES."""
+    read: set[str] = set()
+    function(cast(State, _Read(state, read)))
+    return tuple(name for name in NAMES if name in read)
+
+
+class _Read:
+    """A state that adds to `names` which of NAMES are read of it, but for those `replaced`."""
+
+    def __init__(self, state: State, names: set[str], replaced: frozenset[str] = frozenset()) -> None:
+        self._state, self._names, self._replaced = state, names, replaced
+
+    def __getattr__(self, name: str) -> Tensor:
+        if name not in self._replaced:
+            self._names.add(name)
+        value: Tensor = getattr(self._state, name)
+        return value
+
+    def with_(self, **changes: Tensor) -> _Read:
+        """Return a copy with the given fields replaced."""
+        return _Read(self._state.with_(**changes), self._names, self._replaced | changes.keys())
 
 
 class PolicyGraph(nn.Module):
@@ -57,14 +78,13 @@ class PolicyGraph(nn.Module):
 
 
 def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
-    """Return a state with `values` in its fields `inputs`; to read another raises KeyError."""
-    given = dict(zip(inputs, values, strict=True))
-    return LazyState.of(given.__getitem__, **given)
+    """Return a state that knows `values` as its `inputs`, of NAMES, and no other."""
+    return State.of(**dict(zip(inputs, values, strict=True)))
 
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:
-    """Return the inputs of a graph from a state: its fields, real numbers as float32."""
-    values = (getattr(state, name) for name in inputs)
+    """Return the inputs of a graph from a state, of this version's names or earlier ones: real numbers as float32."""
+    values = (getattr(state, INPUTS.get(name, name)) for name in inputs)
     return tuple(value.float() if value.is_floating_point() else value for value in values)
 
 
@@ -87,14 +107,16 @@ def description(task: Subtask, inputs: Sequence[str], config: EnvConfig, spec: d
 
 
 def field_meanings() -> dict[str, str]:
-    """Return shape, unit and meaning of each field of State, from its docstring."""
+    """Return shape, unit and meaning of each of NAMES, from its docstring."""
     (state,) = ast.parse(textwrap.dedent(inspect.getsource(State))).body
     assert isinstance(state, ast.ClassDef)
-    return {
-        each.target.id: " ".join(ast.literal_eval(text.value).split())
+    said = {
+        each.target.id: ast.literal_eval(text.value)
         for each, text in pairwise(state.body)
         if isinstance(each, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(each.target, ast.Name)
     }
+    said |= {each.name: ast.get_docstring(each) for each in state.body if isinstance(each, ast.FunctionDef)}
+    return {name: " ".join(said[name].split()) for name in NAMES}
 
 
 def write_onnx(graph: PolicyGraph, example: State, inputs: Sequence[str], about: dict[str, Any], path: Path) -> None:

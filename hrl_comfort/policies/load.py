@@ -94,7 +94,7 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Sc
     Raises:
       ConfigError: it takes observations or gives actions of another width.
     """
-    seen = subtask(task.name, config.task.observation, config.task.balls)
+    seen = subtask(task.name, config.task.observation, config.task.objects)
     if config.comfort.source != "none":
         seen = with_level(seen, config.comfort.levels)
     width = action_dim(scene, config.task)
@@ -134,7 +134,7 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     """
     spec = {**actor.spec["environment"], "task": actor.spec["task"]}
     check_trained(spec, source, task, config)
-    seen = subtask(task.name, str(spec.get("observation")), config.task.balls)
+    seen = subtask(task.name, str(spec.get("observation")), config.task.objects)
     if (levels := spec.get("levels")) is not None:
         seen = with_level(seen, levels)
     return seen.observing(share=share) if spec.get("shield") else seen

@@ -23,7 +23,7 @@ from hrl_comfort.comfort.terms import SMALLEST_M, threshold_levels
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.scripted import StageGoals, comfortable_pace
 from hrl_comfort.scene.human import LIMBS, limb_poses
-from hrl_comfort.scene.workcell import OBSTACLES, Scene
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ class PotentialField:
         owners = {name: model.body(model.geom(name).bodyid[0]).name for name in names}
         arm = [name for name in names if name.startswith("robot/") and owners[name] != "robot/base"]
         person = [name for name in names if owners[name] in LIMBS]
-        cell = [name for name in names if owners[name] in ("robot/base", *OBSTACLES)]
+        cell = [name for name in names if owners[name] in ("robot/base", *scene.still)]
         self._limits = [
             mink.ConfigurationLimit(model),
             mink.VelocityLimit(model, dict.fromkeys(scene.joints, speed)),

@@ -26,7 +26,7 @@ from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
-from hrl_comfort.sim.signals import pack_controls
+from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -147,9 +147,12 @@ class PredictiveSampling:
         rows = np.repeat(np.arange(n), count)
         state_of = np.concatenate([np.zeros((n, 1)), state.joint_pos.numpy(), state.joint_vel.numpy()], axis=1)
         beside = np.repeat(limbs[rows], steps, axis=0)
-        balls, points = np.zeros((n * count, 0, 3)), np.zeros((n * count, 0, 3))
+        layout = np.tile(self._scene.layout, (n, 1, 1))
+        layout[:, : state.places.shape[1], :3] = state.places.numpy()
+        nothing = np.zeros((n * count, 0, 3))
         flat = targets.reshape(n * count, steps, joints)
-        control = pack_controls(self._scene, flat, beside, balls, np.zeros((n * count, 0), dtype=np.int64), points)
+        objects = nothing, np.zeros((n * count, 0), dtype=np.int64)
+        control = pack_controls(self._scene, flat, beside, layout[rows], *objects, nothing)
         run = self._rollout.rollout(self._model, self._data, state_of[rows], control, control_spec=CONTROL_SPEC)
         sensed, at = run[1].reshape(n, count, steps, -1), self._scene.sensors
         touching = np.any([sensed[:, :, 1:, at[name]].any(axis=-1) for name in ("human", "table", "self")], axis=0)

@@ -36,7 +36,7 @@ from hrl_comfort.report.videos import videos
 
 SHOWN_PATHS = 4
 SHOWN_FAILURES = 40
-FAILURE = ["run", "episode", "colour", "spawn_id", "motion_id", "seen", "steps", "ended"]
+FAILURE = ["run", "episode", "object", "spawn_id", "motion_id", "seen", "steps", "ended"]
 """Columns of the table of failures."""
 CONTACTS = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact"}
 """Columns of episodes.csv that the table of endings counts too, whatever ended the episode."""

@@ -31,8 +31,10 @@ def summary(run: Run) -> str:
         text = f"{of} succeeds in {_percent(found['success'])} of {group['episodes']} episodes"
         if steps := found.get("steps"):
             text += f", after {steps['mean']:.0f} control steps ({steps['mean'] * CONTROL_STEP_S:.1f} s) on average"
-        if "balls_per_min" in found:
-            text = f"{of} places {cell(found['balls_per_min'], 1, 2)} balls a minute in {group['episodes']} episodes"
+        if "objects_per_min" in found:
+            text = (
+                f"{of} places {cell(found['objects_per_min'], 1, 2)} objects a minute in {group['episodes']} episodes"
+            )
         if group["human"] != "none" and "contact" in found:
             text += f"; the arm touches the person in {_percent(found['contact'])}"
             text += f" and unsafely in {_percent(found['unsafe_contact'])}" if "unsafe_contact" in found else ""

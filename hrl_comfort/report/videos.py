@@ -68,8 +68,10 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
         tape = Tape(run)
     except ConfigError as error:
         raise PicturesUnavailableError(f"No video: {error}") from None
-    if not tape.knows_balls:
-        raise PicturesUnavailableError(f"No video: {run.name} has its balls in other places than the picture knows of.")
+    if not tape.knows_objects:
+        raise PicturesUnavailableError(
+            f"No video: {run.name} has its objects in other places than the picture knows of."
+        )
     takes = [(recording, take) for recording in tape.recordings for take in recording.takes]
     if config.episode is not None:
         chosen = {"success": next(each for each in takes if each[0].episode == config.episode)}

@@ -31,13 +31,13 @@ from hrl_comfort.scene.looks import dressed
 
 LEVELS, LEAST_STEPS = (1, 10), 60
 """Shown by `levels`, and how long its episode lasts at least, control steps."""
-CROP, COLOURS, FONT = (75, 8, 395, 338), 255, ImageFont.load_default(14)
+CROP, PALETTE, FONT = (75, 8, 395, 338), 255, ImageFont.load_default(14)
 FRAME_MS, HOLD = 100, 12
 """Duration of a frame (2.5 times slower than real time), and repetitions of the last one."""
 STAGE, SHARE, WIDTH, HEIGHT = 1, 0.65, 1000, 620
-"""The stage shown by `cell`, 1: the ball is carried; the share of it that has gone by; and the picture's size."""
+"""The stage shown by `cell`, 1: the object is carried; the share of it that has gone by; and the picture's size."""
 DOTS = ((0.15, 0.45, 0.9, 1), (1.0, 0.5, 0.1, 1), (0.3, 0.65, 0.3, 1))
-"""Colours of the tool's path: to the ball, with the ball, home."""
+"""Colours of the tool's path: to the object, with it, home."""
 LINES = {1: ("-", "#440154"), 4: ("--", "#31688e"), 7: ("-.", "#35b779"), 10: (":", "#d9a400")}
 """Style and colour of a level, dark to light."""
 
@@ -59,7 +59,7 @@ def levels(folder: Path, output: Path) -> None:
     images = []
     for index in range(length):
         both = np.hstack([np.asarray(side[min(index, len(side) - 1)]) for side in sides])
-        images.append(Image.fromarray(both).quantize(COLOURS, dither=Image.Dither.NONE))
+        images.append(Image.fromarray(both).quantize(PALETTE, dither=Image.Dither.NONE))
     images[0].save(output, save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0, optimize=True)
 
 
@@ -76,7 +76,7 @@ def panels(take: Take, view_deg: float) -> list[Image.Image]:
 
 
 def cell(folder: Path, output: Path) -> None:
-    """Draw the second recorded episode of `folder` while a ball is carried, the tool's path as dots."""
+    """Draw the second recorded episode of `folder` while an object is carried, the tool's path as dots."""
     take = next(each for each in Tape(read_run(folder)).recordings if each.episode == 1).takes[0]
     scene, stages = dressed(take.tape.scene), take.path["stage"]
     model, data = scene.model, mujoco.MjData(scene.model)

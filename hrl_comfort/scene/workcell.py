@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import mujoco
 import numpy as np
 from dm_control import mjcf
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
 from hrl_comfort.scene.calibration import calibrated
+from hrl_comfort.scene.furniture import (
+    POINTS,
+    STANDS,
+    add_furniture,
+    add_props,
+    add_surroundings,
+    furniture,
+    layout,
+    object_names,
+)
 from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
 from hrl_comfort.scene.robots import Robot, robot_named
 from hrl_comfort.scene.ur import UrModel
 
-PROPS = ("orange_ball", "pink_ball", "first_point", "second_point")
-"""Visual mocap bodies after the limbs; unused ones stand at x = FAR_AWAY_M."""
-MOCAP = LIMBS + PROPS
-OBSTACLES = ("ball_table", "orange_table", "pink_table", "pedestal", "floor")
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 """Layout of a control vector: ctrl (J), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
-
-_ORANGE, _PINK, _WOOD, _STEEL = (1, 0.5, 0.1), (1, 0.4, 0.7), (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1)
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class Scene:
 
     robot: str
     """Its name, as of `scene.robots.robot_named`."""
+    cell: CellConfig
     joints: tuple[str, ...]
     """Names of its J joints in the model, base first."""
     xml: str
@@ -41,7 +46,7 @@ class Scene:
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
     """Slices of sensordata: joint_pos (J) rad, joint_vel (J) rad/s, tcp_pos (3) m; numbers of contacts with
-    the robot: human (7, by LIMBS), table (5, by OBSTACLES), self (1)."""
+    the robot: human (7, by LIMBS), table (F + 2, by `furniture`, then pedestal and floor), self (1)."""
     home: NDArray[np.float64]
     """(J,) rad."""
     joint_range: NDArray[np.float64]
@@ -51,21 +56,34 @@ class Scene:
     ncontrol: int
     """Length of CONTROL_SPEC."""
     mocap: tuple[str, ...]
-    """Names of the mocap bodies by mocap index: LIMBS, PROPS, then two for each further ball."""
+    """Names of the mocap bodies by mocap index: LIMBS, `furniture`, then the props: POINTS, and for each object a body
+    of each kind."""
+    furniture: tuple[str, ...]
+    """Names of the F bodies that the robot can touch beside people: the places, then the obstacles."""
+    layout: NDArray[np.float64]
+    """(F, 7) m and quaternion, poses of `furniture` in the cell's configuration; a place's is the middle of its top."""
     floor_z: float
+
+    @property
+    def first_prop(self) -> int:
+        """Mocap index of the first prop; props have no contacts, and unused ones stand at x = FAR_AWAY_M."""
+        return len(LIMBS) + len(self.furniture)
+
+    @property
+    def still(self) -> tuple[str, ...]:
+        """Names of the bodies that the robot must not touch beside people and itself, by the sensor `table`."""
+        return (*self.furniture, *STANDS)
+
+    def object_prop(self, index: ArrayLike, kind: ArrayLike) -> NDArray[np.int64]:
+        """Return the index among the props of the body of objects of a kind; both (...,)."""
+        return len(POINTS) + np.asarray(index) * len(self.cell.objects) + np.asarray(kind)
 
 
 DEEPEST_M = 0.05
 """Depth of an overlap with the first link up to which contacts are told and not resolved."""
 
 
-def ball_props(index: int) -> NDArray[np.int64]:
-    """Return the indices (2,) among the props of the orange and the pink body of ball `index`."""
-    first = 0 if index == 0 else len(PROPS) + 2 * (index - 1)
-    return np.array([first, first + 1])
-
-
-def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int = 1) -> Scene:
+def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: int = 1) -> Scene:
     """Compile the cell with `substeps` physics steps a control step of 20 ms.
 
     Raises:
@@ -80,16 +98,15 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
         raise ConfigError(
             f"robot.home_deg={list(home)} has {len(home)} angles; robot.name={robot.name} has {len(arm.joints)} joints"
         )
-    more = tuple(f"{colour}_ball_{k}" for k in range(2, balls + 1) for colour in ("orange", "pink"))
     names = tuple(f"robot/{name}" for name in arm.joints)
-    hashable: Any = {name: tuple(value) for name, value in vars(cell).items() if isinstance(value, list)}
     describe = _described_once if isinstance(arm, UrModel) else _described  # others may come from a file that changes
-    xml, assets, sizes = describe(arm, replace(cell, **hashable), substeps, names, PROPS + more)
+    xml, assets, sizes = describe(arm, cell, substeps, names, objects)
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
     return Scene(
         robot=robot.name,
+        cell=cell,
         joints=names,
         xml=xml,
         assets=assets,
@@ -99,24 +116,27 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, balls: int 
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
-        mocap=MOCAP + more,
+        mocap=(*LIMBS, *furniture(cell), *POINTS, *object_names(cell, objects)),
+        furniture=furniture(cell),
+        layout=layout(cell),
         floor_z=-cell.base_height_m,
     )
 
 
 def _described(
-    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], props: tuple[str, ...]
+    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], objects: int
 ) -> tuple[str, Mapping[str, bytes], Mapping[str, int]]:
     """Return XML and assets of a cell, and the sizes of its sensors."""
     root = mjcf.RootElement(model="cell")
     _set_options(root, substeps)
     floor_z = -cell.base_height_m
-    _add_surroundings(root.worldbody, cell, floor_z)
+    add_surroundings(root.worldbody, cell)
     frame = root.attach(arm.build())
     _hold_shoulder(frame.root.find("joint", joints[0]))
     build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
-    _add_props(root.worldbody, cell, props)
-    sizes = _add_sensors(root, joints)
+    add_furniture(root.worldbody, cell)
+    add_props(root.worldbody, cell, objects)
+    sizes = _add_sensors(root, joints, (*furniture(cell), *STANDS))
     return root.to_xml_string(), root.get_assets(), sizes
 
 
@@ -161,40 +181,7 @@ def _hold_shoulder(joint: mjcf.Element) -> None:
         geom.margin, geom.gap = -DEEPEST_M, DEEPEST_M
 
 
-def _add_surroundings(world: mjcf.Element, cell: CellConfig, floor_z: float) -> None:
-    """Add floor, pedestal, tables, drop markers, light and cameras."""
-    look = {"contype": 0, "conaffinity": 1, "condim": 1}
-    world.add("light", name="lamp", directional=True, pos=(0.3, -0.6, 3), dir=(-0.1, 0.2, -1), diffuse=(0.5,) * 3)
-    world.add("camera", name="top", pos=(0, 0, 3.0), xyaxes=(1, 0, 0, 0, 1, 0), fovy=50)
-    world.add("camera", name="side", pos=(0.4, -2.6, 1.3), xyaxes=(1, 0.15, 0, -0.05, 0.35, 0.93), fovy=50)
-    grey = (0.75, 0.76, 0.75, 1)
-    world.add("geom", name="floor", type="plane", pos=(0, 0, floor_z), size=(3, 3, 0.1), rgba=grey, **look)
-    post = world.add("body", name="pedestal")
-    foot = min(floor_z, -0.01)  # a robot on the floor keeps a plate for the pedestal's contact sensor
-    post.add("geom", name="pedestal", type="cylinder", fromto=(0, 0, foot, 0, 0, 0), size=[0.08], rgba=_STEEL, **look)
-    goals = {"ball": cell.ball_m, "orange": cell.orange_drop_m, "pink": cell.pink_drop_m}
-    half, thick = cell.table_half_width_m, 0.01
-    for name, (x, y, z) in goals.items():
-        # The goal is the centre of a ball on the table.
-        table = world.add("body", name=f"{name}_table", pos=(x, y, z - cell.ball_radius_m - thick))
-        table.add("geom", name=f"{name}_top", type="box", size=(half, half, thick), rgba=_WOOD, **look)
-        foot = floor_z - (z - cell.ball_radius_m - thick)
-        leg = (0, 0, -0.03, 0, 0, foot)
-        table.add("geom", name=f"{name}_leg", type="capsule", fromto=leg, size=[0.02], rgba=_STEEL, **look)
-    for name, colour in (("orange", _ORANGE), ("pink", _PINK)):
-        world.add("site", name=f"{name}_drop", pos=goals[name], size=[1.5 * cell.ball_radius_m], rgba=(*colour, 0.3))
-
-
-def _add_props(world: mjcf.Element, cell: CellConfig, names: tuple[str, ...]) -> None:
-    """Add the balls and point markers as sites, which have no contacts."""
-    looks = {"orange": (*_ORANGE, 1), "pink": (*_PINK, 1), "first": (0.2, 0.8, 0.3, 0.4)}
-    for name in names:
-        body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
-        size = cell.ball_radius_m * (1.0 if "ball" in name else 1.5)
-        body.add("site", name=name, size=[size], rgba=looks.get(name.split("_")[0], (0.2, 0.4, 0.9, 0.4)))
-
-
-def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...]) -> dict[str, int]:
+def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...], still: tuple[str, ...]) -> dict[str, int]:
     """Add the sensors; return their sizes in order of sensordata."""
     add = root.sensor.add
     for kind in ("pos", "vel"):
@@ -202,10 +189,10 @@ def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...]) -> dict[str, i
             add(f"joint{kind}", name=f"joint_{index}_{kind}", joint=joint)
     add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
     found = {"subtree1": "robot/", "data": "found", "num": 1}
-    for name in (*LIMBS, *OBSTACLES[:-1]):
+    for name in (*LIMBS, *still[:-1]):
         add("contact", name=f"{name}_contact", body2=name, **found)
     add("contact", name="floor_contact", geom2="floor", **found)
     add("contact", name="self_contact", subtree2="robot/", **found)
     count = len(joints)
-    contacts = {"human": len(LIMBS), "table": len(OBSTACLES), "self": 1}
+    contacts = {"human": len(LIMBS), "table": len(still), "self": 1}
     return {"joint_pos": count, "joint_vel": count, "tcp_pos": 3, **contacts}

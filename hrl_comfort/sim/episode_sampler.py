@@ -1,7 +1,8 @@
-"""Random draws of an episode: colours, walk, spawn, start and points, from (seed, row, episode)."""
+"""Random draws of an episode: objects, walk, spawn, start and points, from (seed, row, episode)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,11 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
 from hrl_comfort.comfort.sources import DRAWS
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.randomisation import draws
 from hrl_comfort.sim.starts import PARTS, start_states
+from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Subtask
 
 Array = NDArray[np.float64]
@@ -24,8 +25,8 @@ TABLE_CLEARANCE_M = 0.25
 ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
-LEVEL_STREAM, LATER_STREAM, BALL_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
-"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, balls, disturbances, traits and domain
+LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
+"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits and domain
 randomisation: with or without any of them, the rest of an episode is the same."""
 
 
@@ -36,12 +37,18 @@ class Draw:
     Later attempts at the same episode draw only spawn, start, its level and points anew.
     """
 
-    balls: Array
-    """(B, 3) m, positions on the pick table."""
-    colours: NDArray[np.int64]
-    """(B,) 0 orange, 1 pink."""
+    places: Array
+    """(M, 7) m and quaternion, poses of the middle of the tops of the cell's places."""
+    obstacles: Array
+    """(O, 7) m and quaternion, poses of the cell's obstacles."""
+    kind_places: Array
+    """(kinds, 3) m, where the centre of an object of each kind belongs."""
+    arrivals: Array
+    """(B, kinds, 3) m, centre of each object where it arrives if it is of a kind."""
+    kinds: NDArray[np.int64]
+    """(B,) kind of each object, its index in `cell.objects`."""
     arriving: NDArray[np.int64]
-    """(ARRIVALS,) colours of balls that arrive, by control step modulo ARRIVALS."""
+    """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
     noise: Array
     """(horizon, NOISE) in [0, 1), for the walk at each control step."""
     traits: Array
@@ -61,7 +68,15 @@ class Draw:
     world: Array
     readings: Array
     frames: Array
-    """Of how the cell differs from the model: see `sim.randomisation`."""
+    """Of how the cell differs from the model: see `sim.variation.randomisation`."""
+
+    def layout(self, rows: Any = slice(None)) -> Array:
+        """Return the poses (r, F, 7) of places and obstacles, as `Scene.layout`, of `rows` of N cells."""
+        return np.concatenate([self.places[rows], self.obstacles[rows]], axis=1)
+
+    def objects(self, rows: Any = slice(None)) -> Array:
+        """Return the centres (r, B, 3) m of the objects of `rows` of N cells where they arrive."""
+        return np.take_along_axis(self.arrivals[rows], self.kinds[rows][..., None, None], axis=2)[:, :, 0]
 
 
 class EpisodeSampler:
@@ -70,12 +85,16 @@ class EpisodeSampler:
     def __init__(
         self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
     ) -> None:
-        _check_slots(config)
+        check_slots(config)
         self.seed = seed
         self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
         cell = config.cell
-        self.goals = np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])
+        self.goals = np.array(list(cell.goals.values()))
+        """(M, 3) m, goal of the tool at each place."""
+        belongs = [cell.centre(kind, each.belongs_at) for kind, each in cell.objects.items()]
+        self.kind_places = np.array(belongs)
+        """(kinds, 3) m, where the centre of an object of each kind belongs."""
         self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])
         self._centres = humans.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
@@ -106,7 +125,9 @@ class EpisodeSampler:
         `task.resample_start_probability`. The second half of the attempts uses inverse-kinematics starts.
         """
         rng = self.generator(row, episode)
-        colour = {"random": int(rng.integers(2)), "orange": 0, "pink": 1}[self._config.task.colour]
+        names = self._config.cell.kinds
+        drawn = int(rng.integers(len(names)))
+        kind = drawn if self._config.task.object == RANDOM else names.index(self._config.task.object)
         if self._evaluation is None:
             motion_id, noise = -1, rng.random((self._plain_horizon, humans.NOISE))
             if self.horizon > self._plain_horizon:
@@ -121,13 +142,15 @@ class EpisodeSampler:
         low, high = share = self._share(row)
         traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
         traits[1:] = low + (high - low) * traits[1:]
-        balls, colours, arriving = self._balls(colour, self.generator(row, episode, BALL_STREAM))
+        objects = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
+        places, obstacles = np.split(self._scene.layout, [len(self.goals)])
+        standing = places, obstacles, self.kind_places
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         for attempt in range(ATTEMPTS):
             banks = (
                 self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
             )
-            bank = banks[colour % len(banks)]
+            bank = banks[kind]
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
@@ -139,7 +162,7 @@ class EpisodeSampler:
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(balls, colours, arriving, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
+            yield Draw(*standing, *objects, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
@@ -159,17 +182,28 @@ class EpisodeSampler:
             )
         return bank[clear]
 
-    def _balls(self, colour: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Return positions (B, 3) m and colours (B,) of the balls, and colours of later ones; the first is given."""
-        task = self._config.task
-        count, slots = task.balls, np.array(task.ball_slots_m)
-        balls = self.goals[:1].repeat(count, axis=0)
-        balls[:, :2] += slots[rng.permutation(len(slots))[:count]]
-        balls[:, :2] += task.ball_jitter_m * rng.uniform(-1, 1, (count, 2))
-        random = task.colour == "random"
-        colours = rng.integers(2, size=count) if random else np.full(count, colour)
-        colours[0] = colour
-        return balls, colours, rng.integers(2, size=ARRIVALS) if random else np.full(ARRIVALS, colour)
+    def _objects(self, kind: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return arrivals (B, kinds, 3) m, kinds (B,) of the objects, and kinds of later ones; the first is given.
+
+        An object has one slot at each place where objects arrive.
+        """
+        task, cell = self._config.task, self._config.cell
+        count, kinds = task.objects, list(cell.objects.items())
+        slots = {}
+        for name in dict.fromkeys(each.arrives_at for _, each in kinds):
+            place = cell.places[name]
+            own = np.array(place.slots_m if count > 1 else [[0.0, 0.0]])
+            slots[name] = turned(own[rng.permutation(len(own))[:count]], place.yaw_deg)
+        jitter = task.object_jitter_m * rng.uniform(-1, 1, (count, 2))
+        arrivals = np.empty((count, len(kinds), 3))
+        for index, (name, each) in enumerate(kinds):
+            arrivals[:, index] = cell.centre(name, each.arrives_at)
+            arrivals[:, index, :2] += slots[each.arrives_at]
+            arrivals[:, index, :2] += turned(jitter, cell.places[each.arrives_at].yaw_deg)
+        random = task.object == RANDOM
+        chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
+        chosen[0] = kind
+        return arrivals, chosen, rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
 
     def keep_out(self, points: Array) -> humans.KeepOut:
         """Return the keep-out discs of the humans round goals and base; points (n, 2, 3) m are the episodes'."""
@@ -224,15 +258,24 @@ class EpisodeSampler:
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
 
 
-def _check_slots(config: EnvConfig) -> None:
-    """Raise ConfigError where balls could overlap."""
-    slots, jitter, width = np.array(config.task.ball_slots_m), config.task.ball_jitter_m, 2 * config.cell.ball_radius_m
-    if config.task.balls == 1:
+def turned(points: Array, yaw_deg: float) -> Array:
+    """Return `points` (n, 2) turned about the origin."""
+    cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    return points @ np.array([[cos, sin], [-sin, cos]])
+
+
+def check_slots(config: EnvConfig) -> None:
+    """Raise ConfigError where objects could overlap."""
+    cell, jitter = config.cell, config.task.object_jitter_m
+    if config.task.objects == 1:
         return
-    gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
-    apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
-    if apart < width - 1e-9:
-        raise ConfigError(
-            f"task.ball_jitter_m={jitter} lets balls come within {apart:.3f} m of each other; "
-            f"task.ball_slots_m must leave their width, {width:.3f} m"
-        )
+    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
+        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
+        slots = np.array(cell.places[name].slots_m)
+        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
+        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
+        if apart < width - 1e-9:
+            raise ConfigError(
+                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
+                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
+            )

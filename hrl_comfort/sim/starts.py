@@ -1,4 +1,4 @@
-"""Starts of subtasks: at home, or with the tool at the ball or at a drop point.
+"""Starts of subtasks: at home, or with the tool at the object or where the object belongs.
 
 A start of an arm of J joints is 3 J numbers: joint angles, rad, velocities, rad/s, and servo targets, rad. Starts
 by inverse kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import COLOURS, ConfigError, EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.files.archives import DAMAGED, check_archive
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import Start
@@ -42,25 +42,23 @@ wrist at any angle."""
 
 
 def start_states(scene: Scene, config: EnvConfig, start: Start) -> list[Array]:
-    """Return the starts (M, 3 J or 3 J + 3) of a subtask: one array, or one for each colour.
+    """Return the starts (M, 3 J or 3 J + 3) of a subtask, an array for each kind of object.
 
-    With `task.start=ik` they come from inverse kinematics; otherwise `task.start` is an .npz with arrays
-    `orange` and `pink`, as `evaluate terminal_states=` records them.
+    With `task.start=ik` they come from inverse kinematics; otherwise `task.start` is an .npz with an array named as
+    each kind of `cell.objects`, as `evaluate terminal_states=` records them.
 
     Raises:
       ConfigError: the file is missing, damaged or of more levels than `comfort.levels`.
     """
     if start == Start.HOME:
-        return [at_rest(scene.home[None])]
+        return [at_rest(scene.home[None])] * len(config.cell.objects)
     if config.task.start != "ik":
-        return recorded(config.task.start, config.comfort.levels, len(scene.joints))
-    precision, cell = config.task.precision, config.cell
-    if start == Start.AT_BALL:
-        goals = [(cell.ball_m, precision.grasp_tolerance_m)]
-    else:
-        goals = [(drop, precision.place_tolerance_m) for drop in (cell.orange_drop_m, cell.pink_drop_m)]
-    home = tuple(scene.home)
-    return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal, near in goals]
+        return recorded(config.task.start, config.comfort.levels, len(scene.joints), config.cell.kinds)
+    precision, cell, home = config.task.precision, config.cell, tuple(scene.home)
+    picked = start == Start.AT_OBJECT
+    near = precision.grasp_tolerance_m if picked else precision.place_tolerance_m
+    goals = [cell.centre(kind, each.arrives_at if picked else each.belongs_at) for kind, each in cell.objects.items()]
+    return [at_rest(inverse_kinematics(scene.xml, tuple(goal), near, home)) for goal in goals]
 
 
 def _bank(archive: ZipFile, name: str) -> Array:
@@ -80,8 +78,8 @@ def at_rest(joint_pos: Array) -> Array:
     return np.concatenate([joint_pos, np.zeros_like(joint_pos), joint_pos], axis=1)
 
 
-def recorded(path: str, levels: int, joints: int) -> list[Array]:
-    """Return the recorded starts (M, 3 J or 3 J + 3) of each colour, orange first; their levels are 1 to `levels`."""
+def recorded(path: str, levels: int, joints: int, kinds: tuple[str, ...]) -> list[Array]:
+    """Return the recorded starts (M, 3 J or 3 J + 3) of each of `kinds`; their levels are 1 to `levels`."""
     arm = PARTS * joints
     whole = arm + WITH_HUMAN
     if not Path(path).is_file():
@@ -89,21 +87,21 @@ def recorded(path: str, levels: int, joints: int) -> list[Array]:
     try:
         check_archive(Path(path), MOST_BYTES)
         with ZipFile(path) as archive:
-            banks = [_bank(archive, f"{colour}.npy") for colour in COLOURS]
+            banks = [_bank(archive, f"{kind}.npy") for kind in kinds]
     except DAMAGED as error:
         raise ConfigError(
-            f"task.start={path!r} must hold arrays 'orange' and 'pink' of shape (M, {arm}) or (M, {whole})"
+            f"task.start={path!r} must hold an array of shape (M, {arm}) or (M, {whole}) for each of {', '.join(kinds)}"
         ) from error
-    for colour, bank in zip(COLOURS, banks, strict=True):
+    for kind, bank in zip(kinds, banks, strict=True):
         shaped = bank.ndim == 2 and bank.shape[1] in (arm, whole) and len(bank)
         if not shaped or not (np.abs(bank[:, : whole - 1]) < MOST).all():
             raise ConfigError(
-                f"task.start={path!r}: {colour!r} has shape {bank.shape}; "
+                f"task.start={path!r}: {kind!r} has shape {bank.shape}; "
                 f"it must be (M, {arm}) or (M, {whole}), finite, every value within ±{MOST:g}"
             )
         level = bank[:, whole - 1 :]
         if not (np.isnan(level) | ((level >= 1) & (level <= levels))).all():
-            raise ConfigError(f"task.start={path!r}: {colour!r} has levels that are not in 1 to {levels}")
+            raise ConfigError(f"task.start={path!r}: {kind!r} has levels that are not in 1 to {levels}")
     return banks
 
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.scene.workcell import CONTROL_SPEC
-from hrl_comfort.sim.balls import rendered_positions
+from hrl_comfort.sim.controls import limbs_of, pack_controls
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.signals import limbs_of, pack_controls
+from hrl_comfort.sim.objects import rendered_positions
 
 AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M = 60.0, -45.0, 2.9
-"""Of the camera: the three tables and the people around them are in sight."""
+"""Of the camera: the places and the people around them are in sight."""
 CLOSING_S = 30.0
 """Time that a window has to close."""
 
@@ -87,19 +87,20 @@ class View:
         self._window = self._camera = None
 
     def _put(self, row: int) -> None:
-        """Put a cell's arm, human and balls where they are now into the data."""
+        """Put a cell's arm, human and objects where they are now into the data."""
         engine, episodes, at = self._engine, self._engine.episodes, np.array([row])
         assert episodes.state is not None
         control = pack_controls(
             engine.scene,
             episodes.state.joint_target.numpy()[at, None],
             limbs_of(engine.scene, episodes.walk.rows(at)),
+            episodes.draw.layout(at),
             rendered_positions(episodes.state, episodes.subtask)[at],
-            episodes.draw.colours[at],
+            episodes.state.kinds.numpy()[at],
             episodes.draw.points[at, : episodes.subtask.points],
         )
         model, data = self._model, self._data
-        mujoco.mj_setState(model, data, engine.physics[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_setState(model, data, engine.physics.state[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_setState(model, data, control[0, 0], CONTROL_SPEC)
         mujoco.mj_forward(model, data)
 

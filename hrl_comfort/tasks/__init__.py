@@ -16,18 +16,18 @@ from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
 from hrl_comfort.tasks.shift import SHIFT, repeated
 from hrl_comfort.tasks.sort import sort
-from hrl_comfort.tasks.state import LazyState, State
-from hrl_comfort.tasks.subtask import Ball, Stage, Start, Subtask
+from hrl_comfort.tasks.state import State
+from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
     task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT)
 }
 
 
-def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
+def subtask(name: str, observation: str = "default", objects: int = 1) -> Subtask:
     """Return the subtask `name`, seen through the observation layout `observation`.
 
-    `name` is one of SUBTASKS, an entry point or `package.module:name`; `balls` counts for `sort` alone.
+    `name` is one of SUBTASKS, an entry point or `package.module:name`; `objects` counts for `sort` alone.
 
     Raises:
       ConfigError: no such subtask or layout.
@@ -37,11 +37,11 @@ def subtask(name: str, observation: str = "default", balls: int = 1) -> Subtask:
         raise ConfigError(f"task.name={name!r} is of type {type(found).__name__}; it must be a Subtask")
     if observation not in LAYOUTS:
         raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
-    chosen = sort(balls) if name == "sort" else found if found.name == name else replace(found, name=name)
+    chosen = sort(objects) if name == "sort" else found if found.name == name else replace(found, name=name)
     if observation == "default":
         return chosen
     seen = replace(chosen, observations=LAYOUTS[observation](chosen.stages))
     return repeated(seen) if chosen.repeats else seen
 
 
-__all__ = ["SUBTASKS", "Ball", "LazyState", "Stage", "Start", "State", "Subtask", "subtask"]
+__all__ = ["SUBTASKS", "ObjectAt", "Stage", "Start", "State", "Subtask", "subtask"]

@@ -14,7 +14,7 @@ from torch import Tensor
 from hrl_comfort.config.checks import implemented
 from hrl_comfort.config.task import OBSERVATIONS
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Ball, Stage, StateFunction, by_stage
+from hrl_comfort.tasks.subtask import ObjectAt, Stage, StateFunction, by_stage
 
 HORIZON_M = 2.0
 """Largest coordinate of the human that is observed; the arm reaches about 0.7 m."""
@@ -126,18 +126,19 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     """Return the 18 numbers of the paper's released code.
 
     Joint angles (6); human relative to the robot (2); then, while the ball is concerned, tool to ball (3,
-    zero once held), robot to orange and to pink drop (3 each, height zero) and the colour; while returning,
+    zero once held), robot to the places of the first two kinds (3 each, height zero) and the kind; while returning,
     joint errors in degrees (6), tool to its home (3) and a zero.
     """
-    hidden = torch.tensor([stage.ball != Ball.TABLE for stage in stages])
+    hidden = torch.tensor([stage.object != ObjectAt.ARRIVAL for stage in stages])
     joint_space = torch.tensor([stage.joint_space for stage in stages])
 
     def term(state: State) -> Tensor:
         index = state.stage.clamp(max=len(stages) - 1)
         held, homeward = hidden[index], joint_space[index]
         flat = torch.tensor([1.0, 1.0, 0.0], dtype=state.tcp_pos.dtype)
-        ball = torch.where(held[:, None], 0.0, state.ball_pos - state.tcp_pos)
-        carrying = torch.cat([ball, state.orange_drop * flat, state.pink_drop * flat, state.colour[:, None]], dim=-1)
+        way = torch.where(held[:, None], 0.0, state.target_object - state.tcp_pos)
+        first, second = (state.kind_places[:, kind] * flat for kind in range(2))
+        carrying = torch.cat([way, first, second, state.target_kind[:, None]], dim=-1)
         returning = torch.cat(
             [
                 torch.rad2deg(state.joint_home - state.joint_pos),

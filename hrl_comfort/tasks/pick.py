@@ -1,4 +1,4 @@
-"""Pick: bring the tool to the ball, from home."""
+"""Pick: bring the tool to the object, from home."""
 
 from __future__ import annotations
 
@@ -6,23 +6,30 @@ from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Ball, Stage, Start, tool_distance
+from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, tool_distance
 
 
 def goal(state: State) -> Tensor:
-    """Return the ball's position (N, 3), m."""
-    return state.ball_pos
+    """Return the centre of the object (N, 3), m."""
+    return state.target_object
 
 
 distance = tool_distance(goal)
 
 
 def done(state: State) -> Tensor:
-    """Return (N,) bool: the tool is within its tolerance of the ball, which then rides on the gripper."""
+    """Return (N,) bool: the tool is within its tolerance of the object, which then rides on the gripper."""
     return distance(state) < state.grasp_tolerance
 
 
 PICK_STAGE = Stage(
-    "pick", goal, distance, done, bonus="pick", ball=Ball.TABLE, ball_after=Ball.TOOL, next_start=Start.AT_BALL
+    "pick",
+    goal,
+    distance,
+    done,
+    bonus="pick",
+    object=ObjectAt.ARRIVAL,
+    object_after=ObjectAt.TOOL,
+    next_start=Start.AT_OBJECT,
 )
 PICK = standard_subtask("pick", (PICK_STAGE,))

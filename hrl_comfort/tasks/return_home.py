@@ -6,7 +6,7 @@ from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.state import State
-from hrl_comfort.tasks.subtask import Ball, Stage, Start
+from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start
 
 
 def goal(state: State) -> Tensor:
@@ -32,8 +32,8 @@ RETURN_STAGE = Stage(
     done,
     bonus="home",
     joint_space=True,
-    ball=Ball.DROP,
-    ball_after=Ball.DROP,
+    object=ObjectAt.PLACE,
+    object_after=ObjectAt.PLACE,
     next_start=Start.HOME,
 )
-RETURN = standard_subtask("return", (RETURN_STAGE,), Start.AT_DROP)
+RETURN = standard_subtask("return", (RETURN_STAGE,), Start.AT_PLACE)

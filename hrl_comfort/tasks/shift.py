@@ -1,6 +1,6 @@
-"""Shift: pick, place and return again and again until time is up; a new ball arrives for each placed or lost one.
+"""Shift: pick, place and return again and again until time is up; a new object arrives for each placed or lost one.
 
-A failure costs time, not the episode: the ball in the gripper is lost, and the arm goes home.
+A failure costs time, not the episode: the object in the gripper is lost, and the arm goes home.
 """
 
 from __future__ import annotations

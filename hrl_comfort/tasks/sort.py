@@ -1,6 +1,6 @@
-"""Sort: the cycle's stages for each of several balls.
+"""Sort: the cycle's stages for each of several objects.
 
-The meta-controller chooses the ball before each pick; without a choice it is the next one left.
+The meta-controller chooses the object before each pick; without a choice it is the next one left.
 """
 
 from __future__ import annotations
@@ -10,6 +10,6 @@ from hrl_comfort.tasks.standard import standard_subtask
 from hrl_comfort.tasks.subtask import Subtask
 
 
-def sort(balls: int) -> Subtask:
-    """Return the subtask of sorting `balls` balls."""
-    return standard_subtask("sort", CYCLE.stages * balls)
+def sort(objects: int) -> Subtask:
+    """Return the subtask of sorting `objects` objects."""
+    return standard_subtask("sort", CYCLE.stages * objects)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
 
+OF_OBJECTS = {"objects", "kinds", "kind_places", "target"}
+"""Fields of which the properties of State are made; they are kept until one of these is replaced."""
+
 
 @dataclass(frozen=True)
 class State:
-    """One instant of N cells. Tensors are float64 unless said otherwise; cell frame, SI units.
+    """One instant of N cells, or K of them. Tensors are float64 unless said otherwise; cell frame, SI units.
 
     The cell frame has its origin in the robot's base, z up. Every quantity belongs to the same
     instant: the last physics step of a control step, before it is integrated.
+
+    Shapes are those of one instant. Of K instants a field that changes is (N, K, ...) and one that does not is
+    (N, 1, ...): they broadcast, and functions of State take either.
     """
 
     joint_pos: Tensor
@@ -51,32 +58,26 @@ class State:
     """(N, 2) m, the human's position as the policy observes it (tracker, clipping, masking)."""
     human_shown: Tensor
     """(N,) bool, `human_seen` is where the human was measured, neither clipped nor masked."""
-    ball_pos: Tensor
-    """(N, 3) m, position of the target ball before it is picked."""
-    drop_pos: Tensor
-    """(N, 3) m, drop point of its colour."""
-    orange_drop: Tensor
-    """(N, 3) m."""
-    pink_drop: Tensor
-    """(N, 3) m."""
+    places: Tensor
+    """(N, M, 3) m, middle of the top of each place of the cell."""
+    kind_places: Tensor
+    """(N, kinds, 3) m, where the centre of an object of each kind belongs."""
     points: Tensor
     """(N, 2, 3) m, first and second point of `reach` and `point_to_point`."""
-    colour: Tensor
-    """(N,) int64, of the target ball: 0 orange, 1 pink."""
-    balls: Tensor
-    """(N, B, 3) m, position of each ball before it is picked."""
-    colours: Tensor
-    """(N, B) int64."""
+    objects: Tensor
+    """(N, B, 3) m, centre of each object before it is picked."""
+    kinds: Tensor
+    """(N, B) int64, index of its kind in `cell.objects`."""
     placed: Tensor
-    """(N, B) bool, balls at their drop point."""
+    """(N, B) bool, objects that are where they belong."""
     target: Tensor
-    """(N,) int64, index of the target ball."""
+    """(N,) int64, index of the object that is picked and placed next."""
     stage: Tensor
     """(N,) int64, index of the stage in force in the subtask's `stages`."""
     grasp_tolerance: Tensor
-    """(N,) m, for reaching the ball or a point."""
+    """(N,) m, for reaching the object or a point."""
     place_tolerance: Tensor
-    """(N,) m, for reaching the drop point."""
+    """(N,) m, for reaching where it belongs."""
     home_tolerance: Tensor
     """(N,) rad, of each joint, for being home."""
     level: Tensor
@@ -91,64 +92,71 @@ class State:
     """(N,) bool, and a contact began with the robot moving towards the human faster than
     `safety.separation.UNSAFE_SPEED_M_S`."""
     table_collision: Tensor
-    """(N,) bool, robot touches a table, the pedestal or the floor."""
+    """(N,) bool, robot touches a place, an obstacle, the pedestal or the floor."""
     self_collision: Tensor
     """(N,) bool."""
     steps: Tensor
     """(N,) int64, control steps since the episode began."""
 
-    @property
-    def drops(self) -> Tensor:
-        """(N, B, 3) m, the drop point of each ball's colour."""
-        pink = (self.colours == 1)[..., None]
-        return torch.where(pink, self.pink_drop[:, None], self.orange_drop[:, None])
+    @cached_property
+    def object_places(self) -> Tensor:
+        """(N, B, 3) m, where the centre of each object belongs."""
+        return torch.take_along_dim(self.kind_places, self.kinds[..., None], dim=-2)
+
+    @cached_property
+    def target_object(self) -> Tensor:
+        """(N, 3) m, centre of the target before it is picked."""
+        return _of_target(self.objects, self.target)
+
+    @cached_property
+    def target_kind(self) -> Tensor:
+        """(N,) int64, index of the target's kind in `cell.objects`."""
+        return torch.take_along_dim(self.kinds, self.target[..., None], dim=-1).squeeze(-1)
+
+    @cached_property
+    def target_place(self) -> Tensor:
+        """(N, 3) m, where the centre of the target belongs."""
+        return _of_target(self.kind_places, self.target_kind)
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields by their names."""
-        return vars(self)
+        return {name: value for name, value in vars(self).items() if name in State.__dataclass_fields__}
 
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
         return State(**{name: value.index_select(0, index) for name, value in self.fields().items()})
 
-    def with_(self, **changes: Tensor) -> State:
+    def instants(self) -> State:
+        """Return this instant as the only one of several, (N, 1, ...)."""
+        return State(**{name: value[:, None] for name, value in self.fields().items()})
+
+    def at(self, k: int) -> State:
+        """Return instant `k` of several."""
+        return State(**{name: value[:, min(k, value.shape[1] - 1)] for name, value in self.fields().items()})
+
+    def with_(self, **changes: Tensor) -> Self:
         """Return a copy with the given fields replaced."""
-        return State(**(self.fields() | changes))
+        changed = copy(self)
+        if changes.keys() & OF_OBJECTS:
+            for name in vars(changed).keys() - State.__dataclass_fields__.keys():
+                del vars(changed)[name]
+        vars(changed).update(changes)
+        return changed
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = other.fields()
         return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in self.fields().items()})
 
-
-class LazyState(State):
-    """A state whose fields are made when they are first read.
-
-    It keeps what they are made of. Its copies, pickles, `rows` and `put` are states that have all fields.
-    """
-
     @classmethod
-    def of(cls, make: Callable[[str], Tensor], **known: Tensor) -> LazyState:
-        """Return a state of which some fields are known; `make` gives another by its name."""
+    def of(cls, **known: Tensor) -> Self:
+        """Return a state of which some fields are known; to read another raises AttributeError."""
         state = object.__new__(cls)
-        vars(state).update(known, _make=make)
+        vars(state).update(known)
         return state
 
-    def __getattr__(self, name: str) -> Tensor:
-        if name not in State.__dataclass_fields__:
-            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
-        made: Tensor = vars(self)["_make"](name)
-        vars(self)[name] = made
-        return made
 
-    def with_(self, **changes: Tensor) -> State:
-        """Return a copy with the given fields replaced, the others still to be made."""
-        return LazyState.of(partial(getattr, self), **changes)
-
-    def fields(self) -> dict[str, Tensor]:
-        """Return all fields by their names."""
-        return {name: getattr(self, name) for name in State.__dataclass_fields__}
-
-    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
-        return State, tuple(self.fields().values())
+def _of_target(each: Tensor, index: Tensor) -> Tensor:
+    """Return the rows (N, 3) that `index` (N,) selects of `each` (N, n, 3)."""
+    return torch.take_along_dim(each, index[..., None, None], dim=-2).squeeze(-2)

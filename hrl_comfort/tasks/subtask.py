@@ -14,27 +14,26 @@ from torch.linalg import vector_norm
 from hrl_comfort.tasks.state import State
 
 StateFunction = Callable[[State], Tensor]
-"""Pure function of one instant."""
+"""Pure function of one instant, or of K of them."""
 TransitionFunction = Callable[[State, State], Tensor]
-"""Pure function of two instants, one control step apart: (before, after) -> (N,). Most of their fields are put together
-when they are first read; `fields()` has all of them."""
+"""Pure function of instants and those one control step later: (before, after) -> (N, K), or (N,) of one each."""
 
 
-class Ball(StrEnum):
-    """Location of the ball of the stage in force."""
+class ObjectAt(StrEnum):
+    """Location of the object of the stage in force: none, where it arrived, on the tool, or where it belongs."""
 
     NOWHERE = "nowhere"
-    TABLE = "table"
+    ARRIVAL = "arrival"
     TOOL = "tool"
-    DROP = "drop"
+    PLACE = "place"
 
 
 class Start(StrEnum):
-    """Posture in which a subtask begins: joints at home, or the tool at the ball or at the drop point."""
+    """Posture in which a subtask begins: joints at home, or the tool at the object or where the object belongs."""
 
     HOME = "home"
-    AT_BALL = "at_ball"
-    AT_DROP = "at_drop"
+    AT_OBJECT = "at_object"
+    AT_PLACE = "at_place"
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,10 @@ class Stage:
     """Reward weight paid for completion."""
     joint_space: bool = False
     """The goal is a posture; progress has the weight `home_progress` instead of `progress`."""
-    ball: Ball = Ball.NOWHERE
-    """Location of the ball during the stage."""
-    ball_after: Ball = Ball.NOWHERE
-    """Location of the ball once the stage is done."""
+    object: ObjectAt = ObjectAt.NOWHERE
+    """Location of the object during the stage."""
+    object_after: ObjectAt = ObjectAt.NOWHERE
+    """Location of the object once the stage is done."""
     next_start: Start | None = None
     """Start of a subtask that follows this stage."""
     at_point: bool = False
@@ -63,13 +62,13 @@ class Stage:
 
     @property
     def grasps(self) -> bool:
-        """Whether completion fixes the ball to the tool."""
-        return self.ball == Ball.TABLE and self.ball_after == Ball.TOOL
+        """Whether completion fixes the object to the tool."""
+        return self.object == ObjectAt.ARRIVAL and self.object_after == ObjectAt.TOOL
 
     @property
     def releases(self) -> bool:
-        """Whether completion leaves the ball at its drop point."""
-        return self.ball == Ball.TOOL and self.ball_after == Ball.DROP
+        """Whether completion leaves the object where it belongs."""
+        return self.object == ObjectAt.TOOL and self.object_after == ObjectAt.PLACE
 
 
 def tool_distance(goal: StateFunction) -> StateFunction:
@@ -107,7 +106,7 @@ class Subtask:
         return replace(self, observations={**self.observations, **terms})
 
     def next_stage(self, state: State) -> Tensor:
-        """Return the stage (N,) in force after this instant: one further where the present one is done."""
+        """Return the stage in force after this instant: one further where the present one is done."""
         stage, own = state.stage, self.in_round(state.stage)
         for index, item in enumerate(self.stages):
             stage = torch.where((own == index) & item.done(state), state.stage + 1, stage)
@@ -120,7 +119,7 @@ class Subtask:
         return stage % len(self.stages) if self.repeats else stage
 
     def success(self, state: State) -> Tensor:
-        """Return (N,) bool: every stage is done, and none begins again."""
+        """Return where every stage is done, and none begins again."""
         return (state.stage >= len(self.stages)) & (not self.repeats)
 
     def failure(self, state: State) -> Tensor:
@@ -139,22 +138,22 @@ class Subtask:
     def _failures(self) -> tuple[str, str, str]:
         return self.terminate_on, "table_collision", "self_collision"
 
-    def ball(self, stage: int) -> Ball:
-        """Return the location of the ball in a stage, or after the last one."""
+    def location(self, stage: int) -> ObjectAt:
+        """Return the location of the object in a stage, or after the last one."""
         stage = stage % len(self.stages) if self.repeats else stage
-        return self.stages[stage].ball if stage < len(self.stages) else self.stages[-1].ball_after
+        return self.stages[stage].object if stage < len(self.stages) else self.stages[-1].object_after
 
-    def ball_at(self, place: Ball, stage: Tensor) -> Tensor:
-        """Return (N,) bool: the ball of the stage (N,), or after the last one, is at `place`."""
-        return self._places[place].index_select(0, self.in_round(stage))
+    def object_at(self, where: ObjectAt, stage: Tensor) -> Tensor:
+        """Return (N,) bool: the object of the stage (N,), or after the last one, is at `where`."""
+        return self._locations[where].index_select(0, self.in_round(stage))
 
     @cached_property
-    def _places(self) -> dict[Ball, Tensor]:
-        balls = [self.ball(stage) for stage in range(len(self.stages) + 1)]
-        return {place: torch.tensor([ball == place for ball in balls]) for place in Ball}
+    def _locations(self) -> dict[ObjectAt, Tensor]:
+        found = [self.location(stage) for stage in range(len(self.stages) + 1)]
+        return {where: torch.tensor([each == where for each in found]) for where in ObjectAt}
 
     def grasping(self, stage: Tensor) -> Tensor:
-        """Return (N,) bool: a ball is to be picked in the stage (N,)."""
+        """Return (N,) bool: an object is to be picked in the stage (N,)."""
         return self._grasps.index_select(0, self.in_round(stage))
 
     @cached_property
@@ -162,7 +161,7 @@ class Subtask:
         return torch.tensor([*(item.grasps for item in self.stages), False])
 
     def releasing(self, stage: Tensor) -> Tensor:
-        """Return (N,) bool: a ball is carried in the stage (N,)."""
+        """Return (N,) bool: an object is carried in the stage (N,)."""
         return self._releases.index_select(0, self.in_round(stage))
 
     @cached_property
@@ -170,7 +169,7 @@ class Subtask:
         return torch.tensor([*(item.releases for item in self.stages), False])
 
     def released(self, stage: Tensor) -> Tensor:
-        """Return the number of balls (N,) int64 at a drop point by the stage (N,)."""
+        """Return the number of objects (N,) int64 that are where they belong by the stage (N,)."""
         done = torch.tensor([0, *(item.releases for item in self.stages)]).cumsum(0)
         own = self.in_round(stage)
         return done[own] + (stage - own) // len(self.stages) * done[-1]
@@ -184,8 +183,9 @@ def by_stage(stages: tuple[Stage, ...], quantity: Callable[[Stage], StateFunctio
     def select(state: State) -> Tensor:
         value = quantity(stages[-1])(state)
         for index, stage in enumerate(stages[:-1]):
-            chosen = (state.stage == index).reshape(-1, *[1] * (value.ndim - 1))
-            value = torch.where(chosen, quantity(stage)(state), value)
+            other = quantity(stage)(state)
+            chosen = (state.stage == index)[(..., *[None] * (value.ndim - state.stage.ndim))]
+            value = torch.where(chosen, other, value)
         return value
 
     return select

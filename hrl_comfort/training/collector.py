@@ -175,11 +175,11 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
     try:
         policy = load_policy(source, critics=True)
         spec = policy.spec
-        task = subtask(spec["task"], spec["environment"]["observation"], config.task.balls)
+        task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects)
         seen = observed_by(policy, str(source), task, environment(config))
     except ConfigError as error:
         raise ConfigError(f"agent.next_skill={source}: {error}") from error
-    own = subtask(config.task.name, config.task.observation, config.task.balls)
+    own = subtask(config.task.name, config.task.observation, config.task.objects)
     if task.start != own.stages[-1].next_start:
         raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
 

@@ -124,7 +124,7 @@ class ControllerTraining(TrainingLoop):
         """Write meta_controller.pt."""
         spec = {
             "levels": self.config.comfort.levels,
-            "balls": self.config.task.balls,
+            "objects": self.config.task.objects,
             "names": [option.name for option in self.collector.env.executor.options],
             "max_waits": self.config.meta_controller.max_waits,
         }

@@ -90,7 +90,7 @@ class OptionsLog(RowLog):
     """Rows of meta_controller_metrics.csv."""
 
     OUTCOMES = ("success", "placed", "return", "steps")
-    """Of an episode: success, balls placed, undiscounted return and control steps."""
+    """Of an episode: success, objects placed, undiscounted return and control steps."""
 
     def __init__(self, path: Path) -> None:
         columns = ("options", "updates", "episodes", *self.OUTCOMES, "exploration", "loss")

@@ -83,7 +83,7 @@ def test_over_all_a_failure_takes_the_time_limit_and_its_distance_is_as_measured
     assert found["human_distance_mean_m"]["percent"] == pytest.approx(100 * (1.7 / 2.4 - 1))
 
 
-@pytest.mark.parametrize("name", ["task", "precision_m", "spawn_id", "colour"])
+@pytest.mark.parametrize("name", ["task", "precision_m", "spawn_id", "object"])
 def test_only_like_is_compared(name):
     with pytest.raises(ConfigError, match=rf"{name} is '1(\.0)?' and '2(\.0)?'"):
         data([row(1, 0, **{name: 1}), row(10, 0, **{name: 2})])

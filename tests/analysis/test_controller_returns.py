@@ -25,7 +25,7 @@ def evaluation(returns: list[float], placed: int = 2, seed: str = "0", skills: s
     episodes = [
         {
             "train_seed": seed, "episode": str(i), "spawn_id": str(i % 2), "success": "True",
-            "return": str(earned), "steps": "200", "balls_placed": str(placed),
+            "return": str(earned), "steps": "200", "objects_placed": str(placed),
         }
         for i, earned in enumerate(returns)
     ]  # fmt: skip
@@ -33,7 +33,7 @@ def evaluation(returns: list[float], placed: int = 2, seed: str = "0", skills: s
     return Run("run", Path("run"), config=config, episodes=records_of(episodes, "episodes"))
 
 
-def test_a_return_parts_into_balls_time_and_discomfort() -> None:
+def test_a_return_parts_into_objects_time_and_discomfort() -> None:
     found = controllers({"one": [evaluation([1.5, 1.7])]})["controllers"]["one"]
     means = {part: value["mean"] for part, value in found.items() if part != "episodes"}
     assert means == pytest.approx({"success": 1, "return": 1.6, "placed": 2, "time": 0.2, "discomfort": 0.2})
@@ -79,9 +79,11 @@ def test_controllers_above_one_set_of_skills_are_told_apart_by_their_training_se
 
 def test_what_a_policy_observes_does_not_keep_evaluations_from_being_compared() -> None:
     one, other = evaluation([1.5]), evaluation([1.4])
-    one.config["task"], other.config["task"] = ({"balls": 2, "observation": name} for name in ("default", "proximity"))
+    one.config["task"], other.config["task"] = (
+        {"objects": 2, "observation": name} for name in ("default", "proximity")
+    )
     assert "a - b" in controllers({"a": [one], "b": [other]})["differences"]
-    other.config["task"] = {"balls": 3, "observation": "default"}
+    other.config["task"] = {"objects": 3, "observation": "default"}
     with pytest.raises(ConfigError, match="differ in task; compare like with like"):
         controllers({"a": [one], "b": [other]})
 
@@ -92,7 +94,7 @@ def test_an_evaluation_that_lacks_a_column_is_refused_in_one_line(name: str) -> 
     assert run.episodes is not None
     with pytest.raises(ConfigError, match=f"no {name} in its episodes"):
         controllers({"one": [replace(run, episodes=run.episodes.drop(columns=name))]})
-    with pytest.raises(ConfigError, match="no balls_placed in its episodes"):
+    with pytest.raises(ConfigError, match="no objects_placed in its episodes"):
         controllers({"one": [replace(run, episodes=run.episodes[:0])]})
 
 
@@ -133,7 +135,7 @@ def test_the_table_has_a_line_a_controller_and_a_difference() -> None:
 
 
 def test_the_figure_of_controllers_is_drawn_from_evaluations(tmp_path: Path) -> None:
-    words = ["task=sort", "task.balls=2", "comfort=sort", "reward=sort", "human=none", "episodes=2"]
+    words = ["task=sort", "task.objects=2", "comfort=sort", "reward=sort", "human=none", "episodes=2"]
     words += [
         "task.max_episode_steps=60",
         *(f"policies.{name}=random" for name in ("pick", "place", "return")),

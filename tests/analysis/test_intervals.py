@@ -18,7 +18,7 @@ def episode(index: int, **changes: object) -> dict[str, object]:
         "train_seed": 0,
         "episode_seed": 1,
         "episode": index,
-        "colour": "orange",
+        "object": "orange",
         "spawn_id": index % 3,
         "motion_id": index,
         "seen": index % 2,
@@ -187,5 +187,5 @@ def test_a_bad_cell_is_named(changes, message):
 
 
 def test_an_unknown_group_column_is_named_with_those_there_are():
-    with pytest.raises(ConfigError, match=r"group_by='shade'.*colour"):
+    with pytest.raises(ConfigError, match=r"group_by='shade'.*object"):
         summary_of([episode(0)], group_by=["shade"])

@@ -83,10 +83,10 @@ def test_an_entry_has_its_levels_a_table_and_a_figure_with_the_others(
     assert second.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
-def write_seeds(folder: Path, balls: list[list[float]], mood: float = 0.0, changed: str = "") -> Path:
-    """Write entries, one a training seed, of the balls a minute at each level; a person's level falls with them."""
+def write_seeds(folder: Path, rates: list[list[float]], mood: float = 0.0, changed: str = "") -> Path:
+    """Write entries, one a training seed, of the objects a minute at each level; a person's level falls with them."""
     folder.mkdir(parents=True)
-    for seed, each in enumerate(balls):
+    for seed, each in enumerate(rates):
         levels = [
             {
                 "level": 1 + 9 * number if len(each) > 1 else None,
@@ -118,8 +118,8 @@ def test_a_folder_of_seeds_is_one_entry_with_intervals_over_seeds(tmp_path: Path
     assert (alone["policy"], ours["policy"]) == ("alone", "ours, 3 seeds")
     low, high = ours["levels"]
     # Student's t with two degrees of freedom: 4.303 standard errors of 1 / sqrt(3).
-    assert low["balls_per_min"] == {"mean": 5.0, "ci95": pytest.approx([5 - 2.484, 5 + 2.484], abs=1e-3)}
-    assert (low["shifts"], high["level"], high["balls_per_min"]["mean"]) == (48, 10, 12.0)
+    assert low["objects_per_min"] == {"mean": 5.0, "ci95": pytest.approx([5 - 2.484, 5 + 2.484], abs=1e-3)}
+    assert (low["shifts"], high["level"], high["objects_per_min"]["mean"]) == (48, 10, 12.0)
     assert cells_of(entries.table([ours]))[1][:4] == ["ours, 3 seeds", "10", "48", "12.00 [7.03, 16.97]"]
 
 
@@ -133,21 +133,21 @@ def test_entries_of_a_folder_that_differ_in_the_suite_are_refused(tmp_path: Path
 
 def test_an_interval_of_a_rate_is_not_below_zero(tmp_path: Path) -> None:
     write_seeds(tmp_path / "ours", [[0.0], [0.0], [6.0]])
-    assert entries.pooled(tmp_path / "ours")["levels"][0]["balls_per_min"]["ci95"][0] == 0.0
+    assert entries.pooled(tmp_path / "ours")["levels"][0]["objects_per_min"]["ci95"][0] == 0.0
 
 
 def test_entries_are_compared_level_by_level_and_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
     other = write_seeds(tmp_path / "other", [[3.0, 12.0], [4.0, 14.5], [99.0, 99.0]])
-    first, last = cells_of(entries.differences(ours, other, ["balls_per_min"]))
+    first, last = cells_of(entries.differences(ours, other, ["objects_per_min"]))
     assert first[-1] == "1.00" and last[-1] == "-2.00"
 
 
 def test_levels_are_compared_with_each_other_and_with_comfort_off_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
     off = write_seeds(tmp_path / "off", [[8.0, 4.0], [10.0, 5.0], [99.0, 99.0]])
-    *_, balls = cells_of(entries.responses(ours, off))
-    assert balls == ["balls a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "-50.0",
+    *_, row = cells_of(entries.responses(ours, off))
+    assert row == ["objects a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "-50.0",
                      "11.25 [-4.63, 27.13]", "4.50 [-1.85, 10.85]", "150.0", "150.0"]  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput
         "told, 2 seeds*",
         "–",
     ]
-    with pytest.raises(ConfigError, match=r"no mix of the levels in .*fixed gives 14 balls a minute"):
+    with pytest.raises(ConfigError, match=r"no mix of the levels in .*fixed gives 14 objects a minute"):
         entries.at_same_throughput(write_seeds(tmp_path / "fast", [[14.0]], changed="frightened"), fixed)
 
 
@@ -176,7 +176,7 @@ def test_the_best_mix_passes_over_a_level_that_two_others_beat() -> None:
         (lambda entry: entry.pop("levels"), "levels"),
         (lambda entry: entry.update(levels=[]), "levels"),
         (lambda entry: entry["levels"][0].pop("discomfort_per_min"), "discomfort_per_min"),
-        (lambda entry: entry["levels"][0]["balls_per_min"].update(mean=None), "mean"),
+        (lambda entry: entry["levels"][0]["objects_per_min"].update(mean=None), "mean"),
     ],
 )
 def test_a_damaged_entry_is_named_in_one_line_before_anything_runs(

@@ -125,7 +125,7 @@ def test_the_papers_experiments_have_the_papers_reward(name: str) -> None:
     assert reward.return_shaping == (name == "paper_experiment_1")
 
 
-def test_a_second_of_the_benchmarks_discomfort_costs_a_controller_of_a_shift_a_quarter_of_a_ball() -> None:
+def test_a_second_of_the_benchmarks_discomfort_costs_a_controller_of_a_shift_a_quarter_of_an_object() -> None:
     suite = compose("benchmark").comfort
     shift = compose("train_meta_controller", ["task=shift", "comfort=shift"]).comfort
     assert shift.scale / CONTROL_STEP_S == pytest.approx(0.25)

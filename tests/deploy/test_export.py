@@ -114,7 +114,7 @@ def as_trained(policy: Path) -> list[str]:
 
 
 def test_every_quantity_of_the_state_is_explained() -> None:
-    assert field_meanings().keys() == State.__dataclass_fields__.keys()
+    assert set(State.__dataclass_fields__) < set(field_meanings())
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,11 @@ def test_places_and_poses_of_a_taught_frame_come_out_in_that_of_the_base(tmp_pat
         sender.bind(("127.0.0.1", 0))
         place = f"udp://127.0.0.1:{sender.getsockname()[1]}"
         sender.close()
-        asked = config(frame, "cell.ball_m=[0.5,0.1,0.2]", "human=live", f"human.file='{place}'")
+        asked = config(frame, "cell.places.ball_table.top_m=[0.5,0.1,0.2]", "human=live", f"human.file='{place}'")
         found = settled(asked)
-        np.testing.assert_allclose(found.cell.ball_m, [0.3 - 0.1, -0.2 + 0.5, 0.1 + 0.2], atol=1e-12)
+        np.testing.assert_allclose(
+            found.cell.places["ball_table"].top_m, [0.3 - 0.1, -0.2 + 0.5, 0.1 + 0.2], atol=1e-12
+        )
         assert found.connection.frame_m is None and found.cell.base_height_m == asked.cell.base_height_m
         source = pose_source(place)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tracker:

@@ -36,7 +36,7 @@ CONTRACT = [
     "train_seed",
     "episode_seed",
     "episode",
-    "colour",
+    "object",
     "spawn_id",
     "motion_id",
     "seen",

@@ -44,22 +44,22 @@ def test_place_begins_where_pick_ended(tmp_path: Path) -> None:
     assert len(orange) + len(pink) == 8 and orange.shape[1:] == (18,)
     engine = Engine(placing(path, "human=none"), 8, 0)
     state = engine.reset()
-    for row, colour in enumerate(state.colour.tolist()):
-        bank = (orange, pink)[colour]
+    for row, kind in enumerate(state.target_kind.tolist()):
+        bank = (orange, pink)[kind]
         assert np.isin(state.joint_target[row].numpy(), bank[:, 12:]).all()
-    distance = (state.tcp_pos - state.ball_pos).norm(dim=-1)
-    assert (distance < 0.3 + 0.05).all(), "the tool is at the ball"
+    distance = (state.tcp_pos - state.target_object).norm(dim=-1)
+    assert (distance < 0.3 + 0.05).all(), "the tool is at the object"
 
 
 def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:
     walking = ["human=random_walk", "comfort=conditioned"]
     path = record_terminal_states(chosen(*walking, f"terminal_states='{tmp_path}/terminal_states.npz'"))
     with np.load(path) as file:
-        banks = [file[colour].astype(np.float64) for colour in ("orange", "pink")]
+        banks = [file[kind].astype(np.float64) for kind in ("orange", "pink")]
     state = Engine(placing(path, *walking), 16, 0).reset()
-    for row, colour in enumerate(state.colour.tolist()):
+    for row, kind in enumerate(state.target_kind.tolist()):
         here = torch.cat([state.joint_target[row], state.human_pos[row], state.level[row, None]]).numpy()
-        apart = np.abs(banks[colour][:, 12:] - here)
+        apart = np.abs(banks[kind][:, 12:] - here)
         assert (apart.max(axis=1) < 1e-6).any(), "all of one ending"
     assert len(set(state.level.tolist())) > 2
 
@@ -103,7 +103,7 @@ def test_levels_that_a_training_does_not_have_are_refused(tmp_path: Path) -> Non
 def test_recording_again_gives_the_same_endings(tmp_path: Path) -> None:
     paths = [record_terminal_states(chosen(f"terminal_states='{tmp_path}/{name}.npz'")) for name in ("a", "b")]
     first, second = (np.load(path) for path in paths)
-    assert all(np.array_equal(first[colour], second[colour]) for colour in ("orange", "pink"))
+    assert all(np.array_equal(first[kind], second[kind]) for kind in ("orange", "pink"))
 
 
 def test_no_training_draws_from_the_seeds_of_endings_or_evaluation() -> None:
@@ -119,7 +119,7 @@ def test_no_training_draws_from_the_seeds_of_endings_or_evaluation() -> None:
     ("overrides", "says"),
     [
         (["terminal_states=endings"], "terminal_states='endings' must be the path of an .npz"),
-        (["terminal_states=e.npz", "task.colour=pink"], "task.colour='pink'"),
+        (["terminal_states=e.npz", "task.object=pink"], "task.object='pink'"),
     ],
 )
 def test_endings_that_cannot_be_starts_are_refused_before_anything_runs(overrides: list[str], says: str) -> None:

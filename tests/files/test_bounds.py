@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +32,7 @@ from hrl_comfort.files.tables import GrowingTable, read_table
 from hrl_comfort.scene.calibration import read_deltas
 from hrl_comfort.sim.starts import recorded
 
+KINDS = ("orange", "pink")
 ALIASES = "a: &a [x, x]\nb: [*a, *a]\n"
 
 
@@ -45,16 +47,27 @@ def zipped(path: Path, name: str, size: int, put: bytes = b"") -> Path:
 def test_an_archive_is_not_unpacked_beyond_its_bound(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"policy\.pt: cut short .*unpacks to 300 MB"):
         checkpoint.load(zipped(tmp_path / "policy.pt", "archive/data.pkl", 3 * 10**8))
-    with pytest.raises(ConfigError, match="must hold arrays 'orange' and 'pink'"):
-        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 3 * 10**8)), 10, 6)
+    with pytest.raises(ConfigError, match=r"must hold an array of shape .* for each of orange, pink"):
+        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 3 * 10**8)), 10, 6, KINDS)
 
 
 def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path: Path) -> None:
     header = io.BytesIO()
     about = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 21)}
     np.lib.format.write_array_header_1_0(header, about)
-    with pytest.raises(ConfigError, match="must hold arrays"):
-        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 10**6, header.getvalue())), 10, 6)
+    with pytest.raises(ConfigError, match="must hold an array of shape"):
+        recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 10**6, header.getvalue())), 10, 6, KINDS)
+
+
+def test_a_table_of_holes_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    table, most = tmp_path / "episodes.csv", 3 * 10**8
+    table.write_text("episode,success\n")
+    os.truncate(table, most)
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"line 2: byte 0x00 is not text"):
+        read_table(table)
+    assert tracemalloc.get_traced_memory()[1] < 1.2 * most
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize(
@@ -199,7 +212,7 @@ def test_a_fifo_is_no_file(tmp_path: Path) -> None:
     reads: list[Callable[[], object]] = [
         lambda: checkpoint.load(fifo), lambda: load_config(fifo), lambda: read_yaml(fifo),
         lambda: read_json(fifo, dict), lambda: GrowingTable(fifo, ["a"]).begin(1),
-        lambda: recorded(str(fifo), 10, 6), lambda: read_recording(config.comfort),
+        lambda: recorded(str(fifo), 10, 6, KINDS), lambda: read_recording(config.comfort),
     ]  # fmt: skip
     for read in reads:
         with pytest.raises(ConfigError):

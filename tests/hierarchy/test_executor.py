@@ -51,7 +51,7 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         terminated=done & ~truncated,
         truncated=truncated,
         decision_steps=torch.ones(n, dtype=torch.int64),
-        instants=state,
+        instants=state.instants(),
     )
 
 
@@ -122,7 +122,7 @@ def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) ->
     assert row == [(1, "preempted"), (2, "preempted")]
 
 
-def test_a_lost_ball_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
+def test_a_lost_object_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
     path = [([5, 5, 5], [1, 1, 1]), ([9, 9, 9], [0, 0, 0]), ([18, 18, 18], [1, 1, 1])]
     _, steps = played([outcome(at(state, *where), NO, NO, NO) for where in path], three(), retries=0)
     row = [(r.option, r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]
@@ -181,12 +181,12 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
     expert = make_policy("expert", task, engine.scene, config, 0)
     executor = OptionExecutor([Option(task.name, task, expert)], config.task.max_episode_steps, engine.episodes)
     engine.reset()
-    run, stepped = engine._run, []
+    run, stepped = engine.physics.run, []
 
-    def counted(physics: Any, control: Any, rows: Any) -> Any:
-        stepped.append(len(physics))
-        return run(physics, control, rows)
+    def counted(control: Any, rows: Any) -> Any:
+        stepped.append(len(control))
+        return run(control, rows)
 
-    monkeypatch.setattr(engine, "_run", counted)
+    monkeypatch.setattr(engine.physics, "run", counted)
     active = [int(step.active.sum()) for step in execute(engine, executor, in_order)]
     assert stepped == active and 0 < active[-1] < active[0] == 6

@@ -26,8 +26,8 @@ def test_proximity_is_nearness_to_the_tool_in_the_place_of_position_and_facing()
     state = engine.reset()
     mirrored = 2 * state.tcp_pos[:, :2] - state.human_seen
     there = state.with_(human_seen=mirrored, human_yaw=state.human_yaw + 1.0)
-    first_ball = observation_dim("proximity", 0)
-    seen, other = (meta_observation(each, 10, "proximity")[:, :first_ball] for each in (state, there))
+    first_object = observation_dim("proximity", 0)
+    seen, other = (meta_observation(each, 10, "proximity")[:, :first_object] for each in (state, there))
     torch.testing.assert_close(seen, other)
     assert not torch.allclose(meta_observation(state, 10)[:, :4], meta_observation(there, 10)[:, :4])
 

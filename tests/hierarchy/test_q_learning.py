@@ -23,7 +23,7 @@ from tests.hierarchy.test_sort import EXPERTS
 def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
     folder = tmp_path / "meta_controller"
     overrides = [
-        "task.balls=2", "human=none", "engine.num_envs=4",
+        "task.objects=2", "human=none", "engine.num_envs=4",
         "meta_controller_agent.options=24", "meta_controller_agent.warmup_options=8",
         "meta_controller_agent.batch_size=8", "meta_controller_agent.log_every=12", f"output={folder}",
         f"meta_controller_agent.observation={layout}",
@@ -67,7 +67,7 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
         compose(
             "evaluate",
             [
-                "task=sort", "task.balls=2", "human=none", "meta_controller=learned", "episodes=2",
+                "task=sort", "task.objects=2", "human=none", "meta_controller=learned", "episodes=2",
                 "task.max_episode_steps=400",
                 "comfort=sort", f"policies.meta_controller={folder}", *(f"policies.{name}=expert" for name in EXPERTS),
             ],

@@ -1,4 +1,4 @@
-"""The shift: balls keep arriving until time is up, and failures cost time alone."""
+"""The shift: objects keep arriving until time is up, and failures cost time alone."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.meta_controllers import nearest
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.q_learning import QLearner
-from hrl_comfort.sim.balls import go_on, rendered_positions
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.objects import go_on, rendered_positions
 from hrl_comfort.tasks import subtask
 from hrl_comfort.tasks.shift import SHIFT
 
@@ -44,8 +44,8 @@ def rows(tmp_path: Path, *overrides: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_shift_lasts_its_time_and_balls_of_both_colours_keep_arriving() -> None:
-    asked = shift("human=none", "task.balls=2", "task.max_episode_steps=900")
+def test_a_shift_lasts_its_time_and_objects_of_both_kinds_keep_arriving() -> None:
+    asked = shift("human=none", "task.objects=2", "task.max_episode_steps=900")
     engine = Engine(environment(asked), 3, 0)
     executor, _ = make_executor(asked, None, engine, 0)
     engine.reset()
@@ -58,30 +58,36 @@ def test_a_shift_lasts_its_time_and_balls_of_both_colours_keep_arriving() -> Non
         run for step in steps for run in step.runs if run.option.startswith("pick") and run.termination == "success"
     ]
     assert len(picked) >= int(placed.sum())
-    assert torch.stack([step.result.state.colour for step in steps]).unique().tolist() == [0, 1]
+    assert torch.stack([step.result.state.target_kind for step in steps]).unique().tolist() == [0, 1]
 
 
-def test_a_ball_arrives_where_the_placed_one_lay_once_the_arm_is_home() -> None:
-    engine = Engine(config("human=none", "task.balls=2"), 2, 0)
+def arrivals(engine: Engine) -> torch.Tensor:
+    """Return where objects arrive (N, B, kinds, 3)."""
+    return torch.from_numpy(engine.episodes.draw.arrivals)
+
+
+def test_an_object_arrives_where_the_placed_one_lay_once_the_arm_is_home() -> None:
+    engine = Engine(config("human=none", "task.objects=2"), 2, 0)
     before = engine.reset().with_(
         stage=torch.tensor([2, 2]), target=torch.tensor([1, 1]), placed=torch.tensor([[False, True], [False, True]])
     )
     nothing, pink = torch.zeros(2, dtype=torch.bool), torch.ones(2, dtype=torch.int64)
-    after = go_on(before.with_(stage=torch.tensor([3, 2])), before, nothing, pink, SHIFT)
+    after = go_on(before.with_(stage=torch.tensor([3, 2])), before, nothing, pink, arrivals(engine), SHIFT)
     assert after.placed.tolist() == [[False, False], [False, True]]
-    assert after.colours[0, 1] == 1 and after.target[0] == 1
-    assert torch.equal(after.drop_pos[0], after.pink_drop[0]) and torch.equal(after.ball_pos[0], before.balls[0, 1])
-    assert (rendered_positions(after, SHIFT)[0] == after.balls[0].numpy()).all()
+    assert after.kinds[0, 1] == 1 and after.target[0] == 1
+    assert torch.equal(after.target_place[0], after.kind_places[0, 1])
+    assert torch.equal(after.target_object[0], before.objects[0, 1])
+    assert (rendered_positions(after, SHIFT)[0] == after.objects[0].numpy()).all()
 
 
-def test_a_failure_loses_the_ball_in_the_gripper_and_nothing_else() -> None:
+def test_a_failure_loses_the_object_in_the_gripper_and_nothing_else() -> None:
     engine = Engine(config("human=none"), 3, 0)
     before = engine.reset().with_(stage=torch.tensor([3, 4, 5]))  # picking, carrying, returning
     failed, pink = torch.ones(3, dtype=torch.bool), torch.ones(3, dtype=torch.int64)
-    after = go_on(before, before, failed, pink, SHIFT)
+    after = go_on(before, before, failed, pink, arrivals(engine), SHIFT)
     assert after.stage.tolist() == [3, 3, 5]
-    assert after.colours[1, 0] == 1 and torch.equal(after.drop_pos[1], after.pink_drop[1])
-    assert torch.equal(after.colours[[0, 2]], before.colours[[0, 2]])
+    assert after.kinds[1, 0] == 1 and torch.equal(after.target_place[1], after.kind_places[1, 1])
+    assert torch.equal(after.kinds[[0, 2]], before.kinds[[0, 2]])
 
 
 def test_a_failure_begins_once() -> None:
@@ -97,7 +103,7 @@ def test_an_arm_that_hits_something_is_brought_home_and_goes_on() -> None:
     executor, _ = make_executor(asked, None, engine, 0)
     falling = torch.tensor([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     executor.options[:4] = [
-        type(option)(option.name, option.subtask, lambda s: falling.expand(len(s.steps), 6), 0, 3, option.ball)
+        type(option)(option.name, option.subtask, lambda s: falling.expand(len(s.steps), 6), 0, 3, option.object)
         for option in executor.options[:4]
     ]
     engine.reset()
@@ -131,7 +137,7 @@ def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, c
             "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
         ).meta_controller_agent
         learner = QLearner(agent, observation_dim(agent.observation, 4), len(names), 0)
-        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "balls": 4, "max_waits": None})
+        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "objects": 4, "max_waits": None})
         policies = [f"policies.meta_controller='{tmp_path}'", "meta_controller.level_override=[]"]
     elif controller == "none":
         policies = ["policy=expert"]
@@ -140,7 +146,7 @@ def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, c
         "robot.rating=collaborative", "comfort=conditioned", "task.max_episode_steps=600",
     )  # fmt: skip
     assert [(row["success"], row["steps"], row["unsafe_contact"]) for row in found] == [("True", "600", "False")] * 2
-    assert all(float(row["balls_per_min"]) == int(row["balls_placed"]) / 0.2 for row in found)
+    assert all(float(row["objects_per_min"]) == int(row["objects_placed"]) / 0.2 for row in found)
     assert all(float(row["discomfort_per_min"]) >= 0 for row in found)
 
 
@@ -163,6 +169,6 @@ def test_the_same_shift_comes_out_of_a_batch_of_any_size(tmp_path: Path) -> None
     assert alone[0] == three[0]
 
 
-def test_the_ball_is_where_it_is_in_the_round_of_the_stage() -> None:
+def test_the_object_is_where_it_is_in_the_round_of_the_stage() -> None:
     count = len(SHIFT.stages)
-    assert [SHIFT.ball(stage) for stage in range(count, 2 * count)] == [stage.ball for stage in SHIFT.stages]
+    assert [SHIFT.location(stage) for stage in range(count, 2 * count)] == [stage.object for stage in SHIFT.stages]

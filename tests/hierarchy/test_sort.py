@@ -1,4 +1,4 @@
-"""Several balls: where they lie, how they are aimed at, and the options that sort them."""
+"""Several objects: where they lie, how they are aimed at, and the options that sort them."""
 
 from __future__ import annotations
 
@@ -30,48 +30,48 @@ def config(*overrides: str) -> EnvConfig:
     return environment(compose("train", ["task=sort", *overrides]))
 
 
-@pytest.mark.parametrize("balls", [2, 4, 6])
-def test_balls_lie_on_their_table_and_never_overlap(balls: int) -> None:
-    env = config(f"task.balls={balls}")
+@pytest.mark.parametrize("objects", [2, 4, 6])
+def test_objects_lie_on_their_place_and_never_overlap(objects: int) -> None:
+    env = config(f"task.objects={objects}")
     state = Engine(env, 40, 0).reset()
-    offset = state.balls - torch.tensor(env.cell.ball_m, dtype=torch.float64)
-    assert (offset[..., :2].abs() <= env.cell.table_half_width_m).all() and (offset[..., 2] == 0).all()
-    apart = (state.balls[:, :, None] - state.balls[:, None]).norm(dim=-1) + 9 * torch.eye(balls)
-    assert (apart >= 2 * env.cell.ball_radius_m - 1e-9).all()
-    assert state.colours.unique().tolist() == [0, 1]
+    offset = state.objects - torch.tensor(env.cell.goals["ball_table"], dtype=torch.float64)
+    half = env.cell.places["ball_table"].size_m[0] / 2
+    assert (offset[..., :2].abs() <= half).all() and (offset[..., 2] == 0).all()
+    apart = (state.objects[:, :, None] - state.objects[:, None]).norm(dim=-1) + 9 * torch.eye(objects)
+    assert (apart >= 2 * env.cell.objects["orange"].half_width_m - 1e-9).all()
+    assert state.kinds.unique().tolist() == [0, 1]
 
 
-def test_more_balls_leave_the_rest_of_an_episode_as_it_is() -> None:
-    few, many = (Engine(config(f"task.balls={n}"), 8, 0).reset() for n in (2, 4))
+def test_more_objects_leave_the_rest_of_an_episode_as_it_is() -> None:
+    few, many = (Engine(config(f"task.objects={n}"), 8, 0).reset() for n in (2, 4))
     for name in ("human_pos", "joint_pos"):
         assert torch.equal(getattr(few, name), getattr(many, name))
-    assert torch.equal(few.colours[:, 0], many.colours[:, 0])
+    assert torch.equal(few.kinds[:, 0], many.kinds[:, 0])
 
 
-def test_too_many_balls_for_the_table_or_the_task_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"task.balls=7 must be from 1 to 6"):
-        config("task.balls=7")
-    with pytest.raises(ConfigError, match=r"task.balls=2.*choose sort"):
-        compose("train", ["task=cycle", "task.balls=2", "task.ball_slots_m=[[0.0,0.0],[0.0,0.07]]"])
+def test_too_many_objects_for_the_place_or_the_task_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"task.objects=7, but cell.places.ball_table.slots_m has 6"):
+        config("task.objects=7")
+    with pytest.raises(ConfigError, match=r"task.objects=2.*choose sort"):
+        compose("train", ["task=cycle", "task.objects=2"])
 
 
-def test_aiming_moves_the_goal_and_is_refused_while_a_ball_is_held() -> None:
+def test_aiming_moves_the_goal_and_is_refused_while_an_object_is_held() -> None:
     engine = Engine(config("human=none"), 3, 0)
     engine.reset()
     engine.episodes.aim(torch.tensor([1]), torch.tensor([2]))
     state = engine.episodes.state
     assert state.target.tolist() == [0, 2, 0]
-    assert torch.equal(state.ball_pos[1], state.balls[1, 2])
-    drops = torch.stack([state.orange_drop, state.pink_drop], dim=1)
-    assert torch.equal(state.drop_pos[1], drops[1, state.colours[1, 2]])
+    assert torch.equal(state.target_object[1], state.objects[1, 2])
+    assert torch.equal(state.target_place[1], state.kind_places[1, state.kinds[1, 2]])
     engine.episodes.state = state.with_(stage=torch.tensor([0, 1, 0]))
     with pytest.raises(ValueError, match="cannot be picked"):
         engine.episodes.aim(torch.tensor([1]), torch.tensor([0]))
 
 
 @pytest.mark.parametrize("choose", [nearest, cautious])
-def test_experts_sort_every_ball_once(choose) -> None:
-    engine = Engine(config("task.balls=3", "human=none"), 2, 0)
+def test_experts_sort_every_object_once(choose) -> None:
+    engine = Engine(config("task.objects=3", "human=none"), 2, 0)
     options = sorting_options(META, EXPERTS, engine.scene, engine.episodes.config, 0)
     engine.reset()
     steps = list(execute(engine, OptionExecutor(options, 500, engine.episodes), choose))
@@ -130,7 +130,7 @@ def test_what_was_preempted_goes_home_before_anything_else() -> None:
     assert executor.available(taken)[:, 4].all()  # what succeeds leaves the arm where the next skill begins
 
 
-def test_the_arm_rests_where_it_is_slow_and_retreats_with_no_ball(begun) -> None:
+def test_the_arm_rests_where_it_is_slow_and_retreats_with_no_object(begun) -> None:
     engine, executor = begun
     away = engine.episodes.state.joint_home + math.radians(11)
     for stage, rests, retreats in ((0, True, False), (1, True, False), (2, False, True), (3, True, False)):
@@ -158,7 +158,7 @@ def test_a_wait_may_follow_itself_as_often_as_is_allowed_in_every_episode_anew()
     assert not OptionExecutor(never, 500, engine.episodes).available(state)[:, WAIT].any()
 
 
-def test_a_pause_lasts_as_long_as_it_says_whatever_the_limit_and_ends_where_its_ball_is_lost() -> None:
+def test_a_pause_lasts_as_long_as_it_says_whatever_the_limit_and_ends_where_its_object_is_lost() -> None:
     engine = Engine(config("human=none"), 3, 0)
     holding = torch.ones(3, dtype=torch.int64)
     engine.episodes.state = engine.reset().with_(stage=holding)
@@ -249,6 +249,6 @@ def test_a_wait_ends_with_the_episode_that_succeeds_meanwhile(begun) -> None:
     engine.episodes.state = state
 
 
-def test_balls_that_could_overlap_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"ball_jitter_m=0.03 lets balls come within"):
-        Engine(config("task.ball_jitter_m=0.03"), 2, 0)
+def test_objects_that_could_overlap_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"object_jitter_m=0.03 lets objects come within"):
+        Engine(config("task.object_jitter_m=0.03"), 2, 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hrl_comfort import humans
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, HumanConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.evaluation import FIRST_SEED
 from hrl_comfort.humans.make_evaluation_set import default_choices, evaluation_set
@@ -29,10 +29,6 @@ HUMAN = HumanConfig(
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
     acceleration_m_s2=None, curiosity=0.5, mixture={}, partitioned=False, file=None, clipping="off", masked=False,
     stations_m=STATIONS, stay_s=4.0,
-)  # fmt: skip
-CELL = CellConfig(
-    ball_m=[-0.615, -0.070, 0.287], orange_drop_m=[0.647, -0.055, 0.273], pink_drop_m=[0.126, 0.453, 0.265],
-    ball_radius_m=0.03, table_half_width_m=0.08, base_height_m=0.75,
 )  # fmt: skip
 PAPER = ("still", "random_walk", "arc", "approach", "patrol")
 """Motions that jump: they stay within `bound_m` of the spawn and are cut at keep-out discs."""
@@ -412,7 +408,7 @@ def test_remaking_the_evaluation_set_gives_the_committed_file() -> None:
 def test_the_defaults_in_conf_are_the_authors_cell() -> None:
     config, cell = default_choices(REPOSITORY / "conf")
     assert config.spawns_m == SPAWNS
-    np.testing.assert_array_equal(np.array([cell.ball_m, cell.orange_drop_m, cell.pink_drop_m])[:, :2], GOALS)
+    np.testing.assert_array_equal(np.array(list(cell.goals.values()))[:, :2], GOALS)
 
 
 def test_half_of_the_evaluation_set_was_never_a_spawn_in_training() -> None:

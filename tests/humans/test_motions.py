@@ -15,7 +15,7 @@ from hrl_comfort.config.overrides import choices
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans.body import ARM_LENGTH_M, FOREARM_M, UPPER_ARM_M
 from hrl_comfort.humans.motions.reactive import social_force
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.sim.engine import Engine
 
 OWN = Path(__file__).with_name("reach.bvh")
@@ -58,9 +58,7 @@ def stacked(walks: list[humans.Walk], name: str) -> np.ndarray:
 
 def poses(walks: list[humans.Walk]) -> np.ndarray:
     """Return (T, PEOPLE, 7, 7)."""
-    walk = humans.Walk.along(walks)
-    found = limb_poses(*walk.position.T, walk.yaw, *humans.gait(walk), 0.0, walk.limbs)
-    return found.reshape(PEOPLE, len(walks), len(LIMBS), 7).swapaxes(0, 1)
+    return np.stack([limb_poses(*w.position.T, w.yaw, *humans.gait(w), 0.0, w.limbs) for w in walks])
 
 
 def hands(walks: list[humans.Walk]) -> np.ndarray:
@@ -109,17 +107,17 @@ def test_they_walk_round_the_discs_without_being_cut_at_them(name: str) -> None:
     assert np.linalg.norm(position, axis=-1).max() < 2.5
 
 
-def test_the_worker_reaches_with_both_hands_to_where_the_balls_lie() -> None:
+def test_the_worker_reaches_with_both_hands_to_where_the_objects_lie() -> None:
     walks = strolled("worker")
     config, hand = human("worker"), hands(walks)
     stations = np.array(config.stations_m)
     nearest = np.linalg.norm(walks[0].position[:, None] - stations, axis=-1).argmin(axis=1)
     arrived = stacked(walks[-300:], "position")
     assert np.linalg.norm(arrived - stations[nearest], axis=-1).max() < 0.05
-    # Both hands are within a hand's breadth of a ball's place, and away again.
-    to_balls = np.linalg.norm(hand[..., None, :2] - GOALS, axis=-1).min(axis=-1)[-300:]
-    assert to_balls.min(axis=0).max() < 0.15
-    assert to_balls.max(axis=0).min() > 0.15
+    # Both hands are within a hand's breadth of an object's place, and away again.
+    to_objects = np.linalg.norm(hand[..., None, :2] - GOALS, axis=-1).min(axis=-1)[-300:]
+    assert to_objects.min(axis=0).max() < 0.15
+    assert to_objects.max(axis=0).min() > 0.15
     assert (hand[..., 2] > 0.9).all()
     shoulders = poses(walks)[..., 3:5, :3]
     assert np.linalg.norm(hand - shoulders, axis=-1).max() <= ARM_LENGTH_M

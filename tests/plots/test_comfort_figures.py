@@ -14,15 +14,9 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.paths import SHOWN
+from tests.cells import SECTION
 
-CONFIG = """\
-cell:
-  ball_m: [-0.615, -0.07, 0.287]
-  orange_drop_m: [0.647, -0.055, 0.273]
-  pink_drop_m: [0.126, 0.453, 0.265]
-  table_half_width_m: 0.08
-task: {name: pick_place, max_episode_steps: 200}
-"""
+CONFIG = f"{SECTION}task: {{name: pick_place, max_episode_steps: 200}}\n"
 JUMP_STEP = 20
 
 
@@ -62,7 +56,7 @@ def evaluation(
                     "train_seed": seed,
                     "episode_seed": 1_000_000 + e,
                     "episode": e,
-                    "colour": ("orange", "pink")[e % 2],
+                    "object": ("orange", "pink")[e % 2],
                     "spawn_id": e % 3,
                     "seen": e % 3 > 0,
                     "comfort_level": "" if level is None or jump_to else level,
@@ -147,14 +141,14 @@ def test_evaluations_of_one_label_are_one_series(tmp_path):
     assert json.loads(file.with_suffix(".json").read_text())["ten"]["each"]["levels"] == [1, 10]
 
 
-def test_paths_at_four_levels_are_drawn_for_an_orange_and_a_pink_ball(tmp_path, monkeypatch):
+def test_paths_at_four_levels_are_drawn_for_an_object_of_each_kind(tmp_path, monkeypatch):
     drawn = watch(monkeypatch)
     file = draw(tmp_path / "f.png", "paths", [evaluation(tmp_path / "one")])
     assert min(size(file)) > 300
     # Episode 0 is orange and fails.
     assert [axis.get_title(loc="left") for axis in drawn().axes] == [
-        "Orange ball, episode 2 (seen spawn)",
-        "Pink ball, episode 1 (seen spawn)",
+        "Orange, episode 2 (seen spawn)",
+        "Pink, episode 1 (seen spawn)",
     ]
     names = [text.get_text() for text in drawn().axes[0].get_legend().get_texts()]
     assert [name.split(":")[0] for name in names] == ["level 1", "level 4", "level 7", "level 10"]
@@ -184,7 +178,7 @@ def test_people_at_one_of_several_levels_under_given_names(tmp_path):
     assert draw(tmp_path / "f.png", "people", folders, *words).is_file()
 
 
-@pytest.mark.parametrize(("column", "cell"), [*product(SHOWN, [None, ""]), ("colour", "blue")])
+@pytest.mark.parametrize(("column", "cell"), [*product(SHOWN, [None, ""]), ("object", "blue")])
 def test_paths_are_drawn_without_what_episodes_lack(tmp_path, monkeypatch, column, cell):
     drawn = watch(monkeypatch)
     folder = evaluation(tmp_path / "one", levels=(5,))
@@ -192,9 +186,11 @@ def test_paths_are_drawn_without_what_episodes_lack(tmp_path, monkeypatch, colum
     table = table.drop(columns=column) if cell is None else table.assign(**{column: cell})
     table.to_csv(folder / "episodes.csv", index=False)
     draw(tmp_path / "f.png", "people", [folder], "labels=[one]")
-    axis = drawn().axes[0]
+    axis, title = drawn().axes[0], "Orange, episode 2"
+    if column == "object":
+        title = "Blue, episode 1" if cell else "Object, episode 1"
     (name,) = (text.get_text() for text in axis.get_legend().get_texts())
-    assert axis.get_title(loc="left").startswith("Ball, episode 1" if column == "colour" else "Orange ball, episode 2")
+    assert axis.get_title(loc="left").startswith(title)
     assert ("steps" in name, " m" in name) == (column != "steps", column != "human_distance_mean_m")
     assert "nan" not in name.lower() and "<na>" not in name.lower()
 

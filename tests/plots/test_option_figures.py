@@ -40,7 +40,7 @@ def test_chain_lengths_count_what_takes_the_task_further() -> None:
     assert all(at["ci95"][0] < at["success"] < at["ci95"][1] for at in found)
 
 
-def test_a_ball_that_is_picked_again_makes_no_chain_longer() -> None:
+def test_an_object_that_is_picked_again_makes_no_chain_longer() -> None:
     again = [
         run(0, "pick_1", "success"), run(0, "place", "preempted"), run(0, "retreat", "success"),
         run(0, "pick_1", "success"), run(0, "place", "success"),

@@ -124,7 +124,7 @@ def test_weighing_ways_best_first_finds_a_cheapest_one(margin: float, pace: floa
     engine = Engine(config, 12, 0)
     state, expert = engine.reset(), Expert(engine.scene, config, engine.episodes.subtask)
     for row in range(12):
-        joints, goal = state.joint_pos[row].numpy(), tuple(state.drop_pos[row].numpy().round(6))
+        joints, goal = state.joint_pos[row].numpy(), tuple(state.target_place[row].numpy().round(6))
         person = np.array([*state.human_pos[row], state.human_yaw[row], margin, pace])
         chosen = expert._deliberate(joints, person, goal, 1500.0)
         ends, cost = exhaustive(expert, joints, person, goal, 1500.0)

@@ -119,7 +119,7 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     agent = replace(compose("train_meta_controller").meta_controller_agent, hidden=[4], buffer_size=1, batch_size=1)
     file = tmp_path_factory.mktemp("controller") / "meta_controller.pt"
     learner = QLearner(agent, observation_dim(agent.observation, 1), len(OPTIONS), seed=0)
-    learner.save(file, {"levels": COMFORT.levels, "balls": 1, "names": OPTIONS, "max_waits": None})
+    learner.save(file, {"levels": COMFORT.levels, "objects": 1, "names": OPTIONS, "max_waits": None})
     return checkpoint.load(file)
 
 

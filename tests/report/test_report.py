@@ -18,6 +18,7 @@ from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.analysis.summary import summarise, with_totals
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
+from hrl_comfort.config.hydra_conf import section
 from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import read_table, records_of
@@ -31,17 +32,11 @@ from hrl_comfort.report.texts import summary
 from hrl_comfort.report.videos import videos
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.scene.workcell import build_scene
+from tests.cells import SECTION
 
-CONFIG = """\
-robot: {name: ur3e, home_deg: [0, -90, 0, 0, 90, 0], rating: paper}
-cell:
-  ball_m: [-0.615, -0.07, 0.287]
-  orange_drop_m: [0.647, -0.055, 0.273]
-  pink_drop_m: [0.126, 0.453, 0.265]
-  ball_radius_m: 0.03
-  table_half_width_m: 0.08
-  base_height_m: 0.75
-task: {name: NAME}
+CONFIG = f"""\
+robot: {{name: ur3e, home_deg: [0, -90, 0, 0, 90, 0], rating: paper}}
+{SECTION}task: {{name: NAME}}
 """
 ROUTE = {"pick": (0, 1), "place": (1, 2), "return": (2, 3), "cycle": (0, 1, 2, 3)}
 POINTS = np.array([[0.3, -0.1, 0.35], [-0.55, -0.1, 0.3], [0.6, -0.05, 0.3], [0.3, -0.1, 0.35]])
@@ -108,7 +103,7 @@ def make_evaluation(folder: Path, task: str, rng: np.random.Generator, episodes:
                 "train_seed": 0,
                 "episode_seed": 1000000,
                 "episode": i,
-                "colour": "orange",
+                "object": "orange",
                 "spawn_id": i % 19,
                 "motion_id": i,
                 "seen": i % 2,
@@ -296,12 +291,13 @@ def test_the_pictures_of_a_path_are_in_time_and_the_yaw_does_not_spin(demo):
     run = run_folder.find_runs(demo)[0]
     path = run_folder.recorded(run, 1)[0].path.iloc[[0] * 101].reset_index(drop=True)
     path = path.assign(step=np.arange(101), human_yaw=np.where(np.arange(101) < 50, 3.1, -3.1))
-    robot, cell = RobotConfig(**run.config["robot"]), CellConfig(**run.config["cell"])
-    clip = path_clip(path.assign(stage=np.arange(101) // 60), build_scene(robot, cell, 2), cell, "pick", "orange", True)
+    robot, cell = RobotConfig(**run.config["robot"]), section(CellConfig, run.config["cell"])
+    clip = path_clip(path.assign(stage=np.arange(101) // 60), build_scene(robot, cell, 2), "pick", "orange")
     assert clip.duration_s == pytest.approx(2.0)
     assert np.abs(np.diff(clip.person[:, 2])).max() < 0.2
-    before, after = (clip.frame(time_s).props[0] for time_s in (1.19, 1.21))
-    assert before == pytest.approx(cell.ball_m) and after == pytest.approx(path[["tcp_x", "tcp_y", "tcp_z"]].iloc[0])
+    before, after = (clip.frame(time_s).props[2] for time_s in (1.19, 1.21))
+    assert before == pytest.approx(cell.goals["ball_table"])
+    assert after == pytest.approx(path[["tcp_x", "tcp_y", "tcp_z"]].iloc[0])
 
 
 def test_the_gait_is_the_one_that_was_simulated():
@@ -371,8 +367,8 @@ def test_the_first_sentence_says_success_steps_and_contacts_with_their_intervals
     assert "touches" not in summary(replace(cycle, groups=alone, episodes=None))
     seen = [{**cycle.groups[0], "seen": True}]
     assert summary(replace(cycle, groups=seen, episodes=None)) == summary(replace(cycle, groups=cycle.groups[:1]))
-    busy = [{**group, "metrics": {**group["metrics"], "balls_per_min": {"mean": 3, "ci95": None}}} for group in alone]
-    assert "places 3.00 balls a minute in 21 episodes." in summary(replace(cycle, groups=busy, episodes=None))
+    busy = [{**group, "metrics": {**group["metrics"], "objects_per_min": {"mean": 3, "ci95": None}}} for group in alone]
+    assert "places 3.00 objects a minute in 21 episodes." in summary(replace(cycle, groups=busy, episodes=None))
 
 
 def test_both_tables_count_the_same_contacts_whatever_ended_the_episode(demo):

@@ -29,6 +29,6 @@ def test_set_points_keep_to_the_rating_where_tables_hold_the_arm(policy: str) ->
 
 
 @pytest.mark.parametrize(("disturbance", "policy"), [("block", "expert"), ("block", "held"), ("drop", "expert")])
-def test_nor_is_one_where_a_ball_is_lost_or_somebody_stands_in_the_way(disturbance: str, policy: str) -> None:
+def test_nor_is_one_where_an_object_is_lost_or_somebody_stands_in_the_way(disturbance: str, policy: str) -> None:
     found = run("mixture", policy, "observed", 6000, 0, OWN, rows=16, disturbance=disturbance)
     assert (found.unsafe_contacts, found.outside_rating) == (0, 0)

@@ -11,6 +11,7 @@ from hrl_comfort.scene.ur import UR_ARMS
 
 REACH_M = {"ur3e": 0.5, "ur5e": 0.85, "ur10e": 1.3}
 """Of the datasheets of the e-series."""
+BALLS, PINK = "cell.places.ball_table.top_m", "cell.places.pink_table.top_m"
 
 
 @pytest.mark.parametrize("arm", UR_ARMS.values(), ids=str)
@@ -29,12 +30,17 @@ def test_the_default_cell_suits_every_task_and_arm(task, robot):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["task=pick", "cell.ball_m=[1.2,0,0.3]"], "cell.ball_m=[1.2, 0.0, 0.3] is 1.21 m from the shoulder of ur3e"),
-        (["task=cycle", "cell.pink_drop_m=[0,0,1.5]", "cell.table_half_width_m=0.05"], "the task cannot be done"),
+        (["task=pick", f"{BALLS}=[1.2,0,0.27]"], "cell.places.ball_table.top_m=[1.2, 0.0, 0.3] is 1.21 m from"),
+        (["task=cycle", f"{PINK}=[0,0.3,1.5]"], "the task cannot be done"),
         (["task=reach", "task.point=fixed", "task.point_m=[0,1,0]"], "task.point_m=[0.0, 1.0, 0.0]"),
-        (["task=pick", "cell.ball_m=[0.6,0,0.3]"], "the tables of cell.ball_m and cell.orange_drop_m overlap"),
-        (["task=pick", "cell.pink_drop_m=[0,0.1,-0.1]"], "its table stands in the robot's pedestal"),
-        (["task=pick", "cell.pink_drop_m=[0.1,0.45,-0.74]"], "is below the floor, at -0.75 m"),
+        (["task=pick", f"{BALLS}=[0.6,0,0.3]"], "cell.places.ball_table and cell.places.orange_table overlap"),
+        (
+            ["task=pick", "cell.obstacles.post={shape: cylinder, position_m: [0.1,0.5,0], size_m: [0.05,0.5]}"],
+            "overlap",
+        ),
+        (["task=pick", "human.keep_out_m=0.9", "human.spawn_radius_m=[0.38,0.6]"], "people can stand nowhere"),
+        (["task=pick", f"{PINK}=[0,0.1,-0.1]"], "stands in the robot's pedestal"),
+        (["task=pick", f"{PINK}=[0.1,0.45,-0.74]"], "is below the floor, which is at -0.75 m"),
     ],
 )
 def test_what_is_doubtful_is_warned_of(words, says):
@@ -43,12 +49,12 @@ def test_what_is_doubtful_is_warned_of(words, says):
 
 def test_points_that_a_task_does_not_visit_may_be_anywhere():
     assert not list(layout_warnings(compose("train", ["task=reach", "task.point=random", "task.point_m=[9,0,0]"])))
-    assert not list(layout_warnings(compose("train", ["task=place", "cell.ball_m=[1.2,0,0.3]"])))
-    assert list(layout_warnings(compose("train_hierarchy", ["cell.pink_drop_m=[1.2,0.3,0.3]"])))
+    assert not list(layout_warnings(compose("train", ["task=place", f"{BALLS}=[1.2,0,0.3]"])))
+    assert list(layout_warnings(compose("train_hierarchy", [f"{PINK}=[1.2,0.3,0.3]"])))
 
 
 def test_a_doubtful_command_goes_on():
-    words = ["task=pick", "cell.ball_m=[1.2,0,0.3]"]
+    words = ["task=pick", f"{BALLS}=[1.2,0,0.3]"]
     with pytest.warns(UserWarning, match="the task cannot be done"):
         assert configuration("train", words).task.name == "pick"
     with pytest.warns(UserWarning, match="the task cannot be done"):

@@ -175,17 +175,17 @@ def test_a_seven_joint_arm_runs_episodes(module: str) -> None:
         hrl_comfort.evaluate("expert", task="reach", episodes=2, **short)
 
 
-def test_an_arm_of_another_file_starts_at_the_ball_and_at_home() -> None:
+def test_an_arm_of_another_file_starts_at_the_object_and_at_home() -> None:
     config = environment("robot=jaco", "task=place", "human=none")
     engine = Engine(config, 2, seed=0)
     state = engine.reset()
     assert state.joint_pos.shape == (2, 6)
-    assert float((state.ball_pos - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
+    assert float((state.target_object - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
     engine.close()
     assert inverse_kinematics.cache_info().currsize >= 1
 
 
-def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mounted_arm_starts_at_an_object_beyond_the_limit_of_its_first_joint(monkeypatch: pytest.MonkeyPatch) -> None:
     # The ball of the cell bears -173 degrees; the joint turns by 166 degrees each way from where the base faces.
     arm = replace(SEVEN, model=xml(seven().replace("-170 170", "-166 166")))
     monkeypatch.setitem(sys.modules, "my_arm", type(sys)("my_arm"))
@@ -193,7 +193,7 @@ def test_a_mounted_arm_starts_at_a_ball_beyond_the_limit_of_its_first_joint(monk
     config = environment("robot=my_arm:MOUNTED", "task=place", "human=none")
     engine = Engine(config, 4, seed=0)
     state = engine.reset()
-    assert float((state.ball_pos - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
+    assert float((state.target_object - state.tcp_pos).norm(dim=-1).max()) < config.task.precision.grasp_tolerance_m
     assert float(np.degrees(state.joint_pos[:, 0].abs().max())) < 166.0
     engine.close()
 

@@ -9,14 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, ObstacleConfig, RobotConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.body import ARM_LENGTH_M, ARM_RADIUS_M, FOREARM_M, HIP_M, SHOULDER_M, UPPER_ARM_M
 from hrl_comfort.scene import (
     CONTROL_SPEC,
     LIMBS,
-    MOCAP,
-    OBSTACLES,
     TOOL_LENGTH_M,
     Scene,
     build_scene,
@@ -25,16 +23,14 @@ from hrl_comfort.scene import (
 from hrl_comfort.scene.human import LEG_RADIUS_M
 from hrl_comfort.scene.ur import GRIPPER_MASS_KG, JOINTS, LINKS, UR_ARMS
 from hrl_comfort.scene.workcell import DEEPEST_M
+from tests.cells import PAPER
 from tests.scene.kinematics import forward_kinematics
 
-CELL = CellConfig(
-    ball_m=[-0.615, -0.070, 0.287],
-    orange_drop_m=[0.647, -0.055, 0.273],
-    pink_drop_m=[0.126, 0.453, 0.265],
-    ball_radius_m=0.03,
-    table_half_width_m=0.08,
-    base_height_m=0.75,
-)
+BLOCK = ObstacleConfig(shape="box", position_m=[-0.3, 0.5, 0.1], size_m=[0.1, 0.15, 0.2], yaw_deg=30.0)
+CELL = replace(PAPER, obstacles={"block": BLOCK})
+STILL = (
+    "place_ball_table", "place_orange_table", "place_pink_table", "obstacle_block", "pedestal", "floor",
+)  # fmt: skip
 every_robot = pytest.mark.parametrize("name", sorted(UR_ARMS))
 
 
@@ -155,16 +151,17 @@ def test_human_beside_the_arm_has_contact_only_within_reach() -> None:
 
 def test_human_has_no_contact_with_the_cell_or_itself() -> None:
     cell = scene()
-    for x, y, _ in (CELL.ball_m, CELL.orange_drop_m, CELL.pink_drop_m):
+    for x, y, _ in CELL.goals.values():
         assert data_at(cell, cell.home, standing(cell, x, y)).ncon == 0
 
 
-@pytest.mark.parametrize("obstacle", OBSTACLES)
+@pytest.mark.parametrize("obstacle", STILL)
 def test_overlap_with_an_obstacle_is_a_contact_of_that_obstacle_alone(obstacle: str) -> None:
     # The long arm reaches everything, down to the floor.
     cell = scene("ur10e")
     rng = np.random.default_rng(3)
-    index, found = OBSTACLES.index(obstacle), 0
+    assert cell.still == STILL
+    index, found = STILL.index(obstacle), 0
     data = mujoco.MjData(cell.model)
     for joint_pos in rng.uniform(-np.pi, np.pi, (6000, 6)):
         data.qpos[:] = joint_pos
@@ -200,7 +197,7 @@ def test_sensor_slices_hold_what_their_names_say() -> None:
     np.testing.assert_array_equal(read["joint_pos"], data.qpos)
     np.testing.assert_array_equal(read["joint_vel"], data.qvel)
     np.testing.assert_allclose(read["tcp_pos"], data.site("robot/tcp").xpos)
-    assert [len(read[k]) for k in ("human", "table", "self")] == [len(LIMBS), len(OBSTACLES), 1]
+    assert [len(read[k]) for k in ("human", "table", "self")] == [len(LIMBS), len(STILL), 1]
     assert sum(len(v) for v in read.values()) == cell.model.nsensordata
 
 
@@ -210,24 +207,43 @@ def test_control_step_is_20_ms_and_state_is_positions_and_velocities_alone(subst
     assert cell.model.opt.timestep * substeps == pytest.approx(0.02)
     assert cell.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
     assert (cell.nstate, cell.model.na) == (1 + 6 + 6, 0)
-    assert cell.ncontrol == mujoco.mj_stateSize(cell.model, CONTROL_SPEC) == 6 + 7 * len(MOCAP)
+    assert cell.ncontrol == mujoco.mj_stateSize(cell.model, CONTROL_SPEC) == 6 + 7 * len(scene().mocap)
 
 
-def test_mocap_bodies_are_limbs_then_props_in_order_and_start_away() -> None:
+def test_mocap_bodies_are_limbs_furniture_and_props_in_order_and_all_but_furniture_start_away() -> None:
     cell = scene()
     for index, name in enumerate(cell.mocap):
         assert cell.model.body(name).mocapid[0] == index
     assert cell.mocap[: len(LIMBS)] == LIMBS
     assert cell.model.nmocap == len(cell.mocap)
-    assert (mujoco.MjData(cell.model).mocap_pos[:, 0] >= FAR_AWAY_M - 1).all()
+    places = mujoco.MjData(cell.model).mocap_pos
+    assert (np.delete(places[:, 0], range(len(LIMBS), cell.first_prop)) >= FAR_AWAY_M - 1).all()
+    np.testing.assert_array_equal(places[len(LIMBS) : cell.first_prop], cell.layout[:, :3])
 
 
-def test_tables_hold_the_ball_at_the_goals() -> None:
+def test_furniture_is_touched_where_the_control_puts_it() -> None:
     cell = scene()
-    for name, goal in (("ball", CELL.ball_m), ("orange", CELL.orange_drop_m), ("pink", CELL.pink_drop_m)):
+    data = data_at(cell, cell.home)
+    assert touching(cell, data)["table"] == []
+    for index in range(4):
+        moved = mujoco.MjData(cell.model)
+        moved.qpos[:] = cell.home
+        moved.mocap_pos[len(LIMBS) + index] = [*data.site("robot/tcp").xpos[:2], 0.3]
+        mujoco.mj_forward(cell.model, moved)
+        assert touching(cell, moved)["table"] == [index]
+
+
+def test_the_papers_goals_are_those_of_its_balls() -> None:
+    ball, orange, pink = CELL.goals.values()
+    assert (ball, orange, pink) == ([-0.615, -0.070, 0.287], [0.647, -0.055, 0.273], [0.126, 0.453, 0.265])
+
+
+def test_places_hold_the_object_at_the_goals() -> None:
+    cell = scene()
+    for name, goal in CELL.goals.items():
         data = data_at(cell, cell.home)
         top = data.geom(f"{name}_top").xpos[2] + cell.model.geom(f"{name}_top").size[2]
-        assert top == pytest.approx(goal[2] - CELL.ball_radius_m)
+        assert top == pytest.approx(goal[2] - CELL.objects["orange"].half_height_m)
         np.testing.assert_allclose(data.geom(f"{name}_top").xpos[:2], goal[:2])
 
 
@@ -236,7 +252,7 @@ def test_robot_may_stand_on_the_floor() -> None:
     cell = build_scene(robot, replace(CELL, base_height_m=0.0), 2)
     assert cell.floor_z == 0.0
     assert data_at(cell, cell.home).ncon == 0
-    assert touching(cell, data_at(cell, np.radians([0, 60, 0, 0, 90, 0])))["table"][-1] == OBSTACLES.index("floor")
+    assert touching(cell, data_at(cell, np.radians([0, 60, 0, 0, 90, 0])))["table"][-1] == STILL.index("floor")
 
 
 def test_cameras_show_the_cell_although_unused_bodies_are_far_away() -> None:

@@ -42,9 +42,9 @@ def actions(rows: int, count: int, seed: int = 0) -> np.ndarray:
 
 
 def by_row(outcome: StepResult, name: str) -> Tensor:
-    """Return a field of the instants as (N, K, ...)."""
+    """Return a field of the instants, (N, K, ...)."""
     value: Tensor = getattr(outcome.instants, name)
-    return value.view(*outcome.valid.shape, *value.shape[1:])
+    return value.expand(*outcome.valid.shape, *value.shape[2:])
 
 
 def paid(engine: Engine, outcome: StepResult) -> Tensor:
@@ -92,7 +92,7 @@ def test_comfort_changes_nothing_else_of_an_episode() -> None:
     variants = [(), ("comfort=conditioned",), CHANGING] + [
         ("comfort=conditioned", "comfort.source=fixed", f"comfort.level={level}") for level in (1, 5, 10)
     ]
-    fields = ("human_pos", "human_yaw", "colour", "joint_pos", "tcp_pos", "steps")
+    fields = ("human_pos", "human_yaw", "target_kind", "joint_pos", "tcp_pos", "steps")
     first: list[list[Tensor]] = []
     for variant in variants:
         engine, told = begun(*variant, "task.max_episode_steps=40"), []
@@ -113,7 +113,7 @@ def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either(
     assert slow.episodes.draw.noise.shape[1] > plain.episodes.draw.noise.shape[1]
     for action in actions(6, 7):
         ours, theirs = plain.step(action), slow.step(action)
-        for name in ("human_pos", "colour", "tcp_pos"):
+        for name in ("human_pos", "target_kind", "tcp_pos"):
             assert torch.equal(getattr(ours.state, name), getattr(theirs.state, name))
     for action in actions(6, 3, seed=1):
         plain.step(action)
@@ -261,7 +261,7 @@ def test_where_nobody_is_there_comfort_pays_nothing(form: str, distance: str) ->
 def test_the_factors_of_equation_one_multiply_the_bonuses(key: str, task: str, start: str) -> None:
     plain, doubled = begun(f"task={task}"), begun(f"task={task}", f"reward.{key}=2")
     index = plain.episodes.reward_names.index(start)
-    weights = torch.stack([engine.episodes._weights for engine in (plain, doubled)])
+    weights = torch.stack([engine.episodes.referee.weights for engine in (plain, doubled)])
     ratio = weights[1] / weights[0]
     assert ratio[index] == 2
     others = torch.arange(weights.shape[1]) != index

@@ -11,8 +11,8 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.evaluation.rollout import Result, rollout
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.sim.disturbance import BLOCK_STEPS
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.variation.disturbance import BLOCK_STEPS
 
 
 def measured(*overrides: str) -> Result:
@@ -21,8 +21,8 @@ def measured(*overrides: str) -> Result:
     return rollout(replace(config, policies=dict.fromkeys(config.meta_controller.options, "expert")))
 
 
-@pytest.mark.parametrize("overrides", [("task=cycle",), ("task=sort", "task.balls=2")])
-def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("overrides", [("task=cycle",), ("task=sort", "task.objects=2")])
+def test_an_object_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None:
     result = measured(*overrides, "disturbance=drop")
     went_home: list[bool] = []
     for episode in result.episodes:
@@ -36,18 +36,18 @@ def test_a_ball_that_is_lost_is_picked_again(overrides: tuple[str, ...]) -> None
     assert any(went_home) == ("task=sort" in overrides)  # any: some lose it as they pass home
 
 
-def test_a_policy_for_the_whole_task_loses_its_ball_too() -> None:
+def test_a_policy_for_the_whole_task_loses_its_object_too() -> None:
     config = compose("evaluate", ["task=pick_place", "policy=expert", "human=none", "episodes=4"])
     calm, disturbed = (rollout(replace(config, disturbance=kind)).episodes for kind in ("none", "drop"))
     done = [(b, a) for b, a in zip(calm, disturbed, strict=True) if a.success]
     assert done and all(after.steps > before.steps for before, after in done)
 
 
-def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
+def test_a_person_blocks_the_place_of_the_first_object_and_then_wanders() -> None:
     config = environment(compose("train", ["task=cycle", "human=random_walk"]))
     engine = Engine(config, 6, 0, disturbance="block")
     state = engine.reset()
-    apart = (state.human_pos - state.drop_pos[:, :2]).norm(dim=-1)
+    apart = (state.human_pos - state.target_place[:, :2]).norm(dim=-1)
     torch.testing.assert_close(apart, torch.full_like(apart, config.human.keep_out_m), atol=1e-4, rtol=0)
     stand = torch.zeros_like(state.joint_pos).numpy()
     here, left = state.human_pos, torch.zeros(6, dtype=torch.bool)
@@ -63,7 +63,7 @@ def test_a_person_blocks_the_table_of_the_first_ball_and_then_wanders() -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["task=place", "disturbance=drop"], "needs a ball that is picked and then placed"),
+        (["task=place", "disturbance=drop"], "needs an object that is picked and then placed"),
         (["task=cycle", "disturbance=block", "human=none"], "needs a human"),
         (["task=cycle", "disturbance=drop", "terminal_states=e.npz"], "does not go with terminal_states="),
     ],

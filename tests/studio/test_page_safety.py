@@ -61,7 +61,7 @@ def rows_of(**fields: NDArray[np.float64]) -> list[dict[str, Any]]:
 @pytest.mark.parametrize(("bound", "states"), [("observed", 1000), ("worst", 200)])
 def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bound: str, states: int) -> None:
     env = environment(compose("evaluate", ["task=cycle", "policy=expert", f"safety.bound={bound}", *SHIELDED]))
-    scene = build_scene(env.robot, env.cell, env.engine.substeps, env.task.balls)
+    scene = build_scene(env.robot, env.cell, env.engine.substeps, env.task.objects)
     graphs = safety(scene, env, humans.begin(env.human, np.array([[0.8, 0.2]])))
     separation = Separation(scene)
     drive = make_drive(scene, separation, env, states)

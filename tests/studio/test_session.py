@@ -15,7 +15,7 @@ from hrl_comfort.config import FAR_AWAY_M, ConfigError, StudioConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
-from hrl_comfort.sim.signals import limbs_of
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.studio.person import HELD_S, Person, motion_config, observed_as
 from hrl_comfort.studio.session import Session
 
@@ -163,7 +163,7 @@ def test_the_same_episode_has_the_same_cell_arm_and_walk_at_another_level() -> N
 
     def played() -> list[np.ndarray]:
         draw = session.engine.episodes.draw
-        begins = [np.array(each) for each in (draw.start, draw.balls, draw.spawn, session.state.joint_pos)]
+        begins = [np.array(each) for each in (draw.start, draw.arrivals, draw.spawn, session.state.joint_pos)]
         return [*begins, *(session.step().clip.person[-1, :3] for _ in range(3))]
 
     session.reset()
@@ -266,7 +266,7 @@ def test_options_are_forced_where_they_can_start() -> None:
 
 def sorting_config() -> StudioConfig:
     policies = [f"policies.{name}=random" for name in ("pick", "place", "return")]
-    config = compose("studio", ["task=sort", "task.balls=2", "meta_controller=scripted", "human=still", *policies])
+    config = compose("studio", ["task=sort", "task.objects=2", "meta_controller=scripted", "human=still", *policies])
     assert isinstance(config, StudioConfig)
     return config
 
@@ -279,7 +279,7 @@ def test_tracker_and_shield_begin_with_the_person_who_is_kept() -> None:
     session.step()
     session.reset()
     episodes, limbs = session.engine.episodes, limbs_of(session.engine.scene, session.walk)
-    assert episodes._tracker.shown == pytest.approx(limbs)
+    assert episodes.plan.tracker.shown == pytest.approx(limbs)
     drive = episodes.drive
     assert drive is not None and drive.shield is not None
     assert drive.shield.memory.seen[:2] == pytest.approx(drive.shield._person.ends(limbs)[:2])

@@ -46,7 +46,7 @@ def test_every_body_of_robot_person_and_cell_is_shown() -> None:
     model = build_scene(config.robot, config.cell, 2).model
     shown = {model.body(body).name for body in body_meshes(model)}
     limbs = {f"robot/{link}" for link in LINKS}
-    assert {"trunk", "left_leg", "right_forearm", "pedestal", "ball_table", "orange_ball"} <= shown
+    assert {"trunk", "left_leg", "right_forearm", "pedestal", "place_ball_table", "object_1_orange"} <= shown
     assert len(limbs & shown) >= 5
 
 

@@ -65,13 +65,13 @@ def test_nearness_tells_how_near_the_person_is_not_where() -> None:
     torch.testing.assert_close(left[:, -1], torch.full((1,), 1 - 0.3 / 1.2).double())
 
 
-def test_paper_observation_has_18_numbers_and_hides_the_ball_once_held() -> None:
+def test_paper_observation_has_18_numbers_and_hides_the_object_once_held() -> None:
     state = beginning("pick_place")
     seen = subtask("pick_place", "paper")
     before = seen.observe(state)
     held = seen.observe(state.with_(stage=torch.ones_like(state.stage)))
     assert before.shape == (8, 18)
-    torch.testing.assert_close(before[:, 8:11], state.ball_pos - state.tcp_pos)
+    torch.testing.assert_close(before[:, 8:11], state.target_object - state.tcp_pos)
     assert (held[:, 8:11] == 0).all()
     assert set(before[:, 17].tolist()) <= {0.0, 1.0}
 
@@ -86,20 +86,20 @@ def test_pick_is_done_just_inside_take_and_not_just_outside() -> None:
     state = beginning("pick")
     pick = subtask("pick")
     offset = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    inside = state.with_(tcp_pos=state.ball_pos + offset * (state.grasp_tolerance[:, None] - 1e-6))
-    outside = state.with_(tcp_pos=state.ball_pos + offset * (state.grasp_tolerance[:, None] + 1e-6))
+    inside = state.with_(tcp_pos=state.target_object + offset * (state.grasp_tolerance[:, None] - 1e-6))
+    outside = state.with_(tcp_pos=state.target_object + offset * (state.grasp_tolerance[:, None] + 1e-6))
     assert (pick.next_stage(inside) == 1).all()
     assert (pick.next_stage(outside) == 0).all()
 
 
 def test_a_stage_with_an_arrival_speed_is_done_by_a_slower_arm_only() -> None:
     state = Engine(configured("task=pick", "task.arrival_speed_rad_s=0.5"), 4, 0).reset()
-    at_ball = state.with_(tcp_pos=state.ball_pos)
+    at_object = state.with_(tcp_pos=state.target_object)
     moving = torch.full_like(state.joint_vel, 0.5 / math.sqrt(6))
     task = replace(subtask("pick"), arrival_speed=0.5)
-    assert (task.next_stage(at_ball.with_(joint_vel=0.99 * moving)) == 1).all()
-    assert (task.next_stage(at_ball.with_(joint_vel=1.01 * moving)) == 0).all()
-    assert (subtask("pick").next_stage(at_ball.with_(joint_vel=2 * moving)) == 1).all()
+    assert (task.next_stage(at_object.with_(joint_vel=0.99 * moving)) == 1).all()
+    assert (task.next_stage(at_object.with_(joint_vel=1.01 * moving)) == 0).all()
+    assert (subtask("pick").next_stage(at_object.with_(joint_vel=2 * moving)) == 1).all()
 
 
 def test_an_episode_ends_no_sooner_than_its_arm_is_slow() -> None:
@@ -123,14 +123,14 @@ def test_an_episode_ends_no_sooner_than_its_arm_is_slow() -> None:
     assert free.max() > 0.5 and (slow < 0.3).all()
 
 
-def test_place_goes_to_the_drop_point_of_the_balls_colour() -> None:
-    for colour, index in (("orange", 0), ("pink", 1)):
-        config = configured("task=place", f"task.colour={colour}")
+def test_place_goes_to_where_the_kind_of_object_belongs() -> None:
+    for index, kind in enumerate(("orange", "pink")):
+        config = configured("task=place", f"task.object={kind}")
         state = Engine(config, 4, 0).reset()
-        wanted = torch.tensor([config.cell.orange_drop_m, config.cell.pink_drop_m][index], dtype=torch.float64)
+        wanted = torch.tensor(config.cell.centre(kind, f"{kind}_table"), dtype=torch.float64)
         goal = subtask("place").stages[0].goal(state)
         torch.testing.assert_close(goal, wanted.expand(4, 3))
-        assert (state.colour == index).all()
+        assert (state.target_kind == index).all()
 
 
 def test_return_needs_every_joint_home_and_a_full_turn_is_not_home() -> None:
@@ -149,10 +149,10 @@ def test_return_needs_every_joint_home_and_a_full_turn_is_not_home() -> None:
 def test_pick_place_advances_one_stage_at_a_time() -> None:
     state = beginning("pick_place")
     task = subtask("pick_place")
-    at_ball = state.with_(tcp_pos=state.ball_pos)
-    picked = at_ball.with_(stage=task.next_stage(at_ball))
+    at_object = state.with_(tcp_pos=state.target_object)
+    picked = at_object.with_(stage=task.next_stage(at_object))
     assert (picked.stage == 1).all() and not task.success(picked).any()
-    at_drop = picked.with_(tcp_pos=state.drop_pos)
+    at_drop = picked.with_(tcp_pos=state.target_place)
     assert task.success(at_drop.with_(stage=task.next_stage(at_drop))).all()
 
 
@@ -222,10 +222,10 @@ def test_home_tolerance_scales_with_the_precision_from_30_to_10_degrees() -> Non
     torch.testing.assert_close(fine.home_tolerance, torch.full((4,), math.radians(10.0), dtype=torch.float64))
 
 
-def test_drop_points_lie_at_least_70_cm_from_the_ball() -> None:
+def test_objects_belong_at_least_70_cm_from_where_they_arrive() -> None:
     cell = configured().cell
-    for drop in (cell.orange_drop_m, cell.pink_drop_m):
-        assert math.dist(cell.ball_m, drop) >= 0.7
+    for kind, each in cell.objects.items():
+        assert math.dist(cell.centre(kind, each.arrives_at), cell.centre(kind, each.belongs_at)) >= 0.7
 
 
 def test_unknown_task_names_what_is_allowed() -> None:
@@ -242,11 +242,11 @@ def test_only_what_takes_longer_than_any_way_round_is_late() -> None:
 @pytest.mark.parametrize(
     ("task", "places"),
     [
-        ("cycle", ["table", "tool", "drop", "drop"]),
-        ("pick", ["table", "tool"]),
-        ("place", ["tool", "drop"]),
+        ("cycle", ["arrival", "tool", "place", "place"]),
+        ("pick", ["arrival", "tool"]),
+        ("place", ["tool", "place"]),
         ("reach", ["nowhere"]),
     ],
 )
-def test_the_ball_is_where_the_stage_says(task: str, places: list[str]) -> None:
-    assert [subtask(task).ball(stage) for stage in range(len(places))] == places
+def test_the_object_is_where_the_stage_says(task: str, places: list[str]) -> None:
+    assert [subtask(task).location(stage) for stage in range(len(places))] == places

@@ -23,7 +23,7 @@ from hrl_comfort.training.preemption import Preempted
 from tests.stopping import stopping
 
 CHOICES = (  # beside people the experts would deliberate for most of the time
-    "task.balls=2", "human=none", "engine.num_envs=4",
+    "task.objects=2", "human=none", "engine.num_envs=4",
     "meta_controller_agent.options=48", "meta_controller_agent.warmup_options=8",
     "meta_controller_agent.batch_size=8", "meta_controller_agent.log_every=12", "meta_controller_agent.buffer_size=40",
     *(f"policies.{name}=expert" for name in ("pick", "place", "return")),
@@ -111,7 +111,7 @@ def stopped(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("is_now", "was"), [("  - 32", "  - 128"), ("balls: 3", "balls: 2")])
+@pytest.mark.parametrize(("is_now", "was"), [("  - 32", "  - 128"), ("  objects: 3", "  objects: 2")])
 def test_a_checkpoint_of_another_configuration_is_refused_in_one_line(stopped, capsys, is_now, was):
     file = stopped / "config.yaml"
     assert was in file.read_text()

@@ -166,7 +166,7 @@ def test_a_sweep_skips_a_finished_hierarchy_and_goes_on_with_a_stopped_one(whole
 def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsys):
     folder, agent = tmp_path / "run", "meta_controller_agent"
     controller = [
-        "human=patrol", "task.balls=2", "task.max_episode_steps=60", "engine.num_envs=2", f"{agent}.options=16",
+        "human=patrol", "task.objects=2", "task.max_episode_steps=60", "engine.num_envs=2", f"{agent}.options=16",
         f"{agent}.warmup_options=4", f"{agent}.batch_size=4", f"{agent}.log_every=6",
     ]  # fmt: skip
     overrides = ("division=three", "hierarchy.refinement=[]", "agent.policy_steps=40", "agent.learning_starts=20",
@@ -177,7 +177,7 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
     for _ in range(2):
         train_hierarchy(small(folder, *overrides))
     assert f"{folder} is finished" in capsys.readouterr().out
-    assert load_config(folder / "controller").task.balls == 2
+    assert load_config(folder / "controller").task.objects == 2
     for name in ("pick", "place", "return", "cycle", "sort_scripted", "sort_learned"):
         assert (folder / name / "eval" / "summary.json").is_file()
     for page in (folder, folder / "controller"):

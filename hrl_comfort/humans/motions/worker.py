@@ -14,15 +14,15 @@ REACH_S, STAY_S, PAUSE_S = 1.2, 0.8, 0.8
 1984); the profile is that of minimum jerk (Flash and Hogan, Journal of Neuroscience 5, 1985), whose largest speed here
 is 0.9 m/s."""
 LOWEST_M, HIGHEST_M = 1.0, 1.25
-"""Of the hands above the floor; the balls of the default cell lie at 1.04 m."""
+"""Of the hands above the floor; the balls of the paper's cell lie at 1.04 m."""
 INTO_M = 0.4
-"""From the station to the hands' place, towards the robot: stations lie that far behind the balls' places."""
+"""From the station to the hands' place, towards the robot: stations lie that far behind the objects' places."""
 ASIDE_M = 0.10
 """Farthest of a hand from the middle of the table to its side."""
 
 
 def worker(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
-    """Walk to the station nearest to the spawn point, and there reach again and again to the place of the balls.
+    """Walk to the station nearest to the spawn point, and there reach again and again to the place of the objects.
 
     Memory: time in the cycle of reaching (s), and the hands' height and offset to the side (m) of this reach.
     """

@@ -13,11 +13,13 @@ import mujoco
 
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.looks.arms import arm_parts
-from hrl_comfort.scene.looks.cell import gripper_parts, pedestal_parts, table_parts
+from hrl_comfort.scene.looks.cell import gripper_parts, pedestal_parts, place_parts
 from hrl_comfort.scene.looks.person import person_parts
-from hrl_comfort.scene.looks.shapes import Part
+from hrl_comfort.scene.looks.shapes import Part, block
 from hrl_comfort.scene.workcell import Scene
 
+EDGE_M = 0.0005
+"""Radius of the edges of a box."""
 COLLISION_GROUP = 3
 """Group of the shapes that collide in a dressed cell; MuJoCo does not draw it unless it is asked to."""
 
@@ -27,9 +29,12 @@ __all__ = ["COLLISION_GROUP", "Part", "dressed", "parts"]
 def parts(scene: Scene) -> Iterator[Part]:
     """Yield the looks of a cell, on bodies of its model; a body without any looks as it collides."""
     model = scene.model
-    for name in ("ball_table", "orange_table", "pink_table"):
-        top, height = model.geom(name.replace("table", "top")).size, float(model.body(name).pos[2])
-        yield from table_parts(name, float(top[0]), float(top[2]), scene.floor_z - height)
+    for name, place in scene.cell.places.items():
+        yield from place_parts(f"place_{name}", place, scene.floor_z - place.top_m[2])
+    for name, obstacle in scene.cell.obstacles.items():
+        if obstacle.shape == "box":
+            red, green, blue = obstacle.rgb
+            yield block(f"obstacle_{name}", (red, green, blue, 1.0), obstacle.size_m, (0.0, 0.0, 0.0), EDGE_M)
     yield from pedestal_parts(min(scene.floor_z, -0.05))
     yield from arm_parts(scene.robot)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "robot/gripper") >= 0:

@@ -1,4 +1,4 @@
-"""Tables, pedestal and gripper."""
+"""Places, pedestal and gripper."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hrl_comfort.config import PlaceConfig
+from hrl_comfort.scene.furniture import THICKNESS_M, leg_axes
 from hrl_comfort.scene.looks.shapes import Colour, Part, block, hull, turned
 from hrl_comfort.scene.ur import FINGER_SPREAD_M, TOOL_LENGTH_M
 
@@ -15,20 +17,27 @@ DARK: Colour = (0.23, 0.25, 0.27, 1.0)
 RUBBER: Colour = (0.08, 0.08, 0.09, 1.0)
 
 
-def table_parts(body: str, half_m: float, top_m: float, floor_m: float) -> Iterator[Part]:
-    """Yield a small table: top plate with half width `half_m` and half thickness `top_m`, column, foot.
+def place_parts(body: str, place: PlaceConfig, floor_m: float) -> Iterator[Part]:
+    """Yield a place: its top, and its legs, one on a foot or four, down to the floor.
 
-    The body's origin is the centre of the top, `floor_m` the height of the floor from there.
+    The body's origin is the middle of the surface, `floor_m` the height of the floor from there.
     """
-    yield block(body, BEECH, (half_m, half_m, top_m), (0.0, 0.0, 0.0), 0.4 * top_m)
-    yield turned(body, DARK, [(-top_m - 0.008, 0.0), (-top_m - 0.008, 0.5 * half_m), (-top_m, 0.5 * half_m)])
-    yield turned(body, STEEL, [(floor_m + 0.02, 0.022), (-top_m - 0.03, 0.022), (-top_m - 0.008, 0.035)])
-    foot = min(1.7 * half_m, 0.16)
-    yield turned(
-        body, DARK,
-        [(floor_m, foot), (floor_m + 0.008, foot), (floor_m + 0.012, foot - 0.004), (floor_m + 0.02, 0.03),
-         (floor_m + 0.05, 0.023)],
-    )  # fmt: skip
+    x, y = (side / 2 for side in place.size_m)
+    half, low = THICKNESS_M / 2, min(x, y)
+    yield block(body, BEECH, (x, y, half), (0.0, 0.0, -half), 0.4 * half)
+    if place.legs == 1:
+        under = -THICKNESS_M
+        yield turned(body, DARK, [(under - 0.008, 0.0), (under - 0.008, 0.5 * low), (under, 0.5 * low)])
+        yield turned(body, STEEL, [(floor_m + 0.02, 0.022), (under - 0.02, 0.022), (under - 0.008, 0.035)])
+        foot = min(1.7 * low, 0.16)
+        yield turned(
+            body, DARK,
+            [(floor_m, foot), (floor_m + 0.008, foot), (floor_m + 0.012, foot - 0.004), (floor_m + 0.02, 0.03),
+             (floor_m + 0.05, 0.023)],
+        )  # fmt: skip
+    for u, v in leg_axes(place) if place.legs > 1 else ():
+        leg = turned(body, STEEL, [(floor_m, 0.0), (floor_m, 0.02), (-THICKNESS_M, 0.02)])
+        yield leg.placed(body, (u, v, 0.0))
 
 
 def pedestal_parts(floor_m: float) -> Iterator[Part]:

@@ -22,7 +22,7 @@ from hrl_comfort.humans.motions.live import ARRIVED_M
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, inputs_of
 from hrl_comfort.policies.load import observed_by
-from hrl_comfort.scene import LIMBS, Scene, human
+from hrl_comfort.scene import Scene, human
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.studio.clip import decision_clip
 from hrl_comfort.studio.person import FARTHEST_M, fastest_m_s, motion_config
@@ -41,10 +41,10 @@ LOOK_UNIT_M = 1e-4
 """Unit of the vertices of the looks."""
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "human_pos", "human_yaw",
-    "human_seen", "ball_pos", "drop_pos", "orange_drop", "pink_drop", "points", "colour", "stage", "level",
+    "human_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
     "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share",
 }  # fmt: skip
-"""Fields of State that the page has."""
+"""What the page has of a State."""
 
 
 def content(config: StudioConfig) -> dict[str, Any]:
@@ -74,12 +74,13 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "range": scene.joint_range.tolist(),
         "floor": scene.floor_z,
         "tcp_home": state.tcp_home[0].tolist(),
-        "drops": [env.cell.orange_drop_m, env.cell.pink_drop_m],
-        "ball_radius": env.cell.ball_radius_m,
+        "kind_places": state.kind_places[0].tolist(),
+        "kinds": [{"shape": each.shape, "size": each.size_m, "rgb": each.rgb} for each in env.cell.objects.values()],
+        "layout": episodes.draw.layout([0])[0].tolist(),
         "tolerances": {name: float(getattr(state, f"{name}_tolerance")) for name in ("grasp", "place", "home")},
         "stages": {
             "names": [stage.name for stage in task.stages],
-            "ball": [task.ball(stage).value for stage in range(len(task.stages) + 1)],
+            "object": [task.location(stage).value for stage in range(len(task.stages) + 1)],
             "points": [stage.at_point for stage in task.stages],
             "graph": traced(StageGraph(task, seen), state, seen),
         },
@@ -107,7 +108,7 @@ def _looks(scene: Scene) -> list[dict[str, Any]]:
     model, found = dressed(scene).model, []
     for owner, meshes in body_meshes(model).items():
         for colour, mesh in meshes:
-            floor, prop = owner == 0 and colour[3] == 1, model.body_mocapid[owner] >= len(LIMBS)
+            floor, prop = owner == 0 and colour[3] == 1, model.body_mocapid[owner] >= scene.first_prop
             if floor or prop:  # the page has its own
                 continue
             vertices = np.round(mesh.vertices / LOOK_UNIT_M).astype("<i2")
@@ -166,8 +167,8 @@ def _episode(session: Session) -> dict[str, Any]:
     engine, draw, parts, recorded = session.engine, session.engine.episodes.draw, [session.still().person], 0
     start = {
         "start": draw.start[0].tolist(),
-        "ball": draw.balls[0, 0].tolist(),
-        "colour": int(draw.colours[0, 0]),
+        "object": draw.objects([0])[0, 0].tolist(),
+        "kind": int(draw.kinds[0, 0]),
         "points": draw.points[0].tolist(),
         "target_vel": session.state.target_vel[0].tolist(),
     }

@@ -49,7 +49,7 @@ export class Cell {
     this.pose();
     this.safety.begin(given.target_vel, this.limbs);
     this.state = { stage: 0, steps: 0, touching: false, contact: false, unsafe: false, level: this.level };
-    this.ball = { place: given.ball, colour: given.colour };
+    this.object = { place: given.object, kind: given.kind };
     this.outcome = null;
     this.option = null;
     this.decision = null;
@@ -65,11 +65,11 @@ export class Cell {
     this.limbs = limbPoses(this.person.walk, this.content.body, this.content.floor);
   }
 
-  /** Write servo targets and person. */
+  /** Write servo targets, person, and the cell's places and obstacles. */
   control(targets) {
     const { mocap_pos: places, mocap_quat: turns } = this.data;
     this.data.ctrl.set(targets);
-    this.limbs.forEach((pose, limb) => {
+    [...this.limbs, ...this.content.layout].forEach((pose, limb) => {
       places.set(pose.slice(0, 3), 3 * limb);
       turns.set(pose.slice(3), 4 * limb);
     });
@@ -102,14 +102,15 @@ export class Cell {
 
   /** Return the fields of the state that graphs read, as of one row. */
   fields(stage, level) {
-    const { state, content, ball, person } = this, drop = content.drops[ball.colour], far = [content.person.far, 0];
+    const { state, content, object, person } = this, far = [content.person.far, 0];
     return {
       joint_pos: row(state.joint_pos), joint_vel: row(state.joint_vel), joint_target: row(this.target),
       tcp_pos: row(state.tcp_pos), tcp_home: row(content.tcp_home), joint_home: row(content.home),
       human_pos: row(person.walk.place), human_yaw: one(person.walk.yaw), human_seen: row(content.person.masked ? far : person.walk.place),
-      ball_pos: row(ball.place), drop_pos: row(drop), orange_drop: row(content.drops[0]), pink_drop: row(content.drops[1]),
+      target_object: row(object.place), target_place: row(content.kind_places[object.kind]), target_kind: one(object.kind),
+      kind_places: { shape: [1, content.kind_places.length, 3], data: content.kind_places.flat() },
       points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
-      colour: one(ball.colour), stage: one(stage), level: one(level), steps: one(state.steps),
+      stage: one(stage), level: one(level), steps: one(state.steps),
       grasp_tolerance: one(content.tolerances.grasp), place_tolerance: one(content.tolerances.place),
       home_tolerance: one(content.tolerances.home), share: one(this.safety.share),
     };
@@ -231,11 +232,11 @@ export class Cell {
     for (const watch of this.watchers) watch(outcome);
   }
 
-  /** Where the ball is: on its table, on the tool or at its drop point; null without one. */
-  get ballPlace() {
-    const where = this.content.stages.ball[this.state.stage];
+  /** Where the object is: where it arrived, on the tool or where it belongs; null without one. */
+  get objectPlace() {
+    const { object, content, state } = this, where = content.stages.object[state.stage];
     if (where === "nowhere") return null;
-    return { table: this.ball.place, tool: this.state.tcp_pos, drop: this.content.drops[this.ball.colour] }[where];
+    return { arrival: object.place, tool: state.tcp_pos, place: content.kind_places[object.kind] }[where];
   }
 
   /** Horizontal distance from the tool to the person's axis, m. */

@@ -1,9 +1,9 @@
-// The cell in three.js: MuJoCo's bodies, the ball, the tool's trail and the distance to the person.
+// The cell in three.js: MuJoCo's bodies, the object, the tool's trail and the distance to the person.
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const FAR = 25, TRAIL = 150, LOOK_UNIT_M = 1e-4;
+const FAR = 25, TRAIL = 150, LOOK_UNIT_M = 1e-4, POINT_M = 0.036;
 const ZONE_M = 0.25; // from the person's axis to the side of the body
 const CALM = new THREE.Color(0x2b7a5b), NEAR = new THREE.Color(0xc0392b);
 
@@ -15,6 +15,14 @@ function shape({ vertices, faces, wide }) {
   geometry.setIndex(new THREE.BufferAttribute(wide ? new Uint32Array(bytes(faces)) : new Uint16Array(bytes(faces)), 1));
   geometry.computeVertexNormals();
   return geometry;
+}
+
+/** Return the geometry of a kind of object; MuJoCo's sizes are half sizes, and its axes are z. */
+function solid(form, [first, second, third]) {
+  if (form === "box") return new THREE.BoxGeometry(2 * first, 2 * second, 2 * third);
+  if (form === "cylinder") return new THREE.CylinderGeometry(first, first, 2 * second, 32).rotateX(Math.PI / 2);
+  if (form === "capsule") return new THREE.CapsuleGeometry(first, 2 * second, 12, 32).rotateX(Math.PI / 2);
+  return new THREE.SphereGeometry(first, 32, 20);
 }
 
 export class View {
@@ -69,23 +77,28 @@ export class View {
     /** Meshes of the person, in order of the limbs. */
     this.person = [];
     for (const look of content.looks) {
-      const [r, g, b, opacity] = look.colour, limb = model.body_mocapid[look.body];
-      const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace), roughness: limb >= 0 ? 0.85 : 0.5, metalness: limb >= 0 ? 0 : 0.1 });
+      const [r, g, b, opacity] = look.colour, limb = model.body_mocapid[look.body], person = limb >= 0 && limb < this.cell.limbs.length;
+      const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace), roughness: person ? 0.85 : 0.5, metalness: person ? 0 : 0.1 });
       Object.assign(material, { transparent: opacity < 1, opacity });
       const mesh = new THREE.Mesh(shape(look), material);
       mesh.castShadow = mesh.receiveShadow = opacity === 1;
       this.bodies[look.body].add(mesh);
-      if (limb >= 0) this.person.push({ mesh, limb, colour: material.color.clone() });
+      if (person) this.person.push({ mesh, limb, colour: material.color.clone() });
     }
     const add = (geometry, material) => {
       const mesh = new THREE.Mesh(geometry, material);
       this.world.add(mesh);
       return mesh;
     };
-    this.ball = add(new THREE.SphereGeometry(content.ball_radius, 32, 20), new THREE.MeshStandardMaterial({ roughness: 0.35 }));
-    this.ball.castShadow = true;
+    /** An object of each kind. */
+    this.objects = content.kinds.map(({ shape: form, size, rgb }) => {
+      const color = new THREE.Color().setRGB(...rgb, THREE.SRGBColorSpace);
+      const mesh = add(solid(form, size), new THREE.MeshStandardMaterial({ roughness: 0.35, color }));
+      mesh.castShadow = true;
+      return mesh;
+    });
     const mark = new THREE.MeshStandardMaterial({ color: 0x3aa657, transparent: true, opacity: 0.5 });
-    this.points = [0, 1].map(() => add(new THREE.SphereGeometry(1.2 * content.ball_radius, 24, 16), mark));
+    this.points = [0, 1].map(() => add(new THREE.SphereGeometry(POINT_M, 24, 16), mark));
     /** A wide, unseen cylinder that a finger hits more easily than a limb. */
     this.handle = add(new THREE.CylinderGeometry(0.28, 0.28, 1.75, 12).rotateX(Math.PI / 2), new THREE.MeshBasicMaterial({ visible: false }));
     this.ring = add(new THREE.RingGeometry(0.3, 0.34, 48), new THREE.MeshBasicMaterial({ color: 0x2f6fb3, transparent: true, opacity: 0.6 }));
@@ -119,8 +132,8 @@ export class View {
 
   /** Return where every body is now. */
   picture() {
-    const { data, ballPlace, state } = this.cell;
-    return { places: data.xpos.slice(), turns: data.xquat.slice(), ball: ballPlace && [...ballPlace], tool: [...state.tcp_pos] };
+    const { data, objectPlace, state } = this.cell;
+    return { places: data.xpos.slice(), turns: data.xquat.slice(), object: objectPlace && [...objectPlace], tool: [...state.tcp_pos] };
   }
 
   /** Remember where the tool is. */
@@ -139,9 +152,10 @@ export class View {
       group.quaternion.set(old[1], old[2], old[3], old[0]).slerp(turn.set(x, y, z, w), share);
       group.visible = group.position.x < FAR;
     });
-    this.ball.visible = after.ball !== null;
-    if (after.ball) this.ball.position.copy(mix(before.ball ?? after.ball, after.ball));
-    this.ball.material.color.set(cell.ball.colour ? 0xff66b3 : 0xff8a1f);
+    this.objects.forEach((mesh, kind) => {
+      mesh.visible = after.object !== null && kind === cell.object.kind;
+      if (mesh.visible) mesh.position.copy(mix(before.object ?? after.object, after.object));
+    });
     this.points.forEach((mesh, k) => {
       mesh.visible = k < content.stages.points.filter(Boolean).length;
       mesh.position.fromArray(content.episodes[cell.episode].points[k]);

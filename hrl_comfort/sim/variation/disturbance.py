@@ -1,7 +1,7 @@
 """Disturbances, once an episode.
 
-`drop`: the first ball picked is knocked out of the gripper and lies where it lay. `block`: a person stands at
-the table of the first ball's drop point, and walks on after BLOCK_STEPS.
+`drop`: the first object picked is knocked out of the gripper and lies where it lay. `block`: a person stands at
+the place where the first object belongs, and walks on after BLOCK_STEPS.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from hrl_comfort.config import DISTURBANCES
 from hrl_comfort.config.checks import one_of
 from hrl_comfort.humans import Walk
-from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
 HELD = (2, 5)
-"""`drop`: smallest and largest number of decisions, the pick included, after which the ball is lost."""
+"""`drop`: smallest and largest number of decisions, the pick included, after which the object is lost."""
 BLOCK_STEPS = 400
 """`block`: control steps (8 s) for which the person stands there."""
 
@@ -33,19 +32,17 @@ class Disturbance:
         self.kind = kind
         self._left = np.zeros(rows, dtype=np.int64)
 
-    def begin(self, row: int, draw: Draw, drops: Array, keep_out_m: float, rng: np.random.Generator) -> None:
-        """Begin the episode `draw` in `row`: draw when the ball will be lost, or put the person in the way.
+    def begin(self, row: int, drop: Array, keep_out_m: float, rng: np.random.Generator) -> Array | None:
+        """Begin an episode in `row`, whose first object belongs at `drop` (3,) m.
 
-        `drops` (2, 3) m are the drop points of the colours.
+        Draw when the object will be lost, or return where (2,) m the person stands in the way.
         """
         if self.kind == "drop":
             self._left[row] = rng.integers(HELD[0], HELD[1] + 1)
-        elif self.kind == "block":
-            draw.spawn_id[row] = -1
-            draw.spawn[row] = blocking_place(drops[draw.colours[row, 0], :2], keep_out_m)
+        return blocking_place(drop[:2], keep_out_m) if self.kind == "block" else None
 
     def applied(self, state: State, task: Subtask) -> State:
-        """Return the state after a decision with the balls knocked out of the gripper back on their table."""
+        """Return the state after a decision with the objects knocked out of the gripper back where they arrived."""
         if self.kind != "drop":
             return state
         held = task.releasing(state.stage).numpy()
@@ -69,7 +66,7 @@ class Disturbance:
         return after.put(standing, before.rows(standing)) if len(standing) else after
 
 
-def blocking_place(drop: Array, keep_out_m: float) -> Array:
-    """Return the position (2,) m of a person who blocks the table at drop (2,) m, behind it for the robot."""
-    away: Array = drop * (1 + (keep_out_m + 1e-6) / np.linalg.norm(drop))
+def blocking_place(place: Array, keep_out_m: float) -> Array:
+    """Return the position (2,) m of a person who blocks the place at (2,) m, behind it for the robot."""
+    away: Array = place * (1 + (keep_out_m + 1e-6) / np.linalg.norm(place))
     return away

@@ -1,0 +1,71 @@
+"""Objects through an episode, as functions of State: target, placed objects and where each is rendered."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.tasks import ObjectAt, State, Subtask
+
+
+def choose_target(state: State, rows: Tensor, index: Tensor, task: Subtask) -> State:
+    """Return the state in which the objects `index` (r,) are the next to be picked in `rows` (r,).
+
+    Raises:
+      ValueError: a row is not in a picking stage, or the object has been placed.
+    """
+    if bool((~task.grasping(state.stage[rows]) | state.placed[rows, index]).any()):
+        raise ValueError(f"objects {index.tolist()} cannot be picked now in rows {rows.tolist()}")
+    return state.with_(target=state.target.index_copy(0, rows, index))
+
+
+def update_placed(state: State, before: Tensor, task: Subtask) -> State:
+    """Return the state with the objects placed since the stages `before` (N,), and the next object as target if due."""
+    further = state.stage > before
+    if not further.any():
+        return state
+    rows = torch.nonzero(task.releasing(before) & further).squeeze(1)
+    if len(rows):
+        placed = state.placed.clone()
+        placed[rows, state.target[rows]] = True
+        state = state.with_(placed=placed)
+    remaining = ~state.placed
+    due = task.grasping(state.stage) & further & remaining.any(dim=1)
+    rows = torch.nonzero(due).squeeze(1)
+    return choose_target(state, rows, remaining[rows].int().argmax(dim=1), task) if len(rows) else state
+
+
+def go_on(state: State, before: State, failed: Tensor, kinds: Tensor, arrivals: Tensor, task: Subtask) -> State:
+    """Return the state after a decision of a task that repeats: ready for the next contact, with new objects.
+
+    An object, of `kinds` (N,), arrives in the place of the last one that was placed or lost: when the next round
+    begins, or in the failure (N,) in which the gripper lost it. `arrivals` (N, B, kinds, 3) m are the centres of
+    objects of each kind where they arrive.
+    """
+    state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
+    lost = failed & task.releasing(state.stage)
+    rows = torch.nonzero(lost | (task.grasping(state.stage) & (state.stage > before.stage))).squeeze(1)
+    if not len(rows):
+        return state
+    index, placed, every, centres = (
+        before.target[rows],
+        *(each.clone() for each in (state.placed, state.kinds, state.objects)),
+    )
+    placed[rows, index], every[rows, index] = False, kinds[rows]
+    centres[rows, index] = arrivals[rows, index, kinds[rows]]
+    state = state.with_(stage=state.stage - lost.long(), placed=placed, kinds=every, objects=centres)
+    return choose_target(state, rows, index, task)
+
+
+def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:
+    """Return the centres of the objects (N, B, 3), m: where they arrived, on the gripper or where they belong."""
+    at = (ObjectAt.TOOL, ObjectAt.PLACE)
+    held, left = (task.object_at(where, state.stage).numpy()[:, None] for where in at)
+    target = state.target.numpy()[:, None] == np.arange(state.objects.shape[1])
+    placed = state.placed.numpy() | (target & left)
+    centres = state.objects.numpy()
+    if placed.any():
+        centres = np.where(placed[..., None], state.object_places.numpy(), centres)
+    return np.where((target & held)[..., None], state.tcp_pos.numpy()[:, None], centres)
