@@ -173,7 +173,7 @@ class Episodes:
             **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
             "tcp_home": draw.tcp_home[rows],
             "joint_home": draw.home[rows],
-            "places": draw.places[rows, :, :3],
+            "layout": draw.layout(rows),
             "kind_places": draw.kind_places[rows],
             "points": draw.points[rows],
             "objects": draw.objects(rows),

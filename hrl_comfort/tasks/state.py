@@ -58,8 +58,8 @@ class State:
     """(N, 2) m, the human's position as the policy observes it (tracker, clipping, masking)."""
     human_shown: Tensor
     """(N,) bool, `human_seen` is where the human was measured, neither clipped nor masked."""
-    places: Tensor
-    """(N, M, 3) m, middle of the top of each place of the cell."""
+    layout: Tensor
+    """(N, F, 7) m and quaternion, poses of the cell's places (the middle of their tops), then of its obstacles."""
     kind_places: Tensor
     """(N, kinds, 3) m, where the centre of an object of each kind belongs."""
     points: Tensor
