@@ -45,6 +45,11 @@ class RobotConfig:
     model."""
 
 
+def half_height(shape: str, size_m: list[float]) -> float:
+    """Return half the height of an upright shape, m."""
+    return size_m[-1] if shape != "capsule" else size_m[0] + size_m[1]
+
+
 @dataclass(frozen=True)
 class PlaceConfig:
     """A horizontal surface on which objects lie: a table, a tray, a shelf, a part of a larger table."""
@@ -84,7 +89,7 @@ class ObjectConfig:
     @property
     def half_height_m(self) -> float:
         """Height of its centre above what it lies on, m."""
-        return self.size_m[-1] if self.shape != "capsule" else self.size_m[0] + self.size_m[1]
+        return half_height(self.shape, self.size_m)
 
     @property
     def half_width_m(self) -> float:
@@ -106,6 +111,11 @@ class ObstacleConfig:
     """Turn about the vertical, degrees."""
     rgb: Rgb = field(default_factory=lambda: [0.55, 0.57, 0.6])
     """Colour in pictures: red, green and blue, 0 to 1."""
+
+    @property
+    def half_height_m(self) -> float:
+        """Height of its top above its centre, m."""
+        return half_height(self.shape, self.size_m)
 
 
 @dataclass(frozen=True)

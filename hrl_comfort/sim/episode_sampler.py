@@ -43,6 +43,8 @@ class Draw:
     """(M, 7) m and quaternion, poses of the middle of the tops of the cell's places."""
     obstacles: Array
     """(O, 7) m and quaternion, poses of the cell's obstacles."""
+    tops: Array
+    """(F, 6), tops of places and obstacles, as `State.tops`."""
     goals: Array
     """(M, 3) m, goal of the tool at each place."""
     stations: Array
@@ -171,8 +173,8 @@ class EpisodeSampler:
                     told[0] = (own - 0.5) / self._config.comfort.levels
             ids = np.array(motion_id), np.array(spawn_id)
             standing = (
-                layout.places, layout.obstacles, layout.goals, layout.stations, layout.home, layout.tcp_home,
-                np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]), *arriving[1:],
+                layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
+                layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]), *arriving[1:],
             )  # fmt: skip
             yield Draw(*standing, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
 

@@ -174,6 +174,8 @@ class Episodes:
             "tcp_home": draw.tcp_home[rows],
             "joint_home": draw.home[rows],
             "layout": draw.layout(rows),
+            "tops": draw.tops[rows],
+            **self.plan.bodies(draw.start[rows, : len(self.scene.joints)], rows),
             "kind_places": draw.kind_places[rows],
             "points": draw.points[rows],
             "objects": draw.objects(rows),
@@ -219,9 +221,10 @@ class Episodes:
         readings = sensed.reshape(len(sensed), -1, self.config.engine.substeps, sensed.shape[-1])
         limbs = self.plan.limbs
         result = self.referee.judge(self.state, self.draw, self.plan.planned, limbs, readings, rows)
-        self.state = result.state
         self.plan.end(result.decision_steps.numpy() - 1)
-        return result
+        self.state = result.state
+        self.state = self.measured(**self.plan.bodies(self.state.joint_pos.numpy()))
+        return replace(result, state=self.state)
 
     def values(self, rows: Any = slice(None)) -> Values:
         """Return how the cells of `rows`, all by default, differ from the model."""

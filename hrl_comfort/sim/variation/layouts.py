@@ -15,7 +15,7 @@ from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, V
 from hrl_comfort.config.cell import DIGITS
 from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.postures import Postures
-from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 BEHIND_M = 0.4
@@ -39,6 +39,8 @@ class Layout:
     """(M, 7) m and quaternion, poses of the middle of the tops of the places."""
     obstacles: Array
     """(O, 7) m and quaternion, poses of the obstacles; one that is not there is far away."""
+    tops: Array
+    """(F, 6), tops of places and obstacles, as `State.tops`."""
     goals: Array
     """(M, 3) m, goal of the tool at each place."""
     arrives: Array
@@ -165,9 +167,21 @@ class Layouts:
         stations = np.array(cell.stations_m) if cell.stations_m is not None else behind(places[:, :2])
         if cell.vary is not None and number == number:
             stations = behind(places[:, :2])
-        tcp_home = tool_at(self._scene, home)
-        arrives, belongs = centres("arrives_at"), centres("belongs_at")
-        return Layout(number, places, obstacles, goals, arrives, belongs, stations, home, tcp_home, [], [])
+        ends = centres("arrives_at"), centres("belongs_at")
+        return Layout(
+            number,
+            places,
+            obstacles,
+            tops(cell, places, obstacles),
+            goals,
+            arrives,
+            belongs,
+            stations,
+            home,
+            tcp_home,
+            [],
+            [],
+        )
 
 
 @lru_cache(maxsize=32)
@@ -187,6 +201,19 @@ def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, ho
 def rises(cell: CellConfig) -> list[float]:
     """Return how high (M,) m above the top of each place the goal of the tool is; see `CellConfig.goals`."""
     return [goal[2] - place.top_m[2] for goal, place in zip(cell.goals.values(), cell.places.values(), strict=True)]
+
+
+def tops(cell: CellConfig, places: Array, obstacles: Array) -> Array:
+    """Return the tops (F, 6) of places and obstacles at poses (M, 7), (O, 7): middle, half sides m, turn rad."""
+    half = [np.array(each.size_m) / 2 for each in cell.places.values()]
+    half += [
+        np.array(each.size_m[:2] if each.shape == "box" else [each.size_m[0]] * 2) for each in cell.obstacles.values()
+    ]
+    rise = [0.0] * len(places) + [each.half_height_m for each in cell.obstacles.values()]
+    poses = np.concatenate([places, obstacles])
+    middle = poses[:, :3] + np.array(rise)[:, None] * [0.0, 0.0, 1.0]
+    yaw = 2 * np.arctan2(poses[:, 6], poses[:, 3])
+    return np.concatenate([middle, np.array(half), yaw[:, None]], axis=1)
 
 
 def behind(places: Array) -> Array:
