@@ -174,7 +174,8 @@ class EpisodeSampler:
             ids = np.array(motion_id), np.array(spawn_id)
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
-                layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]), *arriving[1:],
+                layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
+                *arriving[1:],
             )  # fmt: skip
             yield Draw(*standing, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
 

@@ -168,20 +168,8 @@ class Layouts:
         if cell.vary is not None and number == number:
             stations = behind(places[:, :2])
         ends = centres("arrives_at"), centres("belongs_at")
-        return Layout(
-            number,
-            places,
-            obstacles,
-            tops(cell, places, obstacles),
-            goals,
-            arrives,
-            belongs,
-            stations,
-            home,
-            tcp_home,
-            [],
-            [],
-        )
+        surfaces, tcp_home = tops(cell, places, obstacles), tool_at(self._scene, home)
+        return Layout(number, places, obstacles, surfaces, goals, *ends, stations, home, tcp_home, [], [])
 
 
 @lru_cache(maxsize=32)
