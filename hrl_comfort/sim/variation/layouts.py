@@ -15,7 +15,7 @@ from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, V
 from hrl_comfort.config.cell import DIGITS
 from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.postures import Postures
-from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.scene.workcell import Scene, tool_at
 
 Array = NDArray[np.float64]
 BEHIND_M = 0.4
