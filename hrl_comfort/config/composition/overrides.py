@@ -133,9 +133,29 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
-    parsed = [(_parsed(line, sweep), line) for line in overrides]
+    lines = [each for line in overrides for each in _of_file(line)]
+    parsed = [(_parsed(line, sweep), line) for line in lines]
     check_jobs(each for each, _ in parsed)
     return [_checked(root, each, line) for each, line in parsed]
+
+
+def _of_file(line: str) -> list[str]:
+    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
+
+    Raises:
+      ConfigError: there is no such file, or it is damaged.
+    """
+    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
+        return [line]
+    from hrl_comfort.files.documents import read_yaml
+
+    if not (file := Path(match[2])).is_file():
+        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
+    found = []
+    for key, value in read_yaml(file)[1].items():
+        found += [override(f"cell.{key}", None)] if isinstance(value, dict) else []  # Hydra would add its entries
+        found.append(override(f"cell.{key}", value))
+    return found
 
 
 def check_jobs(overrides: Iterable[Override]) -> None:
@@ -232,9 +252,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
 
 
 def _in_mapping(root: str, parts: list[str]) -> bool:
-    """Return whether a key lies in an entry of a mapping, as `cell.places.NAME.size_m`."""
+    """Return whether a key is a mapping, or in one, as `cell.places.NAME.size_m`."""
     kind: Any = ROOTS[root]
-    for name in parts[:-1]:
+    for name in parts:
         kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
         if get_origin(kind) is dict:
             return True
