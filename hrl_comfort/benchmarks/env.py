@@ -80,12 +80,12 @@ def bare_loop(env: EnvConfig, cells: int) -> Callable[[], object]:
     """Return a call that rolls the same model through as many substeps, with precomputed controls."""
     engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
     parts = engine.episodes.controls(
-        rng.uniform(-1, 1, engine.reset().joint_target.shape), lambda: engine.physics[:, 1:]
+        rng.uniform(-1, 1, engine.reset().joint_target.shape), lambda: engine.physics.state[:, 1:]
     )
     control = np.concatenate(list(parts), axis=1)
     model = engine.scene.model
     data = [mujoco.MjData(model) for _ in range(env.engine.threads)]
-    return partial(rollout.rollout, model, data, engine.physics, control, control_spec=CONTROL_SPEC)
+    return partial(rollout.rollout, model, data, engine.physics.state, control, control_spec=CONTROL_SPEC)
 
 
 def dm_loop(env: EnvConfig) -> Callable[[], None]:

@@ -17,7 +17,7 @@ from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import RANDOM, SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
-"""Kinds of `sim.disturbance`: nothing; the object is dropped; a human blocks a place."""
+"""Kinds of `sim.variation.disturbance`: nothing; the object is dropped; a human blocks a place."""
 LIVE_MOTIONS = ("live", "recorded", "none")
 """Motions of people beside a real arm."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)

@@ -113,7 +113,7 @@ def fit(times: Array, time: Array, sent: Array, measured: Array) -> tuple[float,
 def modelled(times: Array, time: Array, sent: Array, lag_s: float, latency_s: float) -> Array:
     """Return the angles (m,) rad at evenly spaced `times` (m,) of a joint with the set-points `sent` at `time` (n,) s.
 
-    The lag is that of `sim.randomisation.Servos`: behind a ramp.
+    The lag is that of `sim.variation.randomisation.Servos`: behind a ramp.
     """
     late = np.interp(times - latency_s, time, sent)
     step = times[1] - times[0]

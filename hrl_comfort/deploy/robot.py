@@ -12,16 +12,18 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
-from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, SafetyConfig
 from hrl_comfort.deploy.links import Link
 from hrl_comfort.deploy.predictor import SPLINE_S, Predictor
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
-from hrl_comfort.scene.workcell import CONTROL_SPEC
-from hrl_comfort.sim.engine import Engine, physics_of
-from hrl_comfort.sim.signals import COLLISIONS
+from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.physics import state_of
+from hrl_comfort.sim.sensors import COLLISIONS
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.randomisation import Values
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -57,15 +59,15 @@ class RobotEngine(Engine):
         config = replace(config, engine=replace(config.engine, substeps=1))
         if config.human.motion == "live":
             config = replace(config, human=replace(config.human, speed_m_s=AT_ONCE_M_S))
-        self._safety = config.safety
         # The streamer's spline follows the plan half a control step later.
-        late = replace(config.safety, latency_s=config.safety.latency_s + SPLINE_S)
-        super().__init__(replace(config, safety=late), 1, 0, entries, measure_arm=True)
-        self.episodes.planned_steps = 1
-        if self.episodes.drive is not None:
-            self.episodes.drive.takes_back = False
+        late = replace(config, safety=replace(config.safety, latency_s=config.safety.latency_s + SPLINE_S))
+
+        def physics(scene: Scene, _: EnvConfig, __: int) -> RobotPhysics:
+            self._robot = RobotPhysics(scene, config.safety, link)
+            return self._robot
+
+        super().__init__(late, 1, 0, entries, measure_arm=True, physics=physics, steps=1, takes_back=False)
         self._entries = entries
-        self._twin = mujoco.MjData(self.scene.model)
         source = pose_source(config.human.file) if config.human.motion == "live" else None
         self._person = source if isinstance(source, CheckedPoses) else None
 
@@ -122,25 +124,18 @@ class RobotEngine(Engine):
 
     def _follow(self) -> State:
         """Return the state with the set-points that were sent, which need not be those that were planned."""
-        assert self.episodes.state is not None
         report = self.link.report
-        sent = {"joint_target": report.point, "target_vel": report.velocity}
-        self.episodes.state = self.episodes.state.with_(**{k: torch.from_numpy(v[None]) for k, v in sent.items()})
-        return self.episodes.state
+        return self.episodes.measured(joint_target=report.point[None], target_vel=report.velocity[None])
 
     def _begin(self, index: int) -> State:
-        self._predictor = Predictor(self._safety.lag_s, self._safety.latency_s, self.link.report.point)
         return super().reset(np.zeros(1, dtype=np.int64), self._entries.part(index, index + 1))
 
     def _approach(self, start: Array) -> None:
         """Move the arm to the joint angles `start` (J,) rad, slowly and behind the shield, which waits for people."""
         largest = np.radians(self.episodes.config.task.max_step_deg)
-        assert self.episodes.state is not None
-        state = self.episodes.state
         here = self.link.report.reading
-        measured = {"joint_pos": here.angles, "joint_vel": here.velocity}
-        self.physics[:] = physics_of(np.concatenate([here.angles, here.velocity])[None])
-        self.episodes.state = state.with_(**{k: torch.from_numpy(v[None].copy()) for k, v in measured.items()})
+        self.physics.state[:] = state_of(np.concatenate([here.angles, here.velocity])[None])
+        self.episodes.measured(joint_pos=here.angles[None], joint_vel=here.velocity[None])
         self._follow()
         left_steps = round(PATIENCE_S / CONTROL_STEP_S)
         for goal in self._way(start):
@@ -177,34 +172,62 @@ class RobotEngine(Engine):
         """Return what the arm would touch straight from `begin` to `end` (J,) rad: table, self, or nothing."""
         count = int(np.ceil(np.abs(end - begin).max() / CHECKED_RAD)) + 1
         for share in np.linspace(0.0, 1.0, max(count, 2)):
-            sensed = self._sense(begin + share * (end - begin), np.zeros_like(begin))
+            sensed = self._robot.touch(begin + share * (end - begin), np.zeros_like(begin))
             for key in ("table", "self"):
                 if sensed[self.scene.sensors[key]].any():
                     return key
         return ""
 
-    def _sense(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
+
+class RobotPhysics:
+    """The arm at the other end of `link`, beside the surroundings of the model `scene`; one cell, see `Physics`."""
+
+    def __init__(self, scene: Scene, safety: SafetyConfig, link: Link) -> None:
+        self._scene, self._safety, self._link = scene, safety, link
+        self._twin, self.state = mujoco.MjData(scene.model), np.zeros((1, scene.nstate))
+
+    @property
+    def joints(self) -> Array:
+        """See `Physics`."""
+        return self.state[:, 1:]
+
+    def sense(self, joints: Array, control: Array) -> Array:
+        """See `Physics`."""
+        angles, velocity = np.split(joints[0], 2)
+        return self.touch(angles, velocity, control[0])[None]
+
+    def touch(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
         """Return the sensors (nsensor,) of the model at joint angles and velocities (J,), beside those of `control`."""
-        twin, model = self._twin, self.scene.model
+        twin, model = self._twin, self._scene.model
         if control is not None:
             mujoco.mj_setState(model, twin, control, CONTROL_SPEC)
         twin.qpos[:], twin.qvel[:] = angles, velocity
         mujoco.mj_forward(model, twin)
         return twin.sensordata.copy()
 
-    def _probe(self, joints: Array, control: Array) -> Array:
-        return self._sense(joints[0, : len(self.scene.home)], joints[0, len(self.scene.home) :], control[0])[None]
+    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
+        """See `Physics`."""
+        self.state[rows] = state_of(joints)
+        self._predictor = Predictor(self._safety.lag_s, self._safety.latency_s, self._link.report.point)
 
-    def _run(self, physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
-        """Give the set-point of `control` (1, 1, ncontrol); return the state that the arm has reached, and sensors."""
-        report = self.link.step(control[0, 0, : len(self.scene.home)])
+    def begin_decision(self) -> None:
+        """See `Physics`."""
+
+    def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:
+        """Give the set-point of `control` (1, 1, ncontrol); return the sensors where the arm will be when it comes."""
+        report = self._link.step(control[0, 0, : len(self._scene.home)])
         if report.stopped:
             raise StoppedError(report.stopped)
         self._predictor.follow(report.point)
         reading = self._predictor.ahead(report.reading)
-        sensed = self._sense(reading.angles, reading.velocity, control[0, 0])
-        reached = np.concatenate([[0.0], reading.angles, reading.velocity])
-        return reached[None, None], sensed[None, None]
+        self.state[:] = state_of(np.concatenate([reading.angles, reading.velocity])[None])
+        return self.touch(reading.angles, reading.velocity, control[0, 0])[None, None]
+
+    def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
+        """See `Physics`; an arm does not go back."""
+
+    def close(self) -> None:
+        """See `Physics`; the link is its owner's."""
 
 
 def joined(results: list[StepResult], count: int) -> StepResult:
@@ -212,7 +235,8 @@ def joined(results: list[StepResult], count: int) -> StepResult:
     last, missing = results[-1], count - len(results)
     padded = results + [last] * missing
     taken = torch.arange(count)[None] < len(results)
-    instants = {name: torch.cat([getattr(each.instants, name) for each in padded]) for name in last.instants.fields()}
+    fields = last.instants.fields()
+    instants = {name: torch.cat([getattr(each.instants, name) for each in padded], dim=1) for name in fields}
     return replace(
         last,
         reward_terms=torch.stack([each.reward_terms for each in results]).sum(dim=0),

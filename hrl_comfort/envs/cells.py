@@ -71,8 +71,7 @@ class Cells:
         if seed is None and not self.seeded:
             seed = int(rng.integers(SEEDS))
         if seed is not None:
-            self.engine.episodes.sampler.seed = episode_seed(seed)
-            self.engine.episodes.rewind()
+            self.engine.episodes.rewind(episode_seed(seed))
         self.seeded = self.ready = True
         self.engine.reset(entries=entries)
         return self._seen()
@@ -124,7 +123,7 @@ class Cells:
         seed, state = kept.pop("seed"), kept.pop("state")
         vars(self).update(kept)
         self._build()
-        self.engine.episodes.sampler.seed = seed
+        self.engine.episodes.rewind(seed)
         self.engine.load_state_dict(state)
         if not self.ready:
             self.engine.episodes.rewind()

@@ -97,8 +97,7 @@ class CellTask(control.Task):
     @_random.setter
     def _random(self, state: np.random.RandomState) -> None:
         self._state = state
-        self.episodes.sampler.seed = episode_seed(state.randint(SEEDS, dtype=np.uint64))
-        self.episodes.rewind()
+        self.episodes.rewind(episode_seed(state.randint(SEEDS, dtype=np.uint64)))
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name != "episodes"}

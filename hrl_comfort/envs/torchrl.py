@@ -97,8 +97,7 @@ class CellEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.engine.episodes.sampler.seed = episode_seed(seed)
-            self.engine.episodes.rewind()
+            self.engine.episodes.rewind(episode_seed(seed))
 
     @property
     def rows(self) -> int:

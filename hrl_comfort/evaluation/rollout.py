@@ -131,7 +131,7 @@ class EpisodeRecorder:
         rows = len(self.entries.episode)
         self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
         self.seen: list[tuple[dict[str, torch.Tensor], torch.Tensor]] = []
-        self._keep(state, torch.ones(rows, 1, dtype=torch.bool))
+        self._keep(state.instants(), torch.ones(rows, 1, dtype=torch.bool))
         self._found: dict[int, Episode] = {}
         self._runs: list[OptionRun] = []
         if self.config.record:
@@ -164,7 +164,8 @@ class EpisodeRecorder:
         self.result.options += [self._option(run) for run in sorted(self._runs, key=lambda r: (r.row, r.start_step))]
 
     def _keep(self, instants: State, valid: torch.Tensor) -> None:
-        self.seen.append(({name: getattr(instants, name) for name in (*SEEN, *COURSE)}, valid))
+        kept = {name: getattr(instants, name) for name in (*SEEN, *COURSE)}
+        self.seen.append(({name: v.expand(*valid.shape, *v.shape[2:]) for name, v in kept.items()}, valid))
 
     def _measured(self) -> list[Episode]:
         """Return the episode of each row with the measures of `comfort.trajectory` and `evaluation.rates`."""
@@ -172,9 +173,7 @@ class EpisodeRecorder:
         valid = torch.cat([kept for _, kept in self.seen], dim=1).numpy()
 
         def column(name: str) -> NDArray[Any]:
-            parts = [fields[name] for fields, _ in self.seen]
-            whole = [part.view(rows, -1, *part.shape[1:]) for part in parts]
-            return np.asarray(torch.cat(whole, dim=1).numpy())
+            return np.asarray(torch.cat([fields[name] for fields, _ in self.seen], dim=1).numpy())
 
         columns = {name: column(name) for name in (*SEEN, *COURSE)}
         here, shielded = self.config.human.motion != "none", self.config.safety.kind != "none"

@@ -27,9 +27,12 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
 
     Raises:
       OSError: it cannot be read.
-      ValueError: as `read_bytes`, or it is not UTF-8; the error names the line.
+      ValueError: as `read_bytes`, or it is not text in UTF-8; the error names the line.
     """
     data = read_bytes(path, most_bytes)
+    if (zero := data.find(b"\0")) >= 0:  # a file of holes would be decoded to several times its size
+        line = data.count(b"\n", 0, zero) + 1
+        raise ValueError(f"line {line}: byte 0x00 is not text")
     try:
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:

@@ -197,5 +197,4 @@ class OptionEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.engine.episodes.sampler.seed = episode_seed(seed)
-            self.engine.episodes.rewind()
+            self.engine.episodes.rewind(episode_seed(seed))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,18 +71,12 @@ class Walk:
         return cls(**{f.name: np.concatenate([getattr(walk, f.name) for walk in walks]) for f in fields(cls)})
 
     @classmethod
-    def along(cls, walks: Sequence[Walk]) -> Walk:
-        """Return K walks of n humans as one walk of n * K rows; the K rows of a human are adjacent."""
-        return cls(**{f.name: _alternating([getattr(walk, f.name) for walk in walks]) for f in fields(cls)})
-
-
-def _alternating(values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return the rows of K arrays (n, ...) in one (n * K, ...), the K of a row together."""
-    first = values[0]
-    if all(value is first for value in values):  # as the spawn and the traits are, over a decision
-        return np.repeat(first, len(values), axis=0)
-    joined = np.concatenate(values).reshape(len(values), *first.shape)
-    return joined.swapaxes(0, 1).reshape(-1, *first.shape[1:])
+    def chosen(cls, walks: Sequence[Walk], index: NDArray[np.int64]) -> Walk:
+        """Return n humans of whom each is as in the one of `walks` that `index` (n,) names."""
+        if (index == index[0]).all():
+            return walks[index[0]]
+        rows = np.arange(len(index))
+        return cls(**{f.name: np.stack([getattr(each, f.name) for each in walks])[index, rows] for f in fields(cls)})
 
 
 @dataclass(frozen=True)

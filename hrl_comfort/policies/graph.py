@@ -10,7 +10,7 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +24,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.versions import INPUTS
 from hrl_comfort.policies.actor import ActorPolicy
-from hrl_comfort.tasks import LazyState, State, Subtask
+from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
@@ -37,26 +37,26 @@ NAMES = (*(field.name for field in fields(State)), *DERIVED)
 
 def inputs_of(function: StateFunction, state: State) -> tuple[str, ...]:
     """Return the fields of `state` that `function` reads, and what it reads of DERIVED, in the order of NAMES."""
-    seen = _Read(state)
-    function(cast(State, seen))
-    return tuple(name for name in NAMES if name in seen.names)
+    read: set[str] = set()
+    function(cast(State, _Read(state, read)))
+    return tuple(name for name in NAMES if name in read)
 
 
 class _Read:
-    """A state that remembers which of NAMES were read."""
+    """A state that adds to `names` which of NAMES are read of it, but for those `replaced`."""
 
-    def __init__(self, state: State) -> None:
-        self.names: set[str] = set()
-        self._state = state
+    def __init__(self, state: State, names: set[str], replaced: frozenset[str] = frozenset()) -> None:
+        self._state, self._names, self._replaced = state, names, replaced
 
     def __getattr__(self, name: str) -> Tensor:
-        self.names.add(name)
+        if name not in self._replaced:
+            self._names.add(name)
         value: Tensor = getattr(self._state, name)
         return value
 
-    def with_(self, **changes: Tensor) -> State:
+    def with_(self, **changes: Tensor) -> _Read:
         """Return a copy with the given fields replaced."""
-        return LazyState.of(partial(getattr, self), **changes)
+        return _Read(self._state.with_(**changes), self._names, self._replaced | changes.keys())
 
 
 class PolicyGraph(nn.Module):
@@ -78,9 +78,8 @@ class PolicyGraph(nn.Module):
 
 
 def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
-    """Return a state that knows `values` as its `inputs`, of NAMES; to read another raises KeyError."""
-    given = dict(zip(inputs, values, strict=True))
-    return LazyState.of(given.__getitem__, **given)
+    """Return a state that knows `values` as its `inputs`, of NAMES, and no other."""
+    return State.of(**dict(zip(inputs, values, strict=True)))
 
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:

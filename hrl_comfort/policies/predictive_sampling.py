@@ -26,7 +26,7 @@ from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
-from hrl_comfort.sim.signals import pack_controls
+from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]

@@ -56,12 +56,6 @@ class SetPoints:
         share = np.arange(1, substeps + 1)[:, None] / substeps
         return np.asarray(before[:, None] + share * (self.angles - before)[:, None])
 
-    @classmethod
-    def along(cls, steps: list[SetPoints]) -> SetPoints:
-        """Return K set-points of N arms each as N * K, those of an arm together."""
-        joined = (np.stack([getattr(each, name) for each in steps], axis=1) for name in vars(steps[0]))
-        return cls(*(each.reshape(-1, *each.shape[2:]) for each in joined))
-
 
 class Drive:
     """Set-points of N arms, one control step at a time.
@@ -75,10 +69,18 @@ class Drive:
       config: of the cell.
       rows: number N of arms.
       within: how something is computed in some rows alone.
+      takes_back: whether set-points jump back to an arm that does not follow; those of a real arm brake, and the run
+        ends.
     """
 
     def __init__(
-        self, scene: Scene, separation: Separation, config: EnvConfig, rows: int, within: InRows = in_rows
+        self,
+        scene: Scene,
+        separation: Separation,
+        config: EnvConfig,
+        rows: int,
+        within: InRows = in_rows,
+        takes_back: bool = True,
     ) -> None:
         self._rating, self._in_rows = rating_of(config.robot), within
         self.arm, self._separation = separation.arm, separation
@@ -88,8 +90,7 @@ class Drive:
         """(J,) rad, largest following error of each joint as a control step begins."""
         self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
         """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
-        self.takes_back = True
-        """Whether set-points jump back to an arm that does not follow; those of a real arm brake, and the run ends."""
+        self._takes_back = takes_back
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
@@ -136,7 +137,7 @@ class Drive:
             seen, motion = self._seen(now, limbs), self._motion(now.pose, error, moving)
             held = held | self.shield.swings(seen, motion)
         back, begin, velocity = held[:, None], before.angles, before.velocity
-        if self.takes_back:
+        if self._takes_back:
             begin = np.where(back, np.clip(measured, self._low, self._high), begin)
             velocity = np.where(back, 0.0, velocity)
         pose = self.arm.pose(begin)
@@ -225,7 +226,12 @@ def rating_of(robot: RobotConfig) -> Rating:
 
 
 def make_drive(
-    scene: Scene, separation: Separation, config: EnvConfig, rows: int, within: InRows = in_rows
+    scene: Scene,
+    separation: Separation,
+    config: EnvConfig,
+    rows: int,
+    within: InRows = in_rows,
+    takes_back: bool = True,
 ) -> Drive | None:
     """Return the drive of `config`, None for the paper's world, whose set-points are what the policy asks for.
 
@@ -241,7 +247,7 @@ def make_drive(
             f"{', '.join(RATINGS)}; choose robot.rating=paper safety.kind=none"
         )
     if robot.rating != "paper":
-        return Drive(scene, separation, config, rows, within)
+        return Drive(scene, separation, config, rows, within, takes_back)
     if kind != "none":
         raise ConfigError(
             f"safety.kind={kind} needs an arm that brakes within its rating; "

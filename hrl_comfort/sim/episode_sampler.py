@@ -13,8 +13,8 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.randomisation import draws
 from hrl_comfort.sim.starts import PARTS, start_states
+from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Subtask
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class Draw:
     world: Array
     readings: Array
     frames: Array
-    """Of how the cell differs from the model: see `sim.randomisation`."""
+    """Of how the cell differs from the model: see `sim.variation.randomisation`."""
 
     def layout(self, rows: Any = slice(None)) -> Array:
         """Return the poses (r, F, 7) of places and obstacles, as `Scene.layout`, of `rows` of N cells."""

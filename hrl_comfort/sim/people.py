@@ -15,7 +15,7 @@ from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.safety.geometry import farthest, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.signals import limbs_of
+from hrl_comfort.sim.controls import limbs_of
 
 OVERLAP_M = 1e-5
 """Depth to which somebody walks into the arm, so that the touch is sensed. People are moved, and push without limit:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +12,7 @@ from hrl_comfort.comfort.adapt import TERM
 from hrl_comfort.comfort.sources import SourceInput
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
-from hrl_comfort.tasks import LazyState, State, Subtask
+from hrl_comfort.tasks import State, Subtask
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class StepResult:
     decision_steps: Tensor
     """(N,) int64, control steps this decision took."""
     instants: State
-    """States after each control step, N * K rows, the K steps of a row together."""
+    """The K states after each control step."""
 
     @property
     def reward(self) -> Tensor:
@@ -56,18 +54,17 @@ class StepResult:
     @property
     def level(self) -> Tensor:
         """(N,) comfort level in force, NaN without one; `state.level` is the next decision's."""
-        return self.instants.level.view(self.step_rewards.shape)[:, 0]
+        return self.instants.level[:, 0]
 
     @property
     def human_distance(self) -> Tensor:
         """(N, K) m, horizontal, tool to the human's axis."""
-        return human_distance(self.instants.tcp_pos, self.instants.human_pos).view(self.step_rewards.shape)
+        return human_distance(self.instants.tcp_pos, self.instants.human_pos)
 
     @property
     def steps(self) -> list[State]:
-        """The K instants of N rows each, for recording."""
-        n, count = self.step_rewards.shape
-        return [self.instants.rows(torch.arange(n) * count + k) for k in range(count)]
+        """The K instants, for recording."""
+        return [self.instants.at(k) for k in range(self.step_rewards.shape[1])]
 
 
 def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, float]:
@@ -81,41 +78,28 @@ def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, floa
 def compute_step(
     subtask: Subtask, weights: Tensor, max_episode_steps: Tensor, before: State, moving: dict[str, Tensor]
 ) -> StepResult:
-    """Return the result of K control steps from the state `before` (N rows) and the fields (N * K, ...) that changed.
+    """Return the result of K control steps from the state `before` and the fields (N, K, ...) that changed.
 
     `weights` (T,) are those of the subtask's reward terms, `max_episode_steps` (N,) the time limits. A decision
     ends where its stage or its episode does: the stage in force is the same in all its valid steps.
     """
-    n = len(before.steps)
-    count = len(moving["tcp_pos"]) // n
-    order = _order(n, count)
+    begun = before.instants()
+    after = begun.with_(**moving)
+    after = after.with_(stage=subtask.next_stage(after))
+    earlier = {name: torch.cat([getattr(begun, name), value[:, :-1]], dim=1) for name, value in moving.items()}
+    previous = begun.with_(**earlier)
 
-    def earlier(name: str) -> Tensor:
-        value: Tensor = getattr(before, name)
-        if name in moving:
-            return torch.cat([moving[name], value]).index_select(0, order.preceding)
-        return value.index_select(0, order.row)
-
-    # Stages and terms read few of the fields, so each is put together when it is read.
-    previous = LazyState.of(earlier)
-    unchanged = partial(getattr, previous)
-    stage = subtask.next_stage(LazyState.of(unchanged, **moving))
-    after = LazyState.of(unchanged, **moving, stage=stage)
-
+    count = after.steps.shape[1]
     failing = subtask.failed(previous, after)
-    moved_on = (after.stage > previous.stage) | failing
-    over = moved_on.view(n, count) | (after.steps.view(n, count) >= max_episode_steps[:, None])
-    last = torch.where(over, order.step, count - 1).amin(dim=1)
-    valid = order.step <= last[:, None]
+    over = (after.stage > previous.stage) | failing | (after.steps >= max_episode_steps[:, None])
+    last = torch.where(over, torch.arange(count), count - 1).amin(dim=1)
+    valid = torch.arange(count) <= last[:, None]
     gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
-    earned = torch.where(valid[:, :, None], gained.view(n, count, -1), 0.0)
+    earned = torch.where(valid[:, :, None], gained, 0.0)
 
-    at = order.first + last
-    constant = {name: getattr(before, name) for name in State.__dataclass_fields__ if name not in moving}
-    ended = LazyState.of(
-        lambda name: moving[name].index_select(0, at), **constant | {"stage": stage.index_select(0, at)}
-    )
-    failed, finished = failing.index_select(0, at), subtask.success(ended)
+    at = torch.arange(len(last)), last
+    ended = before.with_(**{name: getattr(after, name)[at] for name in (*moving, "stage")})
+    failed, finished = failing[at], subtask.success(ended)
     terminated = (failed | finished) & (not subtask.repeats)
     return StepResult(
         state=ended,
@@ -142,25 +126,3 @@ def source_input(before: State, result: StepResult) -> SourceInput:
         speed_m_s=(travelled / (taken * CONTROL_STEP_S)).numpy(),
         arm_distance_m=result.state.arm_distance.numpy(),
     )
-
-
-class _Order(NamedTuple):
-    """Indices for n rows of K instants, those of a row together; not to be written to."""
-
-    row: Tensor
-    """(n * K,) row of each instant."""
-    preceding: Tensor
-    """(n * K,) instant before each, the n states before the decision being appended to the instants."""
-    first: Tensor
-    """(n,) first instant of each row."""
-    step: Tensor
-    """(K,) instants counted within their row."""
-
-
-@lru_cache(maxsize=16)
-def _order(n: int, count: int) -> _Order:
-    instants = torch.arange(n * count).view(n, count)
-    came_before = torch.arange(n * count, n * count + n)[:, None]
-    preceding = torch.cat([came_before, instants[:, :-1]], dim=1).flatten()
-    row, step = torch.arange(n).repeat_interleave(count), torch.arange(count)
-    return _Order(row, preceding, instants[:, 0].clone(), step)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.scene.workcell import CONTROL_SPEC
+from hrl_comfort.sim.controls import limbs_of, pack_controls
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import rendered_positions
-from hrl_comfort.sim.signals import limbs_of, pack_controls
 
 AZIMUTH_DEG, ELEVATION_DEG, DISTANCE_M = 60.0, -45.0, 2.9
 """Of the camera: the places and the people around them are in sight."""
@@ -100,7 +100,7 @@ class View:
             episodes.draw.points[at, : episodes.subtask.points],
         )
         model, data = self._model, self._data
-        mujoco.mj_setState(model, data, engine.physics[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_setState(model, data, engine.physics.state[row], mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_setState(model, data, control[0, 0], CONTROL_SPEC)
         mujoco.mj_forward(model, data)
 

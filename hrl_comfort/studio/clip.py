@@ -13,18 +13,20 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, Subtask
 
 
-def decision_clip(scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, walks: Walk) -> Clip:
+def decision_clip(
+    scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, walks: list[Walk]
+) -> Clip:
     """Return the clip of a decision in one cell.
 
-    It goes from the state and walk before it to those after its last valid control step. `walks` (K,) are those after
-    each of its control steps.
+    It goes from the state and walk before it to those after its last valid control step. `walks` are those after
+    each of its K control steps.
     """
     kept = np.flatnonzero(result.valid[0].numpy())
     steps = result.steps
     states = [before, *(steps[k] for k in kept)]
     x_y = np.concatenate([state.human_pos.numpy() for state in states])
     yaw = np.unwrap(np.concatenate([state.human_yaw.numpy() for state in states]))
-    walked = [walk, walks.rows(kept)]
+    walked = [walk, *(walks[k] for k in kept)]
     gaits = [np.column_stack([*gait(each), each.limbs.reshape(len(each.limbs), -1)]) for each in walked]
     return Clip(
         time=np.arange(len(states), dtype=np.float64) * CONTROL_STEP_S,

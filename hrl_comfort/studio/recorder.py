@@ -74,7 +74,7 @@ class Recorder:
         if self._recorder is None:
             return
         self._levels.add(float(step.result.level))
-        self._by_hand |= self._session.engine.episodes.config.human.motion == LIVE
+        self._by_hand |= self._session.engine.episodes.human.motion == LIVE
         self._recorder.add(step.result, ROW, torch.tensor([step.over]), step.runs)
         self._last = step
         if step.over:

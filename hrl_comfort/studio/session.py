@@ -18,8 +18,8 @@ from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
 from hrl_comfort.plots.clip import Array, Clip
 from hrl_comfort.policies.graph import inputs_of
 from hrl_comfort.safety.separation import Separation
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.signals import limbs_of
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.clip import decision_clip, still_clip
 from hrl_comfort.tasks import State
@@ -60,7 +60,7 @@ class Step:
     def tool(self) -> Array:
         """Places of the tool after each of its control steps, (K, 3) m."""
         kept = self.result.valid[0].numpy()
-        return self.result.instants.tcp_pos.numpy()[: len(kept)][kept]
+        return self.result.instants.tcp_pos.numpy()[0, kept]
 
     @property
     def outcome(self) -> str:
@@ -99,7 +99,7 @@ class Session:
         self.slider = Slider(env.comfort, 1)
         self._configured = self.engine.episodes.source
         if env.comfort.source == "fixed":
-            self.engine.episodes.source = self.slider
+            self.engine.episodes.take_levels(self.slider)
         self.keep_person = False
         """A new episode begins with the person where they are."""
         self.seconds, self.decisions, self.contacts, self.unsafe_contacts = 0.0, 0, 0, 0
@@ -174,7 +174,7 @@ class Session:
 
     def repeat(self) -> None:
         """Begin the same episode again, with the same draws for cell, arm and person."""
-        self.engine.episodes.episode -= 1
+        self.engine.episodes.again()
         self.reset()
 
     def reset(self) -> None:
@@ -245,16 +245,16 @@ class Session:
 
     def set_level(self, level: float) -> None:
         """Set the level of the next decision, 1 to `comfort.levels`; a level from a stream is given up."""
-        self.engine.episodes.source = self.slider
+        self.engine.episodes.take_levels(self.slider)
         self.slider.value = float(np.clip(level, 1, self.config.comfort.levels))
         self.slider.level[:] = self.slider.value
-        self.engine.episodes.state = self.state.with_(level=torch.from_numpy(self.slider.level.copy()))
+        self.engine.episodes.measured(level=self.slider.level)
         if not self.over:
             self._decide()
 
     def follow_source(self) -> None:
         """Take the level from the source of the configuration, from the end of the next decision on."""
-        self.engine.episodes.source = self._configured
+        self.engine.episodes.take_levels(self._configured)
 
     @property
     def by_hand(self) -> bool:
@@ -263,12 +263,7 @@ class Session:
 
     def set_motion(self, human: HumanConfig) -> None:
         """Let the person go on from where they are as `human` says."""
-        episodes = self.engine.episodes
-        if episodes.config.human.motion == "none":
-            episodes.walk = humans.begin(human, self.walk.spawn)
-        elif human.motion != "none":
-            episodes.walk = replace(self.walk, spawn=self.walk.position.copy())
-        episodes.config = replace(episodes.config, human=human)
+        self.engine.episodes.go_on_as(human)
 
     def close(self) -> None:
         """Stop the engine's threads."""

@@ -16,7 +16,7 @@ from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
 from hrl_comfort.tasks.shift import SHIFT, repeated
 from hrl_comfort.tasks.sort import sort
-from hrl_comfort.tasks.state import LazyState, State
+from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
@@ -44,4 +44,4 @@ def subtask(name: str, observation: str = "default", objects: int = 1) -> Subtas
     return repeated(seen) if chosen.repeats else seen
 
 
-__all__ = ["SUBTASKS", "LazyState", "ObjectAt", "Stage", "Start", "State", "Subtask", "subtask"]
+__all__ = ["SUBTASKS", "ObjectAt", "Stage", "Start", "State", "Subtask", "subtask"]

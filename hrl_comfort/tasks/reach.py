@@ -13,7 +13,7 @@ def reach_point(index: int) -> Stage:
     """Return the stage that brings the tool within its tolerance of the episode's point `index` (0 or 1)."""
 
     def goal(state: State) -> Tensor:
-        return state.points[:, index]
+        return state.points[..., index, :]
 
     distance = tool_distance(goal)
 

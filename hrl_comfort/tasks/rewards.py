@@ -1,6 +1,6 @@
 """Reward terms: named, pure, unweighted; weights are configuration (`conf/reward`).
 
-A term maps the states before and after one control step to (N,). The reward of a decision is the sum,
+A term maps the states before and after each of K control steps to (N, K). The reward of a decision is the sum,
 over its control steps, of the weighted terms.
 """
 
@@ -21,7 +21,7 @@ def progress(stages: tuple[Stage, ...], joint_space: bool) -> TransitionFunction
     """Return the decrease of the distance over the step, m or rad, in the stages (not) in joint space."""
 
     def term(before: State, after: State) -> Tensor:
-        gain = torch.zeros_like(before.tcp_pos[:, 0])
+        gain = torch.zeros_like(after.tcp_pos[..., 0])
         for index, stage in enumerate(stages):
             if stage.joint_space is joint_space:
                 shrunk = stage.distance(before) - stage.distance(after)
@@ -65,7 +65,7 @@ def other_collision(before: State, after: State) -> Tensor:
 
 def step(before: State, after: State) -> Tensor:
     """Return 1 at every control step (the paper's optional -0.1 a step)."""
-    return torch.ones_like(after.tcp_pos[:, 0])
+    return torch.ones_like(after.tcp_pos[..., 0])
 
 
 def overtime(before: State, after: State) -> Tensor:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
 
+OF_OBJECTS = {"objects", "kinds", "kind_places", "target"}
+"""Fields of which the properties of State are made; they are kept until one of these is replaced."""
+
 
 @dataclass(frozen=True)
 class State:
-    """One instant of N cells. Tensors are float64 unless said otherwise; cell frame, SI units.
+    """One instant of N cells, or K of them. Tensors are float64 unless said otherwise; cell frame, SI units.
 
     The cell frame has its origin in the robot's base, z up. Every quantity belongs to the same
     instant: the last physics step of a control step, before it is integrated.
+
+    Shapes are those of one instant. Of K instants a field that changes is (N, K, ...) and one that does not is
+    (N, 1, ...): they broadcast, and functions of State take either.
     """
 
     joint_pos: Tensor
@@ -113,49 +120,41 @@ class State:
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields by their names."""
-        return {name: getattr(self, name) for name in State.__dataclass_fields__}
+        return {name: value for name, value in vars(self).items() if name in State.__dataclass_fields__}
 
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
         return State(**{name: value.index_select(0, index) for name, value in self.fields().items()})
 
-    def with_(self, **changes: Tensor) -> State:
+    def instants(self) -> State:
+        """Return this instant as the only one of several, (N, 1, ...)."""
+        return State(**{name: value[:, None] for name, value in self.fields().items()})
+
+    def at(self, k: int) -> State:
+        """Return instant `k` of several."""
+        return State(**{name: value[:, min(k, value.shape[1] - 1)] for name, value in self.fields().items()})
+
+    def with_(self, **changes: Tensor) -> Self:
         """Return a copy with the given fields replaced."""
-        return State(**(self.fields() | changes))
+        changed = copy(self)
+        if changes.keys() & OF_OBJECTS:
+            for name in vars(changed).keys() - State.__dataclass_fields__.keys():
+                del vars(changed)[name]
+        vars(changed).update(changes)
+        return changed
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""
         theirs = other.fields()
         return State(**{name: mine.index_copy(0, index, theirs[name]) for name, mine in self.fields().items()})
 
-
-class LazyState(State):
-    """A state whose fields are made when they are first read.
-
-    It keeps what they are made of. Its copies, pickles, `rows` and `put` are states that have all fields.
-    """
-
     @classmethod
-    def of(cls, make: Callable[[str], Tensor], **known: Tensor) -> LazyState:
-        """Return a state of which some fields are known; `make` gives another by its name."""
+    def of(cls, **known: Tensor) -> Self:
+        """Return a state of which some fields are known; to read another raises AttributeError."""
         state = object.__new__(cls)
-        vars(state).update(known, _make=make)
+        vars(state).update(known)
         return state
-
-    def __getattr__(self, name: str) -> Tensor:
-        if name not in State.__dataclass_fields__:
-            raise AttributeError(f"'State' object has no attribute {name!r}", name=name, obj=self)
-        made: Tensor = vars(self)["_make"](name)
-        vars(self)[name] = made
-        return made
-
-    def with_(self, **changes: Tensor) -> State:
-        """Return a copy with the given fields replaced, the others still to be made."""
-        return LazyState.of(partial(getattr, self), **changes)
-
-    def __reduce__(self) -> tuple[type[State], tuple[Tensor, ...]]:
-        return State, tuple(self.fields().values())
 
 
 def _of_target(each: Tensor, index: Tensor) -> Tensor:

@@ -14,10 +14,9 @@ from torch.linalg import vector_norm
 from hrl_comfort.tasks.state import State
 
 StateFunction = Callable[[State], Tensor]
-"""Pure function of one instant."""
+"""Pure function of one instant, or of K of them."""
 TransitionFunction = Callable[[State, State], Tensor]
-"""Pure function of two instants, one control step apart: (before, after) -> (N,). Most of their fields are put together
-when they are first read; `fields()` has all of them."""
+"""Pure function of instants and those one control step later: (before, after) -> (N, K), or (N,) of one each."""
 
 
 class ObjectAt(StrEnum):
@@ -107,7 +106,7 @@ class Subtask:
         return replace(self, observations={**self.observations, **terms})
 
     def next_stage(self, state: State) -> Tensor:
-        """Return the stage (N,) in force after this instant: one further where the present one is done."""
+        """Return the stage in force after this instant: one further where the present one is done."""
         stage, own = state.stage, self.in_round(state.stage)
         for index, item in enumerate(self.stages):
             stage = torch.where((own == index) & item.done(state), state.stage + 1, stage)
@@ -120,7 +119,7 @@ class Subtask:
         return stage % len(self.stages) if self.repeats else stage
 
     def success(self, state: State) -> Tensor:
-        """Return (N,) bool: every stage is done, and none begins again."""
+        """Return where every stage is done, and none begins again."""
         return (state.stage >= len(self.stages)) & (not self.repeats)
 
     def failure(self, state: State) -> Tensor:
@@ -184,8 +183,9 @@ def by_stage(stages: tuple[Stage, ...], quantity: Callable[[Stage], StateFunctio
     def select(state: State) -> Tensor:
         value = quantity(stages[-1])(state)
         for index, stage in enumerate(stages[:-1]):
-            chosen = (state.stage == index).reshape(-1, *[1] * (value.ndim - 1))
-            value = torch.where(chosen, quantity(stage)(state), value)
+            other = quantity(stage)(state)
+            chosen = (state.stage == index)[(..., *[None] * (value.ndim - state.stage.ndim))]
+            value = torch.where(chosen, other, value)
         return value
 
     return select

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -56,6 +57,17 @@ def test_an_array_that_claims_more_than_its_file_holds_is_refused(tmp_path: Path
     np.lib.format.write_array_header_1_0(header, about)
     with pytest.raises(ConfigError, match="must hold an array of shape"):
         recorded(str(zipped(tmp_path / "starts.npz", "orange.npy", 10**6, header.getvalue())), 10, 6, KINDS)
+
+
+def test_a_table_of_holes_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    table, most = tmp_path / "episodes.csv", 3 * 10**8
+    table.write_text("episode,success\n")
+    os.truncate(table, most)
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"line 2: byte 0x00 is not text"):
+        read_table(table)
+    assert tracemalloc.get_traced_memory()[1] < 1.2 * most
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         terminated=done & ~truncated,
         truncated=truncated,
         decision_steps=torch.ones(n, dtype=torch.int64),
-        instants=state,
+        instants=state.instants(),
     )
 
 
@@ -181,12 +181,12 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
     expert = make_policy("expert", task, engine.scene, config, 0)
     executor = OptionExecutor([Option(task.name, task, expert)], config.task.max_episode_steps, engine.episodes)
     engine.reset()
-    run, stepped = engine._run, []
+    run, stepped = engine.physics.run, []
 
-    def counted(physics: Any, control: Any, rows: Any) -> Any:
-        stepped.append(len(physics))
-        return run(physics, control, rows)
+    def counted(control: Any, rows: Any) -> Any:
+        stepped.append(len(control))
+        return run(control, rows)
 
-    monkeypatch.setattr(engine, "_run", counted)
+    monkeypatch.setattr(engine.physics, "run", counted)
     active = [int(step.active.sum()) for step in execute(engine, executor, in_order)]
     assert stepped == active and 0 < active[-1] < active[0] == 6

@@ -15,7 +15,7 @@ from hrl_comfort.config.composition.overrides import choices
 from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.humans.body import ARM_LENGTH_M, FOREARM_M, UPPER_ARM_M
 from hrl_comfort.humans.motions.reactive import social_force
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.sim.engine import Engine
 
 OWN = Path(__file__).with_name("reach.bvh")
@@ -58,9 +58,7 @@ def stacked(walks: list[humans.Walk], name: str) -> np.ndarray:
 
 def poses(walks: list[humans.Walk]) -> np.ndarray:
     """Return (T, PEOPLE, 7, 7)."""
-    walk = humans.Walk.along(walks)
-    found = limb_poses(*walk.position.T, walk.yaw, *humans.gait(walk), 0.0, walk.limbs)
-    return found.reshape(PEOPLE, len(walks), len(LIMBS), 7).swapaxes(0, 1)
+    return np.stack([limb_poses(*w.position.T, w.yaw, *humans.gait(w), 0.0, w.limbs) for w in walks])
 
 
 def hands(walks: list[humans.Walk]) -> np.ndarray:

@@ -90,14 +90,13 @@ class Count:
 def outside(engine: Engine, before: State, after: State, valid: NDArray[np.bool_]) -> int:
     """Return how many set-points of a decision exceed the rating of the arm.
 
-    `before` (N rows) is the state at its beginning, `after` (N * K) those at its control steps, `valid` (N, K).
+    `before` (N) is the state at its beginning, `after` those after its K control steps, `valid` (N, K).
     """
-    arm, scene = engine.episodes._separation.arm, engine.scene
+    arm, scene = engine.episodes.separation.arm, engine.scene
     robot = engine.episodes.config.robot
     rated = RATINGS[robot.name][robot.rating]
-    shape = (*valid.shape, -1)
     angles, velocity = (
-        np.concatenate([getattr(before, name).numpy()[:, None], getattr(after, name).numpy().reshape(shape)], axis=1)
+        np.concatenate([getattr(before, name).numpy()[:, None], getattr(after, name).numpy()], axis=1)
         for name in ("joint_target", "target_vel")
     )
     change = np.abs(np.diff(velocity, axis=1)) / CONTROL_STEP_S
@@ -130,7 +129,7 @@ def run(
     said = [f"task={task}", f"human={motion}", *MOTIONS[motion], *file, *WORLD, *levels, *WAYS[way]]
     env = environment(compose("train", said))
     engine, speeds = Engine(env, rows, seed, disturbance=disturbance), [0.0]
-    sensors = engine.episodes._sensors
+    sensors = engine.episodes.referee.sensors
     measured = sensors.approach
 
     def approach(*given: Any) -> Array:
@@ -141,7 +140,7 @@ def run(
     sensors.approach = approach  # type: ignore[method-assign]
     act: Callable[[State], Any]
     if source == "persistent":
-        act = persistent.Policy(policy, rows, seed, engine.episodes._separation.arm)
+        act = persistent.Policy(policy, rows, seed, engine.episodes.separation.arm)
     else:
         act = make_policy(source, engine.episodes.subtask, engine.scene, env, seed)
     state, found = engine.reset(), Count()
@@ -152,7 +151,7 @@ def run(
         after = result.state
         found.episodes += int(result.done.sum())
         found.contacts += int((after.contact & ~state.contact).sum())
-        unsafe = result.instants.unsafe_contact.view(rows, -1) & result.valid
+        unsafe = result.instants.unsafe_contact & result.valid
         found.unsafe_contacts += int((unsafe.any(dim=1) & ~state.unsafe_contact).sum())
         found.protective_stops += int((after.protective_stops - state.protective_stops).sum())
         state = engine.reset(np.flatnonzero(result.done.numpy()))

@@ -102,21 +102,21 @@ def watched(engine: Engine, found: Count) -> list[Array]:
 
     Each is the largest of the physics steps of a control step.
     """
-    sensors, joints = engine.episodes._sensors, len(engine.scene.joints)
-    measured, run, errors = sensors.approach, engine._run, []
+    sensors, joints = engine.episodes.referee.sensors, len(engine.scene.joints)
+    measured, run, errors = sensors.approach, engine.physics.run, []
 
     def approach(*given: object) -> Array:
         speed = measured(*given)  # type: ignore[arg-type]
         found.fastest_m_s = max(found.fastest_m_s, float(speed.max()))
         return speed
 
-    def running(physics: Array, control: Array, rows: NDArray[np.int64] | None) -> tuple[Array, Array]:
-        states, sensed = run(physics, control, rows)
+    def running(control: Array, rows: NDArray[np.int64] | None) -> Array:
+        sensed = run(control, rows)
         # A reading belongs to the instant before a physics step, in which the servo sees this error.
         errors.append(np.abs(control[..., :joints] - sensed[..., engine.scene.sensors["joint_pos"]]).max(axis=1))
-        return states, sensed
+        return sensed
 
-    sensors.approach, engine._run = approach, running  # type: ignore[method-assign]
+    sensors.approach, engine.physics.run = approach, running  # type: ignore[method-assign]
     return errors
 
 
@@ -126,7 +126,7 @@ def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, r
     engine, found = Engine(environment(compose("train", said)), rows, seed), Count()
     errors, drive = watched(engine, found), engine.episodes.drive
     assert drive is not None
-    act = Policy(policy, rows, seed, engine.episodes._separation.arm)
+    act = Policy(policy, rows, seed, engine.episodes.separation.arm)
     state = engine.reset()
     while found.control_steps < steps:
         errors.clear()
@@ -135,9 +135,9 @@ def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, r
         found.largest_error_rad = max(found.largest_error_rad, float(error.max()))
         found.excess_rad = max(found.excess_rad, float((error - drive.error_rad).max()))
         after, last = result.instants, (result.decision_steps - 1)[:, None]
-        touching = after.touching.view(rows, -1)
+        touching = after.touching
         began = touching & ~torch.cat([state.touching[:, None], touching[:, :-1]], dim=1) & result.valid
-        unsafe = after.unsafe_contact.view(rows, -1).gather(1, last)[:, 0] & ~state.unsafe_contact
+        unsafe = after.unsafe_contact.gather(1, last)[:, 0] & ~state.unsafe_contact
         found.control_steps += int(result.valid.sum())
         found.contacts += int(began.sum())
         found.unsafe_contacts += int(unsafe.sum())

@@ -21,8 +21,8 @@ from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.humans import steering
 from hrl_comfort.humans.motions.adversary import HANGING
 from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.signals import limbs_of
 
 Array = NDArray[np.float64]
 ROWS, PHASES, DECISIONS, JOINTS = 64, 6, 40, 6
@@ -70,7 +70,7 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     Distance from a touch counts against it.
     """
     people[:] = trials
-    episodes, separation = engine.episodes, engine.episodes._separation
+    episodes, separation = engine.episodes, engine.episodes.separation
     episodes.rewind()
     state = engine.reset()
     bearing, distance = 2 * np.pi * trials[:, 0], NEAREST_M + (FARTHEST_M - NEAREST_M) * trials[:, 1]
@@ -83,12 +83,14 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     going &= separation.gap(state.joint_pos.numpy(), limbs_of(engine.scene, episodes.walk)) > 0
     for decision in range(DECISIONS):
         result = engine.step(np.clip(FULL * (2 * phase_of(decision)[:, 3:] - 1), -1.0, 1.0))
-        beside = episodes._planned["limbs"]
-        moving = result.instants.joint_pos.numpy(), result.instants.joint_vel.numpy()
+        beside = episodes.plan.planned.limbs.reshape(-1, 7, 7)
+        moving = [
+            each.numpy().reshape(len(beside), -1) for each in (result.instants.joint_pos, result.instants.joint_vel)
+        ]
         speed = separation.closing_speed(*moving, beside) - PER_M * np.maximum(separation.gap(moving[0], beside), 0.0)
-        valid = result.valid.numpy() & going[:, None] & ~result.instants.contact.numpy().reshape(ROWS, -1)
+        valid = result.valid.numpy() & going[:, None] & ~result.instants.contact.numpy()
         found = np.maximum(found, np.where(valid, speed.reshape(ROWS, -1), -np.inf).max(axis=1))
-        unsafe |= going & (result.instants.unsafe_contact.view(ROWS, -1) & result.valid).any(dim=1).numpy()
+        unsafe |= going & (result.instants.unsafe_contact & result.valid).any(dim=1).numpy()
         going &= ~result.done.numpy()
     return found, int(unsafe.sum())
 

@@ -19,8 +19,8 @@ from hrl_comfort.safety.shield import LAGS, SERVO_SHARE
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.signals import limbs_of
 from tests.safety.persistent import POLICIES, run
 
 SHIELDED = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact")
@@ -124,7 +124,7 @@ def test_a_person_may_come_at_the_largest_speed_as_an_episode_begins() -> None:
     assert drive is not None and drive.shield is not None
     state = engine.episodes.state
     assert state is not None
-    now = engine.episodes._separation.encounter(state.joint_pos.numpy(), limbs_of(engine.scene, engine.episodes.walk))
+    now = engine.episodes.separation.encounter(state.joint_pos.numpy(), limbs_of(engine.scene, engine.episodes.walk))
     assert drive.shield._pace(now) == pytest.approx(engine.episodes.config.safety.human_speed_m_s)
 
 

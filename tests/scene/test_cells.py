@@ -128,5 +128,5 @@ def test_obstacles_are_touched_and_end_an_episode() -> None:
 
 def test_a_sweep_takes_built_in_cells_alone(hall: Path) -> None:
     assert check_overrides("train", ["cell=paper,bench"], sweep=True) == ["cell=paper,bench"]
-    with pytest.raises(ConfigError, match="hall.yaml.* is not a choice"):
+    with pytest.raises(ConfigError, match=r"hall.yaml.* is not a choice"):
         check_overrides("train", [f"cell='{hall}',bench"], sweep=True)

@@ -42,9 +42,9 @@ def actions(rows: int, count: int, seed: int = 0) -> np.ndarray:
 
 
 def by_row(outcome: StepResult, name: str) -> Tensor:
-    """Return a field of the instants as (N, K, ...)."""
+    """Return a field of the instants, (N, K, ...)."""
     value: Tensor = getattr(outcome.instants, name)
-    return value.view(*outcome.valid.shape, *value.shape[1:])
+    return value.expand(*outcome.valid.shape, *value.shape[2:])
 
 
 def paid(engine: Engine, outcome: StepResult) -> Tensor:
@@ -261,7 +261,7 @@ def test_where_nobody_is_there_comfort_pays_nothing(form: str, distance: str) ->
 def test_the_factors_of_equation_one_multiply_the_bonuses(key: str, task: str, start: str) -> None:
     plain, doubled = begun(f"task={task}"), begun(f"task={task}", f"reward.{key}=2")
     index = plain.episodes.reward_names.index(start)
-    weights = torch.stack([engine.episodes._weights for engine in (plain, doubled)])
+    weights = torch.stack([engine.episodes.referee.weights for engine in (plain, doubled)])
     ratio = weights[1] / weights[0]
     assert ratio[index] == 2
     others = torch.arange(weights.shape[1]) != index

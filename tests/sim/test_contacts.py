@@ -14,7 +14,8 @@ from hrl_comfort.safety.separation import TOUCH_M, Separation
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import Scene, build_scene
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.signals import Sensors
+from hrl_comfort.sim.plan import Planned
+from hrl_comfort.sim.sensors import Sensors
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -31,13 +32,13 @@ def cell() -> tuple[Scene, Separation, State]:
 
 
 def readings(angles: list[Array], velocity: Array, touching: list[bool]) -> Array:
-    """Return readings (1, SUBSTEPS, nsensor) of an arm."""
+    """Return readings (1, 1, SUBSTEPS, nsensor) of an arm."""
     scene, *_ = cell()
     sensed = np.zeros((1, SUBSTEPS, scene.model.nsensordata))
     sensed[0, :, scene.sensors["joint_pos"]] = np.array(angles)
     sensed[0, :, scene.sensors["joint_vel"]] = velocity
     sensed[0, :, scene.sensors["human"].start] = touching
-    return sensed
+    return sensed[:, None]
 
 
 def two_touches() -> tuple[Array, Array, Array, Array, float]:
@@ -62,12 +63,11 @@ def test_a_second_pair_that_begins_to_touch_is_judged_while_another_one_touches(
     first, second, velocity, limbs, fastest = two_touches()
     before = state.with_(touching=torch.ones(1, dtype=torch.bool), joint_pos=torch.from_numpy(first[None]))
     given = readings([first, first, second, second], velocity, [True] * 4)
-    felt = np.ones((1, 4), dtype=bool)
+    felt, planned = np.ones((1, 1, 4), dtype=bool), Planned({}, limbs[:, None])
     sensors = Sensors(scene, separation, False)
-    assert sensors.approach(felt, given, limbs, before, limbs) == np.array([fastest])
+    assert sensors.approach(felt, given, planned.limbs, before, limbs) == np.array([fastest])
     still = readings([first] * 4, velocity, [True] * 4)
-    assert sensors.approach(felt, still, limbs, before, limbs) == -np.inf
-    planned = {"limbs": limbs}
+    assert sensors.approach(felt, still, planned.limbs, before, limbs) == -np.inf
     fields = sensors.read_decision(given, planned, before, limbs, None)
     assert fields["touching"].all() and fields["unsafe_contact"].all()
     assert not sensors.read_decision(still, planned, before, limbs, None)["unsafe_contact"].any()
@@ -79,6 +79,6 @@ def test_a_contact_shorter_than_a_control_step_counts() -> None:
     away = limb_poses(np.array([50.0]), np.zeros(1), 0.0, 0.0, 0.0, scene.floor_z)
     apart, speed = separation.pairs(second[None], velocity[None], limbs)
     given = readings([scene.home, second, scene.home, scene.home], velocity, [False, True, False, False])
-    fields = Sensors(scene, separation, False).read_decision(given, {"limbs": limbs}, state, away, None)
+    fields = Sensors(scene, separation, False).read_decision(given, Planned({}, limbs[:, None]), state, away, None)
     assert fields["touching"].all() and fields["contact"].all()
     assert bool(fields["unsafe_contact"]) == bool((speed[apart <= TOUCH_M] > 0.25).any())

@@ -11,8 +11,8 @@ from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.rollout import Result, rollout
-from hrl_comfort.sim.disturbance import BLOCK_STEPS
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.variation.disturbance import BLOCK_STEPS
 
 
 def measured(*overrides: str) -> Result:

@@ -13,8 +13,8 @@ from hrl_comfort.config.composition.stages import stages_of
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.safety.allowances import LARGEST_NOISE, MOST_LOST
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.randomisation import Servos, Values, draws
-from hrl_comfort.sim.tracker import Tracker
+from hrl_comfort.sim.variation.randomisation import Servos, Values, draws
+from hrl_comfort.sim.variation.tracker import Tracker
 
 ALL = "randomise=sim_to_real"
 SHIELDED = (
@@ -151,8 +151,8 @@ def test_the_tracker_holds_its_frames_and_loses_two_in_a_row_at_most() -> None:
     for step in range(1, 500):
         here = np.full((1, 2), float(step))
         tracker.see(np.array([step]), frames[None], here, np.full((1, 7, 7), float(step)))
-        ages.append(step - tracker.seen(here)[-1, 0])
-        assert tracker.shown[0, 0, 0] == tracker.seen(here)[-1, 0]
+        ages.append(step - tracker.seen(here)[0, -1, 0])
+        assert tracker.shown[0, 0, 0] == tracker.seen(here)[0, -1, 0]
     assert 5 <= max(ages) <= (1 + MOST_LOST) / 20 / 0.02
     assert ages.count(0) > 50
 
@@ -173,7 +173,7 @@ def test_links_differ_in_mass_and_friction() -> None:
     engine.reset()
     nominal = engine.scene.model
     factors = []
-    for model in engine._models:
+    for model in engine.physics.models:
         moving = nominal.body_weldid > 0
         moving &= nominal.body_mass > 0
         factors.append(model.body_mass[moving] / nominal.body_mass[moving])

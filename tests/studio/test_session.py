@@ -15,7 +15,7 @@ from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
-from hrl_comfort.sim.signals import limbs_of
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.studio.person import HELD_S, Person, motion_config, observed_as
 from hrl_comfort.studio.session import Session
 
@@ -279,7 +279,7 @@ def test_tracker_and_shield_begin_with_the_person_who_is_kept() -> None:
     session.step()
     session.reset()
     episodes, limbs = session.engine.episodes, limbs_of(session.engine.scene, session.walk)
-    assert episodes._tracker.shown == pytest.approx(limbs)
+    assert episodes.plan.tracker.shown == pytest.approx(limbs)
     drive = episodes.drive
     assert drive is not None and drive.shield is not None
     assert drive.shield.memory.seen[:2] == pytest.approx(drive.shield._person.ends(limbs)[:2])

@@ -247,8 +247,8 @@ def _checked(root: str, parsed: Override, line: str) -> str:
     if is_dataclass(kind) and not isinstance(parsed.value(), dict):
         raise ConfigError(f"{line} is a section; set {', '.join(f'{key}.{name}' for name in get_type_hints(kind))}")
     # An entry of a list or a mapping may leave out keys that have a default.
-    inside = any(part.isdigit() for part in parts) or _in_mapping(root, parts)
-    return f"++{line}" if inside and line[0] != "+" else line
+    optional = any(part.isdigit() for part in parts) or _in_mapping(root, parts)
+    return f"++{line}" if optional and line[0] != "+" else line
 
 
 def _in_mapping(root: str, parts: list[str]) -> bool:

@@ -15,8 +15,8 @@ from hrl_comfort.safety.rows import Rows
 from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
-from hrl_comfort.sim.signals import limbs_of
 from hrl_comfort.studio.web.arrays import recorded
 
 Array = NDArray[Any]

@@ -1,7 +1,7 @@
 """Domain randomisation: how the cells differ from the model, drawn once an episode.
 
 Set-points reach the servos late, joints are observed with noise, links have another mass and joints have friction. The
-person's tracker is in `sim.tracker`. Without a difference nothing is computed: episodes are those of the model.
+person's tracker is in `tracker`. Without a difference nothing is computed: episodes are those of the model.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, RandomiseConfig
 from hrl_comfort.safety.allowances import MOST_LOST
 from hrl_comfort.scene.human import LIMBS
-from hrl_comfort.sim.randomisation import Values
+from hrl_comfort.sim.variation.randomisation import Values
 
 Array = NDArray[np.float64]
 
@@ -50,14 +50,6 @@ class Tracker:
         """Begin a decision, of which some control steps may turn out void."""
         self._decision = []
 
-    def follow(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
-        """See people at `place` (N * K, 2) m, `limbs` (N * K, L, 7) by the control steps `steps` (N, K)."""
-        if not self.active:
-            return
-        n, count = steps.shape
-        for k in range(count):
-            self.see(steps[:, k], frames, place.reshape(n, count, 2)[:, k], limbs.reshape(n, count, -1, 7)[:, k])
-
     def see(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
         """Take the frames (N, FRAMES, 3) due at control step `steps` (N,): people at `place` (N, 2), `limbs` (N, L, 7).
 
@@ -78,10 +70,10 @@ class Tracker:
         self._decision.append((self._place, self._limbs, self._missed))
 
     def seen(self, true: Array) -> Array:
-        """Return where people are seen (N * K, 2) m over a decision; `true` (N * K, 2) without a tracker."""
+        """Return where people are seen (N, K, 2) m over a decision; `true` (N, K, 2) m without a tracker."""
         if not self.active:
             return true
-        return np.stack([place for place, *_ in self._decision], axis=1).reshape(-1, 2)
+        return np.stack([place for place, *_ in self._decision], axis=1)
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
         """Go back to the last valid control step (N,) of the decision in each row, counted from 0."""

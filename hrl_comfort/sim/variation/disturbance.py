@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from hrl_comfort.config import DISTURBANCES
 from hrl_comfort.config.checks import one_of
 from hrl_comfort.humans import Walk
-from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -33,13 +32,14 @@ class Disturbance:
         self.kind = kind
         self._left = np.zeros(rows, dtype=np.int64)
 
-    def begin(self, row: int, draw: Draw, keep_out_m: float, rng: np.random.Generator) -> None:
-        """Begin the episode `draw` in `row`: draw when the object will be lost, or put the person in the way."""
+    def begin(self, row: int, drop: Array, keep_out_m: float, rng: np.random.Generator) -> Array | None:
+        """Begin an episode in `row`, whose first object belongs at `drop` (3,) m.
+
+        Draw when the object will be lost, or return where (2,) m the person stands in the way.
+        """
         if self.kind == "drop":
             self._left[row] = rng.integers(HELD[0], HELD[1] + 1)
-        elif self.kind == "block":
-            draw.spawn_id[row] = -1
-            draw.spawn[row] = blocking_place(draw.kind_places[row, draw.kinds[row, 0], :2], keep_out_m)
+        return blocking_place(drop[:2], keep_out_m) if self.kind == "block" else None
 
     def applied(self, state: State, task: Subtask) -> State:
         """Return the state after a decision with the objects knocked out of the gripper back where they arrived."""

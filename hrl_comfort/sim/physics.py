@@ -1,0 +1,120 @@
+"""Physics: from controls to readings. In batches by `mujoco.rollout`; `deploy.robot` has that of a real arm."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.scene.links import vary_links
+from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
+from hrl_comfort.sim.variation.randomisation import Values
+from hrl_comfort.threads import Threads
+
+Array = NDArray[np.float64]
+
+
+class Physics(Protocol):
+    """Cells that run controls, whoever made them."""
+
+    state: Array
+    """(N, nstate) mjSTATE_FULLPHYSICS: time, qpos, qvel."""
+
+    @property
+    def joints(self) -> Array:
+        """(N, 2 J) as they are now: angles, rad, and velocities, rad/s."""
+
+    def sense(self, joints: Array, control: Array) -> Array:
+        """Return the readings (r, nsensor) of cells at `joints` (r, 2 J) under `control` (r, ncontrol)."""
+
+    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
+        """Put `rows` (r,) at `joints` (r, 2 J); their cells differ from the model by `values` (r)."""
+
+    def begin_decision(self) -> None:
+        """Begin a decision, of which some control steps may turn out void."""
+
+    def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:
+        """Run `control` (r, T, ncontrol) in `rows` (r,), all by default; return the readings (r, T, nsensor)."""
+
+    def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
+        """Go back to the physics step after the first `steps` (r,) of the decision."""
+
+    def close(self) -> None:
+        """Stop what runs beside."""
+
+
+class Rollout:
+    """N cells of one model, or of N whose links differ, in threads of MuJoCo."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
+        self._scene = scene
+        self.models = [copy(scene.model) for _ in range(rows if config.randomise.links else 0)]
+        """One a row, where links differ from the model."""
+        self._data = [mujoco.MjData(scene.model) for _ in range(config.engine.threads)]
+        self._threads = Threads(config.engine.threads)
+        self._passed: list[Array] = []
+        """States (r, T, nstate) after each physics step of the decision."""
+        self.state = np.zeros((rows, scene.nstate))
+
+    @property
+    def joints(self) -> Array:
+        """See `Physics`."""
+        return self._now[:, 1:]
+
+    def sense(self, joints: Array, control: Array) -> Array:
+        """See `Physics`. Readings are those before a step is integrated: other masses make no difference to them."""
+        sensed = self._threads.rollout(
+            self._scene.model, self._data, state_of(joints), control[:, None], control_spec=CONTROL_SPEC
+        )[1]
+        return sensed[:, 0]
+
+    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
+        """See `Physics`."""
+        self.state[rows] = state_of(joints)
+        self.vary(rows, values)
+
+    def vary(self, rows: NDArray[np.int64], values: Values) -> None:
+        """Give the links of `rows` (r,) the mass and friction of `values` (r)."""
+        if self.models:
+            for row, mass, friction in zip(rows, values.mass, values.friction, strict=True):
+                vary_links(self.models[row], self._scene.model, mass, friction)
+
+    def begin_decision(self) -> None:
+        """See `Physics`."""
+        self._now = self.state.copy()
+        self._passed.clear()
+
+    def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:
+        """See `Physics`."""
+        at = slice(None) if rows is None else rows
+        models = [self._scene.model] * len(control)
+        if self.models:
+            models = self.models if rows is None else [self.models[row] for row in rows]
+        n, steps = control.shape[:2]
+        states, sensed = np.empty((n, steps, self._scene.nstate)), np.empty((n, steps, self._scene.model.nsensordata))
+        # The checks of the shapes would take a sixth as long as one cell's physics.
+        self._threads.rollout(
+            models, self._data, self._now[at], control, control_spec=CONTROL_SPEC, skip_checks=True, nstep=steps,
+            state=states, sensordata=sensed,
+        )  # fmt: skip
+        self._now[at] = states[:, -1]
+        self._passed.append(states)
+        return sensed
+
+    def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
+        """See `Physics`."""
+        at = slice(None) if rows is None else rows
+        self.state[at] = np.concatenate(self._passed, axis=1)[np.arange(len(steps)), steps - 1]
+
+    def close(self) -> None:
+        """See `Physics`."""
+        self._threads.close()
+
+
+def state_of(joints: Array) -> Array:
+    """Return the physics (r, nstate) at time 0 of `joints` (r, 2 J): angles rad, velocities rad/s."""
+    return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)

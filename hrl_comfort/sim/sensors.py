@@ -1,0 +1,118 @@
+"""Sensor readings as fields of State."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.plan import Planned
+from hrl_comfort.tasks import State
+
+Array = NDArray[np.float64]
+COLLISIONS = {"touching": "human", "table_collision": "table", "self_collision": "self"}
+"""Field of State -> sensors whose contact it reports."""
+MEASURED = ("joint_pos", "joint_vel", "tcp_pos")
+
+
+class Sensors:
+    """Fields of State that the sensors give; `arm_distance` is NaN unless `measure_arm`.
+
+    People who are `pushing` do not stop at a touch: what the arm does afterwards is their doing, so that only the first
+    pair of capsules that touches is judged.
+    """
+
+    def __init__(self, scene: Scene, separation: Separation, measure_arm: bool, pushing: bool = False) -> None:
+        self._at, self._separation = scene.sensors, separation
+        self._measure_arm, self._pushing = measure_arm, pushing
+
+    def read_first(self, sensed: Array, planned: Planned) -> dict[str, Tensor]:
+        """Return the fields (r, ...) of the first instants of episodes, from readings (r, nsensor)."""
+        fields = {name: value[:, 0] for name, value in self._read(sensed[:, None], planned).items()}
+        return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
+
+    def read_decision(
+        self, readings: Array, planned: Planned, before: State, limbs: Array, rows: NDArray[np.int64] | None
+    ) -> dict[str, Tensor]:
+        """Return the fields (N, K, ...) of the decision that began in the state `before` (N rows).
+
+        `limbs` (N, L, 7) are those of people then. `readings` (r, K, substeps, nsensor) are those of `rows` (r,), all
+        by default; the other rows stay as they are.
+        """
+        if rows is None:
+            return self._read_all(readings, planned, before, limbs)
+        part = Planned({name: value[rows] for name, value in planned.fields.items()}, planned.limbs[rows])
+        at = torch.from_numpy(rows)
+        fields = self._read_all(readings, part, before.rows(at), limbs[rows])
+        if len(rows) < len(before.steps):
+            for name, value in fields.items():
+                still = getattr(before, name)[:, None].repeat_interleave(value.shape[1], dim=1)
+                fields[name] = still.index_copy(0, at, value)
+        return fields
+
+    def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> dict[str, Tensor]:
+        return self._read(readings[:, :, -1], planned) | self._contacts(readings, planned.limbs, before, limbs)
+
+    def _read(self, sensed: Array, planned: Planned) -> dict[str, Tensor]:
+        """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them."""
+        fields = dict(planned.fields)
+        fields |= {name: sensed[..., self._at[name]] for name in MEASURED}
+        fields |= {name: np.asarray(sensed[..., self._at[key]].any(axis=-1)) for name, key in COLLISIONS.items()}
+        fields["arm_distance"] = np.full(sensed.shape[:2], np.nan)
+        if self._measure_arm:
+            angles, limbs = fields["joint_pos"], planned.limbs
+            gap = self._separation.gap(angles.reshape(-1, angles.shape[-1]), limbs.reshape(-1, *limbs.shape[2:]))
+            fields["arm_distance"] = gap.reshape(sensed.shape[:2])
+        return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
+
+    def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> dict[str, Tensor]:
+        """Return `touching`, `contact` and `unsafe_contact` (n, K) of a decision, from all its physics steps.
+
+        `readings` (n, K, substeps, nsensor), people at `limbs` (n, K, L, 7), the state `before` (n rows) beside
+        people at `limbs_before` (n, L, 7).
+        """
+        old = {"contact": before.contact.numpy(), "unsafe_contact": before.unsafe_contact.numpy()}
+        felt: NDArray[np.bool_] = np.asarray(readings[..., self._at["human"]].any(axis=-1))
+        touching: NDArray[np.bool_] = np.asarray(felt.any(axis=2))
+        if touching.any():
+            speed = self.approach(felt, readings, limbs, before, limbs_before)
+            new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}
+            found = {name: (new[name].cumsum(axis=1) > 0) | old[name][:, None] for name in old}
+        else:
+            found = {name: np.repeat(value[:, None], touching.shape[1], axis=1) for name, value in old.items()}
+        return {name: torch.from_numpy(value) for name, value in {"touching": touching, **found}.items()}
+
+    def approach(
+        self, felt: NDArray[np.bool_], readings: Array, limbs: Array, before: State, limbs_before: Array
+    ) -> Array:
+        """Return the largest speed (n, K) m/s at which an arm's capsule closed in on one of the person's at a touch.
+
+        Of the pairs that began to touch in a control step, -inf if none did. A reading belongs to the instant before
+        the physics resolves the contact; `felt` (n, K, substeps) says which of them have one. The other arguments are
+        those of `_contacts`.
+        """
+        n, count, substeps = felt.shape
+        readings = readings.reshape(n, count * substeps, -1)
+        felt = felt.reshape(n, -1)
+        preceding = np.concatenate([before.touching.numpy()[:, None], felt[:, :-1]], axis=1)
+        row, time = felt.nonzero()
+        sensed = readings[row, time]
+        moving = sensed[:, self._at["joint_pos"]], sensed[:, self._at["joint_vel"]]
+        apart, speed = self._separation.pairs(*moving, limbs[row, time // substeps])
+        touched = np.zeros((len(row), *apart.shape[:2]), dtype=bool)
+        again = np.flatnonzero(preceding[row, time])
+        row_before, time_before = row[again], time[again] - 1
+        earlier = readings[row_before, time_before][:, self._at["joint_pos"]]
+        beside = limbs[row_before, time_before // substeps]
+        first = time_before < 0
+        earlier[first], beside[first] = before.joint_pos.numpy()[row_before[first]], limbs_before[row_before[first]]
+        if len(again):
+            touched[again] = self._separation.touch(earlier, beside)
+        begins = (apart.transpose(2, 0, 1) <= TOUCH_M) & ~touched
+        if self._pushing:
+            begins[again] = False
+        fastest = np.full(felt.shape, -np.inf)
+        fastest[row, time] = np.where(begins, speed.transpose(2, 0, 1), -np.inf).max(axis=(1, 2))
+        largest: Array = fastest.reshape(n, count, substeps).max(axis=2)
+        return largest
