@@ -82,7 +82,7 @@ class ObjectConfig:
     belongs_at: str
     """Name of the place where it is put down."""
     mass_kg: Annotated[float, within(0.001, 50.0)] = 0.05
-    """Mass, kg."""
+    """Mass, kg. A picked object rides on the gripper without mass: the arm does not feel it yet."""
     rgb: Rgb = field(default_factory=lambda: [0.3, 0.5, 0.8])
     """Colour in pictures: red, green and blue, 0 to 1."""
 

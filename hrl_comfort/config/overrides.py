@@ -232,9 +232,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
 
 
 def _in_mapping(root: str, parts: list[str]) -> bool:
-    """Return whether a key lies in an entry of a mapping, as `cell.places.NAME.size_m`."""
+    """Return whether a key is a mapping, or in one, as `cell.places.NAME.size_m`."""
     kind: Any = ROOTS[root]
-    for name in parts[:-1]:
+    for name in parts:
         kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
         if get_origin(kind) is dict:
             return True
