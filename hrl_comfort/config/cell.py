@@ -122,17 +122,18 @@ class ObstacleConfig:
 class VaryConfig:
     """Ranges [low, high] from which the layouts of a cell are drawn, uniformly."""
 
-    layouts: Annotated[int, within(1, 100_000)]
-    """Number of layouts in each split; `train`, `validation` and `test` have none in common."""
-    distance_m: Annotated[XY, Field()]
+    layouts: Annotated[int, within(0, 100_000)] = 0
+    """Number of layouts in each split; `train`, `validation` and `test` have none in common. 0: the layout is always
+    the one given."""
+    distance_m: XY = field(default_factory=lambda: [0.38, 0.68])
     """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any."""
-    height_m: Annotated[XY, Field()]
+    height_m: XY = field(default_factory=lambda: [0.0, 0.42])
     """Height of a place's top above the robot's base, m."""
-    apart_m: Annotated[float, within(0.0, 2.0)]
+    apart_m: Annotated[float, within(0.0, 2.0)] = 0.3
     """Smallest horizontal distance between the middles of two places, and of a place and an obstacle, m."""
-    home_deg: Annotated[float, within(0.0, 45.0)]
+    home_deg: Annotated[float, within(0.0, 45.0)] = 10.0
     """Largest difference of each joint's home angle from that of `robot.home_deg`, degrees."""
-    obstacle_probability: Annotated[float, within(0.0, 1.0)]
+    obstacle_probability: Annotated[float, within(0.0, 1.0)] = 0.5
     """Probability that an obstacle is there; it stands at a distance in `distance_m`, as high as configured."""
 
     def __post_init__(self) -> None:
@@ -159,8 +160,8 @@ class CellConfig:
     """Height of the robot's base above the floor, m."""
     stations_m: list[XY] | None = None
     """Where people work who live there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
-    vary: VaryConfig | None = None
-    """How the layout differs from one episode to another; null: it is always the one given."""
+    vary: VaryConfig = field(default_factory=VaryConfig)
+    """How the layout differs from one episode to another."""
 
     def __post_init__(self) -> None:
         for section in ("objects", "obstacles"):

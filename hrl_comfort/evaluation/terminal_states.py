@@ -43,7 +43,7 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
         if not states:
             raise ConfigError(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
     banks: dict[str, Any] = {kind: np.array(states) for kind, states in found.items()}
-    if config.cell.vary is not None:
+    if config.cell.vary.layouts:
         banks["cell"] = np.array(fingerprint(environment(config)))
     write_atomically(path, lambda file: np.savez(file, **banks))
     count = sum(map(len, found.values()))
@@ -62,7 +62,7 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
         if config.human.motion != "none":
             parts += [state.human_pos, executed.result.level[:, None]]
-        if config.cell.vary is not None:
+        if config.cell.vary.layouts:
             nobody = config.human.motion == "none"
             parts += [torch.full((rows, 3), torch.nan)] * nobody + [torch.from_numpy(engine.episodes.draw.layout_id)]
         states = torch.cat(parts, dim=-1).numpy().astype(np.float32)

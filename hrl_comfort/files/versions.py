@@ -44,10 +44,10 @@ def renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, An
 
 
 def converted(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the `values` of a configuration with the sections `cell` and `task` as this version has them.
+    """Return the `values` of a configuration with the sections `cell`, `task` and `human` as this version has them.
 
-    A cell had a ball table and two drop tables, and a task the slots of the balls. Sections that are damaged, or that
-    this version cannot have, stay as they are: the check of keys refuses them.
+    A cell had a ball table and two drop tables, a task the slots of the balls, and people had stations, if any.
+    Sections that are damaged, or that this version cannot have, stay as they are: the check of keys refuses them.
     """
     found, cell, task = dict(values), values.get("cell"), values.get("task")
     if isinstance(task, Mapping):
@@ -56,6 +56,9 @@ def converted(values: Mapping[str, Any]) -> dict[str, Any]:
         found["cell"] = made
         if isinstance(task, dict):
             task.pop("ball_slots_m", None)
+    human = values.get("human")
+    if isinstance(human, Mapping) and human.get("stations_m") == []:  # of motions that have none
+        found["human"] = {**human, "stations_m": None}
     hierarchy = values.get("hierarchy")
     if isinstance(hierarchy, Mapping) and isinstance(hierarchy.get("controller"), Mapping):
         found["hierarchy"] = {**hierarchy, "controller": converted(hierarchy["controller"])}

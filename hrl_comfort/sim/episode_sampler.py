@@ -181,10 +181,9 @@ class EpisodeSampler:
 
     def _layout(self, row: int, rng: np.random.Generator) -> Layout:
         """Return the layout of an episode of `row`."""
-        vary = self._config.cell.vary
-        if vary is None:
+        if not self._layouts.varies:
             return self._layouts.given
-        return self._layouts.numbered(self._split(row), int(rng.integers(vary.layouts)))
+        return self._layouts.numbered(self._split(row), int(rng.integers(self._config.cell.vary.layouts)))
 
     def _split(self, row: int) -> str:
         """Return the split of the layouts of the episodes of `row`; `paper` has those of `validation`."""

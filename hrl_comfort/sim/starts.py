@@ -42,7 +42,7 @@ def recorded_starts(config: EnvConfig, start: Start, joints: int) -> list[Array]
     if start == Start.HOME or config.task.start == "ik":
         return None
     cell = config.cell
-    varied = None if cell.vary is None else (cell.vary.layouts, fingerprint(config))
+    varied = (cell.vary.layouts, fingerprint(config)) if cell.vary.layouts else None
     return recorded(config.task.start, config.comfort.levels, joints, cell.kinds, varied)
 
 
@@ -94,7 +94,10 @@ def recorded(
         raise ConfigError(f"task.start={path!r} was recorded in another cell or of another robot; record it anew")
     for kind, bank in zip(kinds, banks, strict=True):
         shaped = bank.ndim == 2 and bank.shape[1] in widths and len(bank)
-        if not shaped or not (np.abs(bank[:, : whole - 1]) < MOST).all():
+        people = bank[:, arm : whole - 1] if shaped else bank
+        if varied is not None:  # nobody is NaN
+            people = people[~np.isnan(people).all(axis=1)]
+        if not shaped or not all((np.abs(part) < MOST).all() for part in (bank[:, :arm], people)):
             raise ConfigError(
                 f"task.start={path!r}: {kind!r} has shape {bank.shape}; "
                 f"it must be {shapes}, finite, every value within ±{MOST:g}"

@@ -74,7 +74,7 @@ class Layouts:
     @property
     def varies(self) -> bool:
         """Whether the layout differs from one episode to another."""
-        return self._cell.vary is not None
+        return self._cell.vary.layouts > 0
 
     @cached_property
     def given(self) -> Layout:
@@ -95,7 +95,6 @@ class Layouts:
         if (split, number) in self._known:
             return self._known[split, number]
         vary = self._cell.vary
-        assert vary is not None
         key = np.array([SPLITS.index(split), number], dtype=np.uint64)
         rng = np.random.Generator(np.random.Philox(key=key))
         for _ in range(ATTEMPTS):
@@ -165,7 +164,7 @@ class Layouts:
             return np.array([[*pose[:2], round(pose[2] + up, DIGITS)] for pose, up in tops])
 
         stations = np.array(cell.stations_m) if cell.stations_m is not None else behind(places[:, :2])
-        if cell.vary is not None and number == number:
+        if self.varies and number == number:
             stations = behind(places[:, :2])
         ends = centres("arrives_at"), centres("belongs_at")
         surfaces, tcp_home = tops(cell, places, obstacles), tool_at(self._scene, home)
