@@ -111,10 +111,19 @@ def of_this_version(
     found = {}
     for key, kind in hints.items():
         if key not in values:
-            found[key] = BEFORE[f"{before}{key}"] if f"{before}{key}" in BEFORE else defaults()[key]
+            found[key] = BEFORE[f"{before}{key}"] if f"{before}{key}" in BEFORE else _default(cls, key, defaults())
         elif isinstance(kind, type) and dataclasses.is_dataclass(kind) and isinstance(values[key], Mapping):
             inside = lambda key=key: defaults()[key]  # noqa: E731
             found[key] = of_this_version(kind, values[key], inside, f"{before}{key}")
         else:
             found[key] = values[key]
     return found
+
+
+def _default(cls: type, key: str, values: Mapping[str, Any]) -> Any:
+    """Return the default of a key of `cls`: that of conf/, or else that of the dataclass."""
+    if key in values:
+        return values[key]
+    own = next(each for each in dataclasses.fields(cls) if each.name == key)
+    made = own.default if own.default_factory is dataclasses.MISSING else own.default_factory()
+    return dataclasses.asdict(made) if dataclasses.is_dataclass(made) and not isinstance(made, type) else made

@@ -31,7 +31,7 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Values, observed
 from hrl_comfort.tasks import State, Subtask, subtask
-from hrl_comfort.tasks.observations import share
+from hrl_comfort.tasks.observations.standard import share
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]

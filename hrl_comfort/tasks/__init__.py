@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.checks import implemented, part
-from hrl_comfort.config.task import OBSERVATIONS
+from hrl_comfort.config.checks import part
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.observations import paper, proximity, set_points, standard
+from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
 from hrl_comfort.tasks.pick_place import PICK_PLACE
 from hrl_comfort.tasks.place import PLACE
@@ -16,7 +15,6 @@ from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
 from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
 from hrl_comfort.tasks.shift import SHIFT, repeated
-from hrl_comfort.tasks.sight import sight
 from hrl_comfort.tasks.sort import sort
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
@@ -24,12 +22,6 @@ from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
 SUBTASKS: dict[str, Subtask] = {
     task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT)
 }
-
-LAYOUTS = implemented(
-    OBSERVATIONS,
-    {"default": standard, "proximity": proximity, "set_points": set_points, "sight": sight, "paper": paper},
-)
-"""Layouts of the observation by name: stages -> terms."""
 
 
 def subtask(name: str, observation: str = "default", objects: int = 1) -> Subtask:

@@ -12,7 +12,7 @@ from hrl_comfort.composition.compose import compose_environment
 from hrl_comfort.safety.geometry import segment_distance
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.sight import FARTHEST_M, SURFACES, closest
+from hrl_comfort.tasks.observations.sight import FARTHEST_M, SURFACES, closest
 
 WORLD = ("task=place", "cell=varied", "human=mixture", "safety=ssm", "robot.rating=collaborative")
 

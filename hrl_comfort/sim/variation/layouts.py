@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, VaryConfig
 from hrl_comfort.config.cell import DIGITS
 from hrl_comfort.scene.layout import reach
-from hrl_comfort.scene.postures import Postures
 from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.sim.variation.postures import Postures
 
 Array = NDArray[np.float64]
 BEHIND_M = 0.4

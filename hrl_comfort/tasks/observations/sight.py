@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from hrl_comfort.tasks.observations import SERVO_SPEED, goal_offset, joint_error, stage_in_force
+from hrl_comfort.tasks.observations.standard import SERVO_SPEED, goal_offset, joint_error, stage_in_force
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, StateFunction, by_stage
 
