@@ -112,6 +112,14 @@ def test_what_a_cell_cannot_have_is_said_in_one_line(words: str, says: str) -> N
     assert "\n" not in str(error.value)
 
 
+def test_a_mapping_that_is_set_replaces_what_was_there_and_an_entry_joins_it() -> None:
+    tray = "{top_m:[0,0.5,0.1],size_m:[0.2,0.2]}"
+    assert list(compose("train", [f"cell.places.tray={tray}"]).cell.places)[-2:] == ["pink_table", "tray"]
+    ball = "{shape:sphere,size_m:[0.03],arrives_at:tray,belongs_at:tray}"
+    cell = compose("train", [f"cell.places={{tray:{tray}}}", f"cell.objects={{ball:{ball}}}"]).cell
+    assert (list(cell.places), cell.kinds) == (["tray"], ("ball",))
+
+
 def test_obstacles_are_touched_and_end_an_episode() -> None:
     words = ["cell.obstacles.wall={shape:box,position_m:[0.3,0,0.4],size_m:[0.02,0.5,0.3]}", "task=pick", "human=none"]
     env = compose_environment("train", words)

@@ -150,11 +150,14 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
 def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the fields of nested dataclasses by their dotted keys; those in a mapping as plain values."""
     if not dataclasses.is_dataclass(value):
-        yield key, {name: _plain(each) for name, each in value.items()} if isinstance(value, dict) else value
+        yield key, plain_value(value)
         return
     for field in dataclasses.fields(value):
         yield from _fields(f"{key}.{field.name}", getattr(value, field.name))
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """Return a value of a configuration, the dataclasses of a mapping as mappings."""
+    if isinstance(value, dict):
+        return {name: plain_value(each) for name, each in value.items()}
     return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value

@@ -134,7 +134,7 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
     lines = [each for line in overrides for each in _of_file(line)]
-    parsed = [(_parsed(line, sweep), line) for line in lines]
+    parsed = [(_parsed(each, sweep), each) for line in lines for each in _replaced(line)]
     check_jobs(each for each, _ in parsed)
     return [_checked(root, each, line) for each, line in parsed]
 
@@ -151,11 +151,13 @@ def _of_file(line: str) -> list[str]:
 
     if not (file := Path(match[2])).is_file():
         raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
-    found = []
-    for key, value in read_yaml(file)[1].items():
-        found += [override(f"cell.{key}", None)] if isinstance(value, dict) else []  # Hydra would add its entries
-        found.append(override(f"cell.{key}", value))
-    return found
+    return [override(f"cell.{key}", value).lstrip("+") for key, value in read_yaml(file)[1].items()]
+
+
+def _replaced(line: str) -> list[str]:
+    """Return the overrides by which `cell.KEY={...}` sets a mapping: without the first, Hydra adds to its entries."""
+    match = re.match(r"(cell\.\w+)=\{", line)
+    return [override(match[1], None), f"++{line}"] if match else [line]
 
 
 def check_jobs(overrides: Iterable[Override]) -> None:
