@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.files.versions import SIX_SLOTS, converted, renamed
 from tests.cells import PAPER

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose, compose_environment
-from hrl_comfort.config.composition.overrides import check_overrides
-from hrl_comfort.config.composition.run_config import load_config, save_config
+from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.run_config import load_config, save_config
 from hrl_comfort.scene.layout import layout_warnings
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.engine import Engine

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Iterator
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra.errors import HydraException
 from omegaconf import ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from hrl_comfort.composition.stages import stages_of, with_budget
 from hrl_comfort.config import (
     ConfigError,
     EnvConfig,
@@ -21,8 +24,8 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import part_name
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.hydra_conf import ALONE, composed
-from hrl_comfort.config.composition.overrides import (
+from hrl_comfort.config.hydra_conf import ALONE, composed, freeze
+from hrl_comfort.config.overrides import (
     NAMES,
     ROOTS,
     TOO_DEEP,
@@ -33,9 +36,8 @@ from hrl_comfort.config.composition.overrides import (
     override,
     parse,
 )
-from hrl_comfort.config.composition.run_config import trained_environment
-from hrl_comfort.config.composition.stages import stages_of, with_budget
-from hrl_comfort.config.composition.structured import freeze
+from hrl_comfort.files.documents import read_yaml
+from hrl_comfort.files.run_config import trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
@@ -78,6 +80,19 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
             raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
         except OverflowError as error:
             raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+
+
+def _of_cell_file(line: str) -> list[str]:
+    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
+
+    Raises:
+      ConfigError: there is no such file, or it is damaged.
+    """
+    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
+        return [line]
+    if not (file := Path(match[2])).is_file():
+        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
+    return [override(f"cell.{key}", value).lstrip("+") for key, value in read_yaml(file)[1].items()]
 
 
 def _validated(cls: type[C], root: str, overrides: list[str]) -> C:

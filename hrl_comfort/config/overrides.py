@@ -70,7 +70,7 @@ def root_of(command: str) -> str:
 
 def config_dir() -> Path:
     """Return the folder of the YAML files: in the package of a wheel, beside it in a checkout."""
-    package = Path(__file__).resolve().parents[2]
+    package = Path(__file__).resolve().parents[1]
     for folder in (package / "conf", package.parent / "conf"):
         if (folder / "train.yaml").is_file():
             return folder
@@ -133,25 +133,9 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
-    lines = [each for line in overrides for each in _of_file(line)]
-    parsed = [(_parsed(each, sweep), each) for line in lines for each in _replaced(line)]
+    parsed = [(_parsed(each, sweep), each) for line in overrides for each in _replaced(line)]
     check_jobs(each for each, _ in parsed)
     return [_checked(root, each, line) for each, line in parsed]
-
-
-def _of_file(line: str) -> list[str]:
-    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
-
-    Raises:
-      ConfigError: there is no such file, or it is damaged.
-    """
-    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
-        return [line]
-    from hrl_comfort.files.documents import read_yaml
-
-    if not (file := Path(match[2])).is_file():
-        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
-    return [override(f"cell.{key}", value).lstrip("+") for key, value in read_yaml(file)[1].items()]
 
 
 def _replaced(line: str) -> list[str]:
