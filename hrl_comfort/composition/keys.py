@@ -34,6 +34,11 @@ class Key:
     """Type of its value, with its checks."""
 
     @property
+    def of_entry(self) -> bool:
+        """Whether it stands for a key of each entry of a list (`[]`) or of a mapping (`NAME`)."""
+        return "[]" in self.name or ".NAME." in self.name
+
+    @property
     def section(self) -> str:
         """The first part of the name; empty for a key of the command."""
         return self.name.partition(".")[0] if "." in self.name else ""

@@ -30,8 +30,5 @@ def _of_file(line: str) -> list[str]:
         return [line]
     if not (file := Path(match[2])).is_file():
         raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
-    found = []
-    for key, value in read_yaml(file)[1].items():
-        found += [override(f"cell.{key}", None)] if isinstance(value, dict) else []  # Hydra would add its entries
-        found.append(override(f"cell.{key}", value))
-    return found
+    content = {"stations_m": None, **read_yaml(file)[1]}  # those of the default cell are of no use elsewhere
+    return [override(f"cell.{key}", value) for key, value in content.items()]

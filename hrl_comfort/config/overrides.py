@@ -133,9 +133,15 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
-    parsed = [(_parsed(line, sweep), line) for line in overrides]
+    parsed = [(_parsed(each, sweep), each) for line in overrides for each in _replaced(line)]
     check_jobs(each for each, _ in parsed)
     return [_checked(root, each, line) for each, line in parsed]
+
+
+def _replaced(line: str) -> list[str]:
+    """Return the overrides by which `cell.KEY={...}` sets a mapping: without the first, Hydra adds to its entries."""
+    match = re.match(r"(cell\.\w+)=\{", line)
+    return [override(match[1], None), f"++{line}"] if match else [line]
 
 
 def check_jobs(overrides: Iterable[Override]) -> None:

@@ -210,7 +210,7 @@ class EpisodeSampler:
             return bank
         human = self._config.human
         apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[list(human.held_out)]
-        clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
+        clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
         if not clear.any():
             raise ConfigError(
                 f"task.start={self._config.task.start!r}: in each of its starts the human is within "

@@ -46,7 +46,7 @@ def test_every_kind_arrives_in_its_slots_and_belongs_at_its_place(hall: Path) ->
     state, cell = Engine(env, 30, 0).reset(), env.cell
     assert state.kinds.unique().tolist() == [0, 1, 2]
     assert torch.equal(
-        state.places[0], torch.tensor([each.top_m for each in cell.places.values()], dtype=torch.float64)
+        state.layout[0, :, :3], torch.tensor([each.top_m for each in cell.places.values()], dtype=torch.float64)
     )
     heights = torch.tensor([0.03, 0.03, 0.07], dtype=torch.float64)
     torch.testing.assert_close(state.objects[..., 2], 0.10 + heights[state.kinds], atol=1e-12, rtol=0)
@@ -110,6 +110,14 @@ def test_what_a_cell_cannot_have_is_said_in_one_line(words: str, says: str) -> N
     with pytest.raises(ConfigError, match=re.escape(says)) as error:
         compose("train", [*([new] if "cube.arrives" in words else []), *words.split()])
     assert "\n" not in str(error.value)
+
+
+def test_a_mapping_that_is_set_replaces_what_was_there_and_an_entry_joins_it() -> None:
+    tray = "{top_m:[0,0.5,0.1],size_m:[0.2,0.2]}"
+    assert list(compose("train", [f"cell.places.tray={tray}"]).cell.places)[-2:] == ["pink_table", "tray"]
+    ball = "{shape:sphere,size_m:[0.03],arrives_at:tray,belongs_at:tray}"
+    cell = compose("train", [f"cell.places={{tray:{tray}}}", f"cell.objects={{ball:{ball}}}"]).cell
+    assert (list(cell.places), cell.kinds) == (["tray"], ("ball",))
 
 
 def test_obstacles_are_touched_and_end_an_episode() -> None:
