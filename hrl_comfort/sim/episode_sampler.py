@@ -130,7 +130,8 @@ class EpisodeSampler:
         """Yield draws for an episode until the caller accepts one.
 
         In training a recorded start brings its human and its level, if it has them, except with probability
-        `task.resample_start_probability`. The second half of the attempts uses inverse-kinematics starts.
+        `task.resample_start_probability`. The second half of the attempts uses inverse-kinematics starts, and layouts
+        drawn anew.
         """
         rng = self.generator(row, episode)
         names = self._config.cell.kinds
@@ -154,7 +155,7 @@ class EpisodeSampler:
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         for attempt in range(ATTEMPTS):
-            layout = own_layout
+            layout = own_layout if attempt < ATTEMPTS // 2 else self._layout(row, rng)
             bank = self._bank(kind, layout, row, attempt)
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
