@@ -70,7 +70,7 @@ def compose_environment(root: str, overrides: Iterable[str] = ()) -> EnvConfig:
 
 def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
     with ALONE:
-        known = check_overrides(root, overrides)
+        known = check_overrides(root, [each for line in overrides for each in _of_cell_file(line)])
         try:
             run = _run_of(known) if root in AS_TRAINED else None
             return _validated(cls, root, known if run is None else _with_sections(root, run, known))
