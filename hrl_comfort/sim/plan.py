@@ -87,10 +87,12 @@ class Plan:
         """People (N) as the decision begins."""
         self.walks: list[humans.Walk] = []
         """People (N) after each of the K control steps of the decision."""
+        self._ends = np.zeros((3, len(separation.person.radius), 2, rows))
+        """m, ends of the capsules of people as last seen, as the decision begins."""
+        self._pace = np.zeros_like(self._ends)
+        """m/s, their mean velocity over the decision before."""
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
-        self._around: tuple[Array, humans.KeepOut, humans.ArmSource] | None = None
-        """Tool (N, 2) m, keep-out discs and arm as people see them while a decision lasts: as at its beginning."""
 
     def begin(self, rows: NDArray[np.int64], draw: Draw, values: Values) -> tuple[Planned, Array]:
         """Begin episodes in `rows` (r,), drawn as `draw` (N); `values` (r) are how their cells differ from the model.
@@ -104,6 +106,7 @@ class Plan:
         steps, limbs = np.zeros((len(rows), 1), dtype=np.int64), limbs_of(self._scene, fresh)
         self._servos.begin(rows, values, targets)
         measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.position, limbs)
+        self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
         planned = self._planned(
             fresh.position[:, None], fresh.yaw[:, None], measured[:, None], limbs[:, None], points, steps
@@ -129,7 +132,8 @@ class Plan:
             increment = self._hand.increments(joint_target, action)
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
-        self._around = state.tcp_pos.numpy()[:, :2], self._sampler.keep_out(draw.points), arm
+        discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
+        around = humans.Surroundings(tool, discs, arm, draw.stations)
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:
@@ -148,7 +152,7 @@ class Plan:
                 asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
                 begin, point = self.drive.step(points[-1], asked, moving, now, seen)
                 targets = point.ramp(begin, self._substeps)
-            walk = humans.advance(self.human, walks[-1], noise[:, k], *self._around)
+            walk = humans.advance(self.human, walks[-1], noise[:, k], around)
             walk = self._disturbance.walked(walks[-1], walk, times[:, k])
             if now is None:
                 poses = limbs_of(self._scene, walk)
@@ -176,6 +180,22 @@ class Plan:
         self.walk = humans.Walk.chosen(self.walks, last)
         for part in self._parts:
             part.end_decision(last)
+        ends = self._seen_ends()
+        self._ends, self._pace = ends, (ends - self._ends) / ((last + 1) * CONTROL_STEP_S)
+
+    def _seen_ends(self) -> Array:
+        """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
+        shown = self.tracker.shown
+        return self._separation.person.ends(self.limbs if shown is None else shown)
+
+    def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
+        """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""
+        arm, person = self._separation.arm, self._separation.person
+        return {
+            "arm_body": capsules(arm.pose(joints).ends, arm.radius),
+            "humans_body": capsules(self._ends[..., rows], person.radius),
+            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(person.radius), 6),
+        }
 
     @property
     def limbs(self) -> Array:
@@ -251,13 +271,21 @@ class Plan:
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
         walk = {name: torch.from_numpy(value.copy()) for name, value in vars(self.walk).items()}
-        return {"walk": walk, "parts": [part.state_dict() for part in self._parts]}
+        seen = {"ends": torch.from_numpy(self._ends.copy()), "pace": torch.from_numpy(self._pace.copy())}
+        return {"walk": walk, "seen": seen, "parts": [part.state_dict() for part in self._parts]}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
+        self._ends, self._pace = (saved["seen"][name].numpy().copy() for name in ("ends", "pace"))
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
+
+
+def capsules(ends: Array, radius: Array) -> Array:
+    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,)."""
+    both = ends.transpose(3, 1, 2, 0).reshape(ends.shape[3], -1, 6)
+    return np.concatenate([both, np.broadcast_to(radius[:, None], (*both.shape[:2], 1))], axis=2)
 
 
 def set_points(state: State) -> SetPoints:

@@ -11,8 +11,6 @@ import math
 import torch
 from torch import Tensor
 
-from hrl_comfort.config.checks import implemented
-from hrl_comfort.config.task import OBSERVATIONS
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, StateFunction, by_stage
 
@@ -151,8 +149,3 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
         return torch.cat([state.joint_pos, human(state), rest], dim=-1)
 
     return {"paper": term}
-
-
-LAYOUTS = implemented(
-    OBSERVATIONS, {"default": standard, "proximity": proximity, "set_points": set_points, "paper": paper}
-)
