@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterable, Iterator
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra.errors import HydraException
@@ -37,7 +35,6 @@ from hrl_comfort.config.overrides import (
     override,
     parse,
 )
-from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.run_config import trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
@@ -81,19 +78,6 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
             raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
         except OverflowError as error:
             raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
-
-
-def _of_cell_file(line: str) -> list[str]:
-    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
-
-    Raises:
-      ConfigError: there is no such file, or it is damaged.
-    """
-    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
-        return [line]
-    if not (file := Path(match[2])).is_file():
-        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
-    return [override(f"cell.{key}", value).lstrip("+") for key, value in read_yaml(file)[1].items()]
 
 
 def _validated(cls: type[C], root: str, overrides: list[str]) -> C:

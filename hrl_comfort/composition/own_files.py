@@ -31,4 +31,5 @@ def _of_file(line: str) -> list[str]:
     if not (file := Path(match[2])).is_file():
         raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
     content = {"stations_m": None, **read_yaml(file)[1]}  # those of the default cell are of no use elsewhere
-    return [override(f"cell.{key}", value) for key, value in content.items()]
+    # Without `++` a mapping is set as a whole; with it Hydra would add to the entries of the default cell.
+    return [override(f"cell.{key}", value).lstrip("+") for key, value in content.items()]

@@ -46,7 +46,7 @@ def test_every_kind_arrives_in_its_slots_and_belongs_at_its_place(hall: Path) ->
     state, cell = Engine(env, 30, 0).reset(), env.cell
     assert state.kinds.unique().tolist() == [0, 1, 2]
     assert torch.equal(
-        state.layout[0, :, :3], torch.tensor([each.top_m for each in cell.places.values()], dtype=torch.float64)
+        state.layout[0, :5, :3], torch.tensor([each.top_m for each in cell.places.values()], dtype=torch.float64)
     )
     heights = torch.tensor([0.03, 0.03, 0.07], dtype=torch.float64)
     torch.testing.assert_close(state.objects[..., 2], 0.10 + heights[state.kinds], atol=1e-12, rtol=0)
