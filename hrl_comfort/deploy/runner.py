@@ -37,7 +37,7 @@ from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.scene.workcell import Scene, scene_of
 
 LOG = "setpoints.parquet"
 """Set-points that were sent, and the measured angles, in the output folder."""
@@ -62,7 +62,7 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
     torch.set_num_threads(1)
     output = Path(config.output)
     with output_folder(output, DeployConfig, "config.yaml"):
-        scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
+        scene = scene_of(config)
         limits = Limits.of(config, scene)
         simulated = partial(SimulatedArm, scene.model, scene.home)
         with interruption() as interrupted:

@@ -36,7 +36,7 @@ BATCH = 250
 """Episodes simulated side by side."""
 STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4", "failure.mp4")
 """Files of an earlier evaluation, deleted when a new one is written."""
-SEEN = ("tcp_pos", "human_pos")
+SEEN = ("tcp_pos", "humans_pos")
 COURSE = (
     "joint_target", "arm_distance", "level", "stage", "touching", "unsafe_contact", "table_collision", "self_collision",
 )  # fmt: skip
@@ -179,12 +179,12 @@ class EpisodeRecorder:
         here, shielded = self.config.human.motion != "none", self.config.safety.kind != "none"
         found = []
         for row in range(rows):
-            tool, human, *course = (values[row][valid[row]] for values in columns.values())
+            tool, people, *course = (values[row][valid[row]] for values in columns.values())
             episode = self._found[row]
             stops = episode.protective_stops or 0
             kept = dict(zip(COURSE, course, strict=True))
             through = Course(**kept, objects_placed=episode.objects_placed, protective_stops=stops, human_here=here)
-            values = metrics(Trajectory(tool, human, through.joint_target, through.arm_distance, here))
+            values = metrics(Trajectory(tool, people, through.joint_target, through.arm_distance, here))
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
             if self.engine.episodes.subtask.repeats:
@@ -196,11 +196,11 @@ class EpisodeRecorder:
     def _record(self, state: State, rows: torch.Tensor) -> None:
         """Append a line of paths.csv for each of the rows (N,) bool."""
         for row in torch.nonzero(rows).squeeze(-1).tolist():
-            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
-            distance = float(np.linalg.norm(tcp[:2] - human))
+            tcp, people = state.tcp_pos[row].numpy(), state.humans_pos[row].numpy()
+            distance = float(np.linalg.norm(tcp[:2] - people, axis=-1).min())
             level = float(state.level[row])
             instant = [int(each[row]) for each in (self.entries.episode, state.steps, state.stage)]
-            place = (*tcp, *human, state.human_yaw[row], distance, state.share[row])
+            place = (*tcp, *people[0], state.humans_yaw[row, 0], distance, state.share[row])
             numbers = map(rounded, (*state.joint_pos[row].tolist(), *place))
             stops = int(state.protective_stops[row])
             self.result.paths.append([*instant, None if np.isnan(level) else round(level), *numbers, stops])

@@ -45,6 +45,8 @@ from hrl_comfort.humans.walk import (
 )
 
 MAX_SPAWN_DRAWS = 1000
+APART_M = 0.6
+"""Smallest distance between people where an episode begins; nothing keeps them apart afterwards."""
 
 
 def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Walk:
@@ -225,6 +227,29 @@ def training_spawn(
     )
 
 
+def spawn_apart(
+    config: HumanConfig,
+    spawns: Array,
+    keep_out: KeepOut,
+    rng: np.random.Generator,
+    share: tuple[float, float],
+    taken: list[Array],
+) -> Array:
+    """Draw a training spawn (2,) m of a further person as `training_spawn`, APART_M from the places `taken` (2,) m.
+
+    Raises:
+      ConfigError: no free position in MAX_SPAWN_DRAWS draws.
+    """
+    for _ in range(MAX_SPAWN_DRAWS):
+        _, place = training_spawn(config, spawns, keep_out, rng, share)
+        if all(length(place - each) >= APART_M for each in taken):
+            return place
+    raise ConfigError(
+        f"human.others leaves no spawn {APART_M} m from the {len(taken)} other people; widen human.spawn_radius_m, or "
+        "give fewer people"
+    )
+
+
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
     """Return the human position (n, 2) m in the observation for true positions (n, 2) m.
 
@@ -246,6 +271,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
     "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector", "jittered_spawn",
-    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "split_set",
-    "training_spawn", "training_spawns",
+    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "spawn_apart",
+    "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

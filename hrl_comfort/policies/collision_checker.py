@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.safety.geometry import ArmGeometry
-from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -52,7 +51,7 @@ class CollisionChecker:
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
         self._limits = [mink.ConfigurationLimit(self._model)]
         self._data = self._configuration.data
-        self._data.mocap_pos[: len(LIMBS), 0] = FAR_AWAY_M
+        self._data.mocap_pos[: len(scene.limbs), 0] = FAR_AWAY_M
 
     def _depth(self, joints: Array) -> float:
         """Return the distance (m) of the closest contact, CLEARANCE_M if there is none nearer."""

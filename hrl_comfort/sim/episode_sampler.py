@@ -28,6 +28,8 @@ LONGEST_STEPS = 1_000_000
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits and domain
 randomisation: with or without any of them, the rest of an episode is the same."""
+OTHERS_STREAM = 16
+"""First of the streams of further people, two for each: where and who they are, and how they walk."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +52,17 @@ class Draw:
     arriving: NDArray[np.int64]
     """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
     noise: Array
-    """(horizon, NOISE) in [0, 1), for the walk at each control step."""
+    """(horizon, P, NOISE) in [0, 1), for the walks at each control step."""
     traits: Array
-    """(humans.TRAITS,) in [0, 1), of the human."""
+    """(P, humans.TRAITS) in [0, 1), of the people."""
     level: Array
     """(comfort.sources.DRAWS,) in [0, 1), for the source of comfort levels."""
     motion_id: NDArray[np.int64]
     """() of the evaluation set; -1 in training."""
     spawn_id: NDArray[np.int64]
-    """() index of the spawn point; -1 where the human begins anywhere."""
+    """() index of the first person's spawn point; -1 where they begin anywhere."""
     spawn: Array
-    """(2,) m."""
+    """(P, 2) m."""
     start: Array
     """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
     points: Array
@@ -95,7 +97,8 @@ class EpisodeSampler:
         belongs = [cell.centre(kind, each.belongs_at) for kind, each in cell.objects.items()]
         self.kind_places = np.array(belongs)
         """(kinds, 3) m, where the centre of an object of each kind belongs."""
-        self.spawns = humans.moved_spawns(config.human, self.goals[:, :2])
+        self.spawns = [humans.moved_spawns(each, self.goals[:, :2]) for each in config.human.everyone]
+        """(s, 2) m of each person, spawn points moved out of the keep-out discs."""
         self._centres = humans.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
         longest = config.task.max_episode_steps
@@ -137,11 +140,14 @@ class EpisodeSampler:
             motion_id = int(self._evaluation.motion_id.take(row, mode="wrap"))
             stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
+        others = [self.generator(row, episode, stream) for stream in self._streams]
+        noise = np.stack([noise, *self._walks(row, episode, motion_id)], axis=1)
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
         low, high = share = self._share(row)
-        traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
-        traits[1:] = low + (high - low) * traits[1:]
+        own = self.generator(row, episode, TRAIT_STREAM)
+        traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
+        traits[:, 1:] = low + (high - low) * traits[:, 1:]
         objects = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
         places, obstacles = np.split(self._scene.layout, [len(self.goals)])
         standing = places, obstacles, self.kind_places
@@ -161,8 +167,27 @@ class EpisodeSampler:
                 spawn_id, spawn = -1, humans.outside(person, self.keep_out(points[None]))[0]
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
-            ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(*standing, *objects, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
+            ids, spawns = (np.array(motion_id), np.array(spawn_id)), [spawn]
+            for index, each in enumerate(others, start=1):
+                person, discs = self._config.human.everyone[index], self.keep_out(points[None])
+                discs = humans.KeepOut(discs.centres, person.keep_out_m)
+                spawns.append(humans.spawn_apart(person, self.spawns[index], discs, each, share, spawns))
+            placed = np.stack(spawns)
+            yield Draw(*standing, *objects, noise, traits, told, *ids, placed, start[: self._arm], points, *other)
+
+    @property
+    def _streams(self) -> range:
+        """The streams of where and who further people are."""
+        return range(OTHERS_STREAM, OTHERS_STREAM + 2 * len(self._config.human.everyone) - 2, 2)
+
+    def _walks(self, row: int, episode: int, motion_id: int) -> Iterator[Array]:
+        """Yield the noise (horizon, NOISE) of each further person; `motion_id` is -1 in training."""
+        for index, stream in enumerate(self._streams, start=1):
+            rng = self.generator(row, episode, stream + 1)
+            if motion_id >= 0:
+                key = np.array([motion_id, humans.MOTION_STREAM + index], dtype=np.uint64)
+                rng = np.random.Generator(np.random.Philox(key=key))
+            yield rng.random((self.horizon, humans.NOISE))
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
@@ -173,7 +198,7 @@ class EpisodeSampler:
         if bank.shape[1] == self._arm:
             return bank
         human = self._config.human
-        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[list(human.held_out)]
+        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[0][list(human.held_out)]
         clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
         if not clear.any():
             raise ConfigError(
@@ -240,7 +265,7 @@ class EpisodeSampler:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
-            spawn_id, spawn = humans.training_spawn(human, self.spawns, discs, rng, share)
+            spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng, share)
         spawn = humans.outside(spawn[None], discs)[0]
         return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
 

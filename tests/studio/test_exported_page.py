@@ -232,7 +232,7 @@ def test_a_person_dragged_to_the_arm_is_nearer_and_the_arm_responds(tab: Any) ->
 def test_the_person_is_in_the_next_observation(tab: Any) -> None:
     tab.evaluate("() => player.decide()")
     walk(tab, [-0.5, -0.5])
-    assert tab.evaluate("player.cell.fields(0, 5).human_seen.data") == place(tab)
+    assert tab.evaluate("player.cell.fields(0, 5).humans_seen.data") == place(tab)
     assert tab.evaluate("player.cell.decision") is None  # the next step asks the policy
 
 

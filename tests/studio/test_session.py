@@ -25,7 +25,7 @@ LIVE = motion_config("live")
 
 def watching(state):
     """Stand still, and note what each decision sees: level, and the person's x and y."""
-    SEEN.append(torch.cat([state.level[:, None], state.human_seen], dim=-1)[0])
+    SEEN.append(torch.cat([state.level[:, None], state.humans_seen[:, 0]], dim=-1)[0])
     return torch.zeros_like(state.joint_target)
 
 
@@ -125,12 +125,12 @@ def test_a_person_by_hand_is_hidden_from_the_policy_as_in_the_run(session: Sessi
 
     def nobody_is_seen() -> bool:
         session.step()
-        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.human_shown)
+        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.humans_shown)
 
     assert nobody_is_seen()
     person.press(frozenset("d"))
     person.update(0.1)
-    assert nobody_is_seen() and float(session.state.human_pos[0, 0]) < FAR_AWAY_M / 2
+    assert nobody_is_seen() and float(session.state.humans_pos[0, 0, 0]) < FAR_AWAY_M / 2
     person.speed_m_s = 0.5
     session.reset()
     assert nobody_is_seen()
