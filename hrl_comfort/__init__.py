@@ -29,11 +29,11 @@ def environment_of(
       ConfigError: a choice is not allowed, or `run` is none, or of another task.
       TypeError: a key of `choices` is not one of the configuration, as for any unknown keyword.
     """
+    from hrl_comfort.composition.compose import compose_environment
     from hrl_comfort.config import ConfigError
     from hrl_comfort.config.checks import UnknownKeyError
-    from hrl_comfort.config.composition.compose import compose_environment
-    from hrl_comfort.config.composition.overrides import groups, override
-    from hrl_comfort.config.composition.run_config import trained_environment, warn_unfinished
+    from hrl_comfort.config.overrides import groups, override
+    from hrl_comfort.files.run_config import trained_environment, warn_unfinished
 
     given = dict(choices or {})
     if run is None:
@@ -126,11 +126,11 @@ def evaluate(
     Raises:
       ConfigError: a choice is not allowed, or the policy does not fit.
     """
+    from hrl_comfort.composition.compose import compose
     from hrl_comfort.config import EvaluateConfig
-    from hrl_comfort.config.composition.compose import compose
-    from hrl_comfort.config.composition.overrides import override
-    from hrl_comfort.config.composition.run_config import warn_unfinished
+    from hrl_comfort.config.overrides import override
     from hrl_comfort.evaluation.rollout import rollout
+    from hrl_comfort.files.run_config import warn_unfinished
     from hrl_comfort.policies.external import ObservationPolicy
 
     source = policy.source if isinstance(policy, ObservationPolicy) else policy

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hrl_comfort.config.composition.compose import compose_environment
-from hrl_comfort.config.composition.overrides import config_dir
+from hrl_comfort.composition.compose import compose_environment
+from hrl_comfort.config.overrides import config_dir
 
 PAPER = compose_environment("train").cell
 SECTION = "cell:\n" + "".join(

@@ -19,9 +19,9 @@ import torch
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, TrainConfig
 from hrl_comfort.config.checks import MAX_LINE
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.tasks import State
 
 T = TypeVar("T")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from hrl_comfort.config.composition.overrides import ROOTS, groups
+from hrl_comfort.config.overrides import ROOTS, groups
 from tests.artefacts import READ, SMALL
 from tests.generating import ODD
 

@@ -13,8 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.training.collector import SkillCollector
 
 LIMIT = 20

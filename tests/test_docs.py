@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.comfort import sources, terms
-from hrl_comfort.config.composition.overrides import check_overrides
+from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation import handover
 from hrl_comfort.evaluation.episode import COLUMNS as EPISODES
 from hrl_comfort.files.documents import read_yaml

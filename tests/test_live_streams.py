@@ -15,8 +15,8 @@ import pytest
 
 from hrl_comfort.cli.first_checks import check
 from hrl_comfort.comfort.sources import make_source
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.streams import MOST_DATAGRAMS, LslStream, UdpStream
 from tests.comfort.test_comfort_sources import comfort, until

@@ -10,8 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from hrl_comfort.config.composition.run_config import load_config, trained_environment
 from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.run_config import load_config, trained_environment
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.sim.starts import recorded
 

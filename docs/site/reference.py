@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import get_type_hints
 
 from hrl_comfort.cli.commands import COMMANDS
-from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.composition.overrides import ROOTS, choices, config_dir, groups, root_of
+from hrl_comfort.composition.keys import Key, keys_of
+from hrl_comfort.config.overrides import ROOTS, choices, config_dir, groups, root_of
 from hrl_comfort.files.documents import read_yaml
 
 DOCS = Path(__file__).resolve().parents[1]

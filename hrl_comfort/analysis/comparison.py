@@ -16,9 +16,9 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import Quantity, of_means
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.config.composition.hydra_conf import run_folder
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.files.provenance import read_provenance
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import column
 

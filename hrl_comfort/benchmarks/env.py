@@ -15,10 +15,10 @@ from mujoco import rollout
 from pandas import DataFrame
 
 from hrl_comfort.benchmarks.measure import Rate, interleaved, rate, ratios
+from hrl_comfort.composition.compose import compose_environment
 from hrl_comfort.config import EnvConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose_environment
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
 

@@ -12,7 +12,7 @@ from pandas import DataFrame
 from hrl_comfort.benchmarks.env import engine_loop
 from hrl_comfort.benchmarks.measure import Rate, interleaved, rate, ratios, spread
 from hrl_comfort.config import EnvConfig, TrainConfig
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 
 NUM_ENVS = (1, 16, 64)
 COLUMNS = ("num_envs", "loop", "round", "policy_steps_per_s")

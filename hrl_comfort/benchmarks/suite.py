@@ -10,13 +10,13 @@ from pandas import json_normalize
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.benchmarks.entries import ENTRIES, FILE, QUANTITIES, Entry, committed, table
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import trained_environment
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.ledger import hash_of
 from hrl_comfort.files.atomic import write_json, write_text
 from hrl_comfort.files.provenance import commit
+from hrl_comfort.files.run_config import trained_environment
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png

@@ -21,9 +21,9 @@ from hrl_comfort.analysis.tables import markdown
 from hrl_comfort.benchmarks.measure import need_peers, spread
 from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
 from hrl_comfort.config import ConfigError, EnvConfig, TrainConfig
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.output import held_folder
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import Floats, read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.sim.engine import Engine

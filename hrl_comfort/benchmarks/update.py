@@ -16,7 +16,7 @@ from hrl_comfort.agents.sac import SAC, matmul_precision
 from hrl_comfort.benchmarks.measure import Rate, interleaved, need_peers, rate, ratios
 from hrl_comfort.benchmarks.peers import TorchRLSAC, stable_baselines3_sac
 from hrl_comfort.config import AgentConfig, TrainConfig
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
 
 BATCHES = (256, 1028)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its function and its help; `config.composition.overrides.root_of` names its configuration."""
+    """A command: its function and its help; `config.overrides.root_of` names its configuration."""
 
     place: str
     """`module:function`, imported once the configuration has been checked."""

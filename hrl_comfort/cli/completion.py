@@ -7,8 +7,8 @@ import os
 from typing import Any
 
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
-from hrl_comfort.config.command_line.keys import keys_of
-from hrl_comfort.config.composition.overrides import groups, root_of
+from hrl_comfort.composition.keys import keys_of
+from hrl_comfort.config.overrides import groups, root_of
 
 
 def complete() -> None:

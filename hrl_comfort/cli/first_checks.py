@@ -11,6 +11,7 @@ from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
 
+from hrl_comfort.composition.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
 from hrl_comfort.config import (
     POLICIES,
     SCRIPTED_POLICIES,
@@ -26,10 +27,9 @@ from hrl_comfort.config import (
     TrainConfig,
 )
 from hrl_comfort.config.checks import is_object, one_of
-from hrl_comfort.config.command_line.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.config.composition.run_config import warn_unfinished
+from hrl_comfort.config.overrides import override
+from hrl_comfort.files.run_config import warn_unfinished
 from hrl_comfort.streams import pylsl_for
 
 BARE = {

@@ -8,8 +8,8 @@ from itertools import groupby
 from omegaconf import DictConfig, OmegaConf
 
 from hrl_comfort.cli.commands import COMMANDS
-from hrl_comfort.config.command_line.keys import Key, keys_of
-from hrl_comfort.config.composition.overrides import config_dir, groups, root_of
+from hrl_comfort.composition.keys import Key, keys_of
+from hrl_comfort.config.overrides import config_dir, groups, root_of
 
 WIDTH = 80
 OPTIONS = {

@@ -14,13 +14,13 @@ from hrl_comfort import __version__
 from hrl_comfort.cli import help as help_texts
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.cli.first_checks import BARE, check, completed
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import at_home, check_overrides, near, root_of
-from hrl_comfort.config.composition.run_config import yaml_of
+from hrl_comfort.config.overrides import at_home, check_overrides, near, root_of
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.files.atomic import OVERWRITE
+from hrl_comfort.files.run_config import yaml_of
 from hrl_comfort.sweeps.subprocesses import ERRORS
 from hrl_comfort.training.preemption import Preempted
 

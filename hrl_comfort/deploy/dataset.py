@@ -14,10 +14,10 @@ from rich.console import Console
 
 from hrl_comfort import __version__
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.run_config import environment, save_config
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import BATCH, at_each_level
 from hrl_comfort.files.output import output_folder
+from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.humans import EvaluationSet

@@ -9,9 +9,9 @@ from pathlib import Path
 from rich.console import Console
 
 from hrl_comfort.config import ConfigError, ExportConfig
-from hrl_comfort.config.composition.run_config import environment, save_config
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.output import output_folder
+from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, description, inputs_of, write_onnx
 from hrl_comfort.policies.load import observed_by

@@ -21,7 +21,6 @@ from rich.console import Console
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.config.composition.run_config import environment, save_config
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
@@ -32,6 +31,7 @@ from hrl_comfort.deploy.ur import UrArm
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result
 from hrl_comfort.files.output import output_folder
+from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
 from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
@@ -170,8 +170,7 @@ class Run:
         for each in taken:
             recorder.add(each.result, each.active, each.ended, each.runs)
         if cut and taken and not bool(taken[-1].ended.all()):
-            every, latest = torch.ones(1, dtype=torch.bool), taken[-1].result
-            recorder.add(replace(latest, decision_steps=torch.zeros_like(latest.decision_steps)), ~every, every, [])
+            recorder.cut(taken[-1].result)
         if taken:
             recorder.finish()
 

@@ -18,12 +18,12 @@ from rich.console import Console
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig
-from hrl_comfort.config.composition.run_config import environment, save_config, trained_environment
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import EVALUATION_MARKS, output_folder
+from hrl_comfort.files.run_config import environment, save_config, trained_environment
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy

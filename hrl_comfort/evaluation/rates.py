@@ -10,17 +10,16 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.terms import discomfort
+from hrl_comfort.comfort.trajectory import Trajectory
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig
 
 MINUTE_S, HOUR_S = 60.0, 3600.0
 
 
 @dataclass(frozen=True)
-class Course:
-    """Fields of `State` over the T + 1 instants of an episode, and what it came to."""
+class Course(Trajectory):
+    """Further fields of `State` over the T + 1 instants of an episode, and what it came to."""
 
-    joint_target: NDArray[np.float64]
-    arm_distance: NDArray[np.float64]
     level: NDArray[np.float64]
     stage: NDArray[np.int64]
     touching: NDArray[np.bool_]
@@ -29,7 +28,6 @@ class Course:
     self_collision: NDArray[np.bool_]
     objects_placed: int
     protective_stops: int
-    human_here: bool
 
     def touched(self) -> dict[str, Any]:
         """Return what the arm touched in the episode, by the fields of `Episode`."""

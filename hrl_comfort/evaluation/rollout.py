@@ -14,14 +14,14 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.comfort.frightened import mean_level
-from hrl_comfort.comfort.trajectory import Trajectory, metrics
+from hrl_comfort.comfort.trajectory import metrics
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.config.composition.hydra_conf import run_folder
-from hrl_comfort.config.composition.run_config import environment, load_config, save_config
+from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rates import Course, discomfort_per_min, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
+from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
@@ -153,6 +153,11 @@ class EpisodeRecorder:
             self._found[row] = self._episode(row, result)
         self._runs += runs
 
+    def cut(self, latest: StepResult) -> None:
+        """End every episode after the decision `latest`, as one that was stopped."""
+        every = torch.ones(len(self.entries.episode), dtype=torch.bool)
+        self.add(replace(latest, decision_steps=torch.zeros_like(latest.decision_steps)), ~every, every, [])
+
     @property
     def outcomes(self) -> list[bool]:
         """Success of the episodes that have ended."""
@@ -182,9 +187,9 @@ class EpisodeRecorder:
             tool, people, *course = (values[row][valid[row]] for values in columns.values())
             episode = self._found[row]
             stops = episode.protective_stops or 0
-            kept = dict(zip(COURSE, course, strict=True))
-            through = Course(**kept, objects_placed=episode.objects_placed, protective_stops=stops, human_here=here)
-            values = metrics(Trajectory(tool, people, through.joint_target, through.arm_distance, here))
+            kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
+            through = Course(tool=tool, people=people, **kept, protective_stops=stops)
+            values = metrics(through)
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
             if self.engine.episodes.subtask.repeats:

@@ -10,9 +10,9 @@ import torch
 from rich.console import Console
 
 from hrl_comfort.config import RANDOM, TERMINAL_STATES_SEED, ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.rollout import BATCH
 from hrl_comfort.files.atomic import write_atomically
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.sim.engine import Engine

@@ -11,8 +11,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.files.atomic import TEMPORARY, overwrites, target_of
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.sweep_record import FILE, read_job
 
 SIGNATURE = b"hrl-comfort"

@@ -21,8 +21,6 @@ LOGS = ("metrics.csv", "meta_controller_metrics.csv")
 """Logs of a training: of a policy and of a meta-controller."""
 EVALUATED = ("episodes.csv", "episodes.parquet", "checkpoints.csv")
 """A folder that holds one of these files is an evaluation."""
-Recorded = tuple[int, int | None]
-"""A recorded episode: its index and the comfort level that it began with, None without one."""
 
 
 @dataclass(frozen=True)
@@ -131,39 +129,49 @@ def find_runs(folder: Path) -> list[Run]:
     return [run for path in inside for run in read(path)]
 
 
-def recorded_paths(
-    run: Run, count: int | None = None, episodes: Sequence[int] | None = None
-) -> dict[Recorded, DataFrame]:
-    """Return the rows of paths.csv by episode and level; nothing where no path was recorded.
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """An episode as it was recorded at one comfort level."""
+
+    episode: int
+    level: int | None
+    """That it began with; None without one."""
+    path: DataFrame
+    """Its rows of paths.csv."""
+    row: dict[str, Any]
+    """Its row of episodes.csv; empty where there is none."""
+
+
+def recorded(run: Run, count: int | None = None, episodes: Sequence[int] | None = None) -> list[Recorded]:
+    """Return the recorded episodes of a run; none where no path was recorded.
 
     An evaluation at several levels records an episode once at each, one level after the other.
 
     Args:
       run: the run.
-      count: the most episodes to return, the first ones; None is all.
+      count: the most to return, the first ones; None is all.
       episodes: the indices to return; None is all.
     """
     frame = None if run.paths is None else read_table(run.paths)
     if frame is None:
-        return {}
+        return []
     if episodes is not None:
         frame = frame[frame["episode"].isin(episodes)]
     beginning = (frame["step"] == 0).groupby(frame["episode"]).cumsum()
-    found: dict[Recorded, DataFrame] = {}
-    for (episode, _), path in frame.groupby([frame["episode"], beginning], sort=False):
+    found = []
+    for (episode, _), path in list(frame.groupby([frame["episode"], beginning], sort=False))[:count]:
         level = path["level"].iloc[0] if "level" in path else math.nan
-        if count is None or len(found) < count:
-            key = (int(episode), None if math.isnan(level) else round(level))
-            found[key] = path.sort_values("step", kind="stable").reset_index(drop=True)
+        known = None if math.isnan(level) else round(level)
+        path = path.sort_values("step", kind="stable").reset_index(drop=True)
+        found.append(Recorded(int(episode), known, path, _row(run, int(episode), known)))
     return found
 
 
-def row_of(run: Run, recorded: Recorded) -> dict[str, Any] | None:
-    """Return the row of episodes.csv that a recorded episode belongs to; None when there is none."""
+def _row(run: Run, episode: int, level: int | None) -> dict[str, Any]:
+    """Return the row of episodes.csv of a recorded episode; empty where there is none."""
     if run.episodes is None:
-        return None
-    index, level = recorded
-    rows = run.episodes[run.episodes["episode"] == index]
+        return {}
+    rows = run.episodes[run.episodes["episode"] == episode]
     if "comfort_level" in rows:  # it is missing where the level changes within the episode
         rows = rows[(rows["comfort_level"].isna() | (rows["comfort_level"] == level)).fillna(False)]
-    return None if rows.empty else rows.iloc[0].to_dict()
+    return {} if rows.empty else {str(name): value for name, value in rows.iloc[0].items()}

@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
-from hrl_comfort.config.composition.overrides import check_jobs, parse
+from hrl_comfort.config.overrides import check_jobs, parse
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.documents import damaged, read_json, read_yaml
 

@@ -19,7 +19,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError
-from hrl_comfort.files.run_folder import Recorded, Run, recorded_paths
+from hrl_comfort.files.run_folder import Recorded, Run, recorded
 from hrl_comfort.files.tables import Floats
 from hrl_comfort.plots.cell import draw_from_above, draw_from_side, spots
 from hrl_comfort.plots.style import BLACK, CYCLE, GREY, TRUNK_RADIUS_M, styled
@@ -68,23 +68,17 @@ def _walk(path: DataFrame) -> Floats:
     return walk if there else np.zeros((0, 2))
 
 
-def overview(
-    episodes: Mapping[Recorded, DataFrame],
-    ended: Mapping[Recorded, str],
-    cell: Mapping[str, Any],
-    precision: Mapping[str, float],
-) -> Figure:
+def overview(episodes: Sequence[Recorded], cell: Mapping[str, Any], precision: Mapping[str, float]) -> Figure:
     """Draw tool and human from above and from the side, and their horizontal distance over time.
 
     Args:
-      episodes: episode to its rows of paths.csv.
-      ended: episode to how it ended; anything but "success" is marked with a cross.
+      episodes: what is drawn; one that did not succeed is marked with a cross.
       cell: `cell` of the run's configuration; empty when it is not known, then no goal is drawn.
       precision: `task.precision` of the run's configuration; empty when it is not known, then no tolerance is drawn.
     """
     tracks = [
-        Track(str(key), colour, path, {"success": ended.get(key, "success") == "success"})
-        for colour, (key, path) in zip(CYCLE, episodes.items(), strict=False)
+        Track(str(each.episode), colour, each.path, {"success": each.row.get("success", True)})
+        for colour, each in zip(CYCLE, episodes, strict=False)
     ]
     with styled():
         figure = Figure(figsize=(10.2, 5.0))
@@ -180,11 +174,9 @@ def _chosen(found: Runs, episodes: Sequence[int]) -> list[int]:
 
 def _track(name: str, colour: Any, run: Run, row: Mapping[str, Any]) -> Track:
     """Return the recorded path of one episode, by its row of episodes.csv."""
-    recorded = recorded_paths(run, episodes=(row["episode"],))
-    level = row["comfort_level"]
-    for (_, at), path in recorded.items():
-        if pd.isna(level) or level == at:
-            return Track(name, colour, path, row)
+    for each in recorded(run, episodes=(row["episode"],)):
+        if pd.isna(row["comfort_level"]) or row["comfort_level"] == each.level:
+            return Track(name, colour, each.path, row)
     raise ConfigError(f"{run.folder} has no paths.csv with episode {row['episode']}; evaluate with record=true")
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
-from hrl_comfort.config.composition.structured import section
-from hrl_comfort.files.run_folder import Run, recorded_paths, row_of
+from hrl_comfort.config.hydra_conf import section
+from hrl_comfort.files.run_folder import Recorded, Run, recorded
 from hrl_comfort.files.tables import column
 from hrl_comfort.plots.clip import Array, Clip, path_clip
 from hrl_comfort.scene.workcell import build_scene
@@ -58,8 +57,8 @@ class Tape:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        paths = recorded_paths(run)
-        if not paths:
+        takes = recorded(run)
+        if not takes:
             raise ConfigError(f"{str(run.folder)!r} has no paths.csv; evaluate with record=true")
         if not {"robot", "cell", "task"} <= run.config.keys():
             raise ConfigError(f"{str(run.folder)!r} has no config.yaml, which says what robot and cell it was")
@@ -69,9 +68,9 @@ class Tape:
             raise ConfigError(f"{str(run.folder)!r} has another config.yaml: {error}") from None
         self.scene = build_scene(self.robot, self.cell, substeps=2)
         found: dict[int, list[Take]] = {}
-        for (episode, level), path in paths.items():
-            found.setdefault(episode, []).append(Take(self, path, row_of(run, (episode, level)) or {}, level))
-        recordings = [Recording(episode, takes) for episode, takes in found.items()]
+        for each in takes:
+            found.setdefault(each.episode, []).append(Take(**vars(each), tape=self))
+        recordings = [Recording(*each) for each in found.items()]
         self.recordings = sorted(recordings, key=lambda each: each.success)
         """Episodes, those with a failure first."""
         self.cells = max(len(each.takes) for each in recordings)
@@ -85,15 +84,10 @@ class Tape:
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
-    """One recording of an episode, at one level."""
+class Take(Recorded):
+    """One recording of an episode, at one level, on its tape."""
 
     tape: Tape
-    path: DataFrame
-    """Its rows of paths.csv."""
-    row: dict[str, Any]
-    """Its row of episodes.csv, empty where there is none."""
-    level: int | None
 
     @property
     def ended(self) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pandas import DataFrame
 
-from hrl_comfort.config import FAR_AWAY_M, CellConfig, RobotConfig
+from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.files.atomic import write_atomically
-from hrl_comfort.plots.clip import path_clip, set_pose
-from hrl_comfort.scene import build_scene
+from hrl_comfort.plots.clip import set_pose
+from hrl_comfort.plots.tape import Take
 from hrl_comfort.scene.camera import Camera
 from hrl_comfort.scene.looks import dressed
 
@@ -42,32 +42,20 @@ def azimuth_deg(path: DataFrame) -> float:
     return float(np.degrees(angles[np.argmax(apart - hidden - outside)]))
 
 
-def frames(
-    path: DataFrame,
-    robot: RobotConfig,
-    cell: CellConfig,
-    task: str,
-    kind: str,
-    speed: float = 1.0,
-    view_deg: float | None = None,
-) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of one episode, FRAMES_PER_S / `speed` a second of its time.
+def frames(take: Take, speed: float = 1.0, view_deg: float | None = None) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of a take, FRAMES_PER_S / `speed` a second of its time.
 
     Args:
-      path: the episode's rows of paths.csv.
-      robot: the arm.
-      cell: the cell.
-      task: the subtask; it says what the stages are, and so where the object is.
-      kind: of the object, a name of `cell.objects`.
+      take: what is drawn.
       speed: 0.5 for a video at half speed.
       view_deg: azimuth of the camera; None is `azimuth_deg`.
 
     Raises:
       PicturesUnavailableError: there is no off-screen OpenGL.
     """
-    scene = dressed(build_scene(robot, cell, substeps=2))
-    clip, data = path_clip(path, scene, task, kind), mujoco.MjData(scene.model)
-    view_deg = azimuth_deg(path) if view_deg is None else view_deg
+    scene = dressed(take.tape.scene)
+    clip, data = take.clip, mujoco.MjData(scene.model)
+    view_deg = azimuth_deg(take.path) if view_deg is None else view_deg
     with closing(Camera(scene.model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
         for time_s in np.arange(0.0, clip.duration_s + 1e-9, speed / FRAMES_PER_S):
             set_pose(data, scene, clip.frame(time_s))

@@ -30,7 +30,7 @@ class ActorPolicy:
 
     `spec` holds task, observation_dim, action_dim, hidden, normalise, `environment`, what the cell it acts in must
     share, as a dict of plain values, and in files of version 0.2 `config`, the whole environment of its training as in
-    config.yaml, which `config.composition.run_config.trained_environment` reads.
+    config.yaml, which `files.run_config.trained_environment` reads.
     """
 
     def __init__(

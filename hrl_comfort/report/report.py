@@ -8,7 +8,7 @@ needs no other file.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from hrl_comfort.analysis.tables import HEADLINE, SHOWN, SPAWNS, cell, cells, of
 from hrl_comfort.config import ReportConfig
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.output import output_file
-from hrl_comfort.files.run_folder import Recorded, Run, find_runs, recorded_paths, row_of
+from hrl_comfort.files.run_folder import Run, find_runs, recorded
 from hrl_comfort.files.tables import column
 from hrl_comfort.plots import hierarchy, training
 from hrl_comfort.plots.paths import at_levels, overview
@@ -101,20 +101,14 @@ def _title(name: str, checkpoints: DataFrame) -> str:
     return f"{name}\n{', '.join(about)}"
 
 
-def _ends(run: Run, recorded: Iterable[Recorded]) -> dict[Recorded, str]:
-    """Return how recorded episodes ended, those that episodes.csv tells of."""
-    rows = {key: row for key in recorded if (row := row_of(run, key)) is not None}
-    return dict(zip(rows, terminations(DataFrame(rows.values())), strict=True)) if rows else {}
-
-
 def _paths(runs: Sequence[Run]) -> list[tuple[str, Run, int]]:
     """Return, for each recorded run, a figure of its first paths, the run and the number of paths."""
     found = []
     for run in runs:
-        if recorded := recorded_paths(run, SHOWN_PATHS):
+        if drawn := recorded(run, SHOWN_PATHS):
             precision = run.config.get("task", {}).get("precision", {})
-            picture = overview(recorded, _ends(run, recorded), run.config.get("cell", {}), precision)
-            found.append((data_uri(picture), run, len(recorded)))
+            picture = overview(drawn, run.config.get("cell", {}), precision)
+            found.append((data_uri(picture), run, len(drawn)))
     return found
 
 
@@ -122,7 +116,7 @@ def _level_paths(runs: Sequence[Run]) -> list[tuple[str, Run]]:
     """Return, for each run recorded at several levels, a figure of two episodes at up to four of the levels."""
     found = []
     for run in runs:
-        keys = list(recorded_paths(run))
+        keys = [(each.episode, each.level) for each in recorded(run)]
         there = sorted({level for _, level in keys if level is not None})
         if run.episodes is None or len(there) < 2:
             continue

@@ -10,7 +10,7 @@ from typing import Any
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import cell
 from hrl_comfort.config import CONTROL_STEP_S, HIERARCHY
-from hrl_comfort.config.composition.overrides import override
+from hrl_comfort.config.overrides import override
 from hrl_comfort.files.run_folder import Run
 
 TASK = "cycle"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hrl_comfort.config import ConfigError, ReportConfig
-from hrl_comfort.files.run_folder import Run, recorded_paths
+from hrl_comfort.files.run_folder import Run, recorded
 
 if TYPE_CHECKING:
     from hrl_comfort.plots.tape import Recording, Take
@@ -49,7 +49,7 @@ def _data(file: Path, caption: str) -> tuple[str, str]:
 
 def _with_episode(runs: Sequence[Run], episode: int) -> Run:
     for run in runs:
-        if recorded_paths(run, 1, [episode]):
+        if recorded(run, 1, [episode]):
             return run
     raise ConfigError(f"episode={episode} is not recorded; evaluate with record=true and more episodes")
 
@@ -87,9 +87,9 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
     """Draw a take and return a caption; of one at the first or last of several levels, both beside each other."""
     from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
 
-    tape, view = take.tape, azimuth_deg(take.path)
+    view = azimuth_deg(take.path)
     shown = recording.ends if take in recording.ends else [take]
-    pictures = [frames(each.path, tape.robot, tape.cell, each.task, each.kind, speed, view) for each in shown]
+    pictures = [frames(each, speed, view) for each in shown]
     write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:
@@ -97,4 +97,4 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
         how = " and".join(f" at level {each.level} ({side}: {each.ended})" for each, side in sides)
     else:
         how = ("" if take.level is None else f" at level {take.level}") + f", {take.ended}"
-    return f"{tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."
+    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."

@@ -13,19 +13,20 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from pandas import DataFrame
+from pandas import concat
 from PIL import Image, ImageDraw, ImageFont
 
 from hrl_comfort.benchmarks.entries import ENTRIES, committed
 from hrl_comfort.comfort.terms import FORMS, THRESHOLDS, TIMED, distance_term
-from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.config import CONTROL_STEP_S, TrainConfig
+from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
+from hrl_comfort.plots.clip import set_pose
 from hrl_comfort.plots.style import save_png
+from hrl_comfort.plots.tape import Take, Tape
 from hrl_comfort.plots.video import FRAMES_PER_S, azimuth_deg, frames
-from hrl_comfort.scene import LIMBS, build_scene, limb_poses
 from hrl_comfort.scene.looks import dressed
 
 LEVELS, LEAST_STEPS = (1, 10), 60
@@ -46,12 +47,14 @@ def levels(folder: Path, output: Path) -> None:
 
     It is the one, of those that succeed at both, in which the mean distance to the person differs most.
     """
-    episodes = read_table(folder / "episodes.csv")
+    episodes, tape = read_table(folder / "episodes.csv"), Tape(read_run(folder))
     assert episodes is not None
     good = episodes[episodes["success"] & (episodes["steps"] >= LEAST_STEPS)]
     distance = good.pivot(index="episode", columns="comfort_level", values="human_distance_mean_m")
     number = int((distance[LEVELS[0]] - distance[LEVELS[1]]).idxmax())
-    sides = [panels(folder, episodes[episodes["episode"] == number], level) for level in LEVELS]
+    takes = next(each.takes for each in tape.recordings if each.episode == number)
+    view_deg = azimuth_deg(concat(take.path for take in takes))
+    sides = [panels(take, view_deg) for take in takes if take.level in LEVELS]
     length = max(len(side) for side in sides) + HOLD
     images = []
     for index in range(length):
@@ -60,19 +63,13 @@ def levels(folder: Path, output: Path) -> None:
     images[0].save(output, save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0, optimize=True)
 
 
-def panels(folder: Path, episode: DataFrame, level: int) -> list[Image.Image]:
-    """Return the captioned pictures of a recorded episode, given by its rows of episodes.csv, at one level."""
-    config, paths = load_config(folder), read_table(folder / "paths.csv")
-    assert isinstance(config, EvaluateConfig) and paths is not None
-    mine = episode[episode["comfort_level"] == level]
-    both = paths[paths["episode"] == mine["episode"].item()]
-    path = both[both["level"] == level].reset_index(drop=True)
-    kind, pictures = str(mine["object"].item()), []
-    drawn = frames(path, config.robot, config.cell, config.task.name, kind, view_deg=azimuth_deg(both))
-    for index, picture in enumerate(drawn):
-        step = min(round(index / FRAMES_PER_S / CONTROL_STEP_S), len(path) - 1)
+def panels(take: Take, view_deg: float) -> list[Image.Image]:
+    """Return the captioned pictures of a recorded episode at one level, seen from this azimuth."""
+    distance_m, pictures = take.path["human_distance_m"], []
+    for index, picture in enumerate(frames(take, view_deg=view_deg)):
+        step = min(round(index / FRAMES_PER_S / CONTROL_STEP_S), len(distance_m) - 1)
         image = Image.fromarray(picture).crop(CROP)
-        said = f"level {level}    {step * CONTROL_STEP_S:.1f} s    {path['human_distance_m'][step]:.2f} m to the person"
+        said = f"level {take.level}    {step * CONTROL_STEP_S:.1f} s    {distance_m[step]:.2f} m to the person"
         ImageDraw.Draw(image).text((10, 8), said, fill="white", font=FONT, stroke_width=2, stroke_fill="black")
         pictures.append(image)
     return pictures
@@ -80,29 +77,23 @@ def panels(folder: Path, episode: DataFrame, level: int) -> list[Image.Image]:
 
 def cell(folder: Path, output: Path) -> None:
     """Draw the second recorded episode of `folder` while an object is carried, the tool's path as dots."""
-    rows, config = read_table(folder / "paths.csv"), compose("train")
-    assert rows is not None and isinstance(config, TrainConfig)
-    path = rows[rows["episode"] == 1].reset_index(drop=True)
-    scene = dressed(build_scene(config.robot, config.cell, substeps=2))
+    take = next(each for each in Tape(read_run(folder)).recordings if each.episode == 1).takes[0]
+    scene, stages = dressed(take.tape.scene), take.path["stage"]
     model, data = scene.model, mujoco.MjData(scene.model)
     model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
     model.vis.quality.offsamples = 8
-    carried = np.flatnonzero(path["stage"] == STAGE)
+    carried = np.flatnonzero(stages == STAGE)
     now = int(carried[int(SHARE * (len(carried) - 1))])
-    data.qpos[:] = [path[f"q{i}"][now] for i in range(6)]
-    limbs = limb_poses(path["human_x"][now], path["human_y"][now], path["human_yaw"][now], 1.2, 0.35, scene.floor_z)
-    data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[:, :3], limbs[:, 3:]
-    data.mocap_pos[scene.first_prop + scene.object_prop(0, 0)] = [path[f"tcp_{axis}"][now] for axis in "xyz"]
+    set_pose(data, scene, take.clip.frame(take.clip.time[now]))
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.05, 0.12, 0.15)
     camera.distance, camera.azimuth, camera.elevation = 2.9, 62, -22
     with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
         renderer.update_scene(data, camera)
-        for i in range(len(path)):
+        for place, stage in zip(take.tool, stages, strict=True):
             dot = renderer.scene.geoms[renderer.scene.ngeom]
-            place = np.array([path[f"tcp_{axis}"][i] for axis in "xyz"])
-            colour = np.array(DOTS[min(int(path["stage"][i]), 2)], dtype=np.float32)
+            colour = np.array(DOTS[min(int(stage), 2)], dtype=np.float32)
             mujoco.mjv_initGeom(dot, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3).ravel(), colour)
             renderer.scene.ngeom += 1
         imageio.imwrite(output, renderer.render())

@@ -10,8 +10,8 @@ from typing import Any
 import viser
 
 from hrl_comfort import humans
+from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
-from hrl_comfort.config.command_line.policies import with_policy
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import add_slider, by_viewer

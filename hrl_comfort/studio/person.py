@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HumanConfig, SafetyConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.humans.walk import Array
 from hrl_comfort.studio.session import Session

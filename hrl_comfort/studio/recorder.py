@@ -16,12 +16,13 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.evaluation.rollout import EpisodeRecorder, Result, path_columns, rounded
 from hrl_comfort.files.atomic import all_or_none
 from hrl_comfort.files.output import output_folder
-from hrl_comfort.files.tables import read_table, write_table
+from hrl_comfort.files.run_folder import read_run
+from hrl_comfort.files.tables import write_table
 from hrl_comfort.humans import drawn_set
 from hrl_comfort.humans.recordings import HEADER
+from hrl_comfort.plots.tape import Tape
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
-from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.play import LivePlay, Watcher
@@ -87,7 +88,7 @@ class Recorder:
           ConfigError: no decision was recorded, or the folder is taken by now.
         """
         if self._recorder is not None and self._levels:
-            self._recorder.add(void(self._last), ~ROW, ROW, [])
+            self._recorder.cut(self._last.result)
             self._finish()
         if not self.episodes:
             raise ConfigError("nothing was recorded: let it run for a decision before you stop")
@@ -106,13 +107,8 @@ class Recorder:
         Raises:
           PicturesUnavailableError: there is no off-screen OpenGL.
         """
-        config, row = self._session.config, self._result.episodes[-1]
-        table = read_table(self.folder / "paths.csv")
-        assert table is not None
-        path = table[table["episode"] == row.episode].reset_index(drop=True)
-        return write_video(
-            self.folder / "video.mp4", frames(path, config.robot, config.cell, config.task.name, row.object)
-        )
+        last = max(Tape(read_run(self.folder)).recordings, key=lambda each: each.episode)
+        return write_video(self.folder / "video.mp4", frames(last.takes[0]))
 
     def _finish(self) -> None:
         assert self._recorder is not None
@@ -127,11 +123,6 @@ class Recorder:
             for line in self._result.options[first:]:
                 line["comfort_level"] = None
         self._result.episodes[-1] = row
-
-
-def void(step: Step) -> StepResult:
-    """Return the result of a decision that took no control step, after the latest one."""
-    return replace(step.result, decision_steps=torch.zeros_like(step.result.decision_steps))
 
 
 class RecordControl(Watcher):

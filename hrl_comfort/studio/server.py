@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import ConfigError, StudioConfig
-from hrl_comfort.config.command_line.policies import with_policy
 from hrl_comfort.studio.curves import Curves
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import APART_M, Page, set_camera

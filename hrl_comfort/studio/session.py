@@ -12,7 +12,7 @@ from hrl_comfort import humans
 from hrl_comfort.comfort.sources import Floats, Source
 from hrl_comfort.comfort.terms import human_distance, present
 from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
 from hrl_comfort.plots.clip import Array, Clip

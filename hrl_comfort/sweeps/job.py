@@ -12,13 +12,13 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HIERARCHY, ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import override, root_of
-from hrl_comfort.config.composition.run_config import is_same, load_config
+from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.provenance import RunState, run_state
+from hrl_comfort.files.run_config import is_same, load_config
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
 from hrl_comfort.training.preemption import Preempted

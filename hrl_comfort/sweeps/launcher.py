@@ -16,8 +16,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import one_of
-from hrl_comfort.config.composition.hydra_conf import hydra_over_conf, run_folder
-from hrl_comfort.config.composition.overrides import one_line, override, parse, root_of
+from hrl_comfort.config.hydra_conf import hydra_over_conf, run_folder
+from hrl_comfort.config.overrides import one_line, override, parse, root_of
 from hrl_comfort.files.atomic import overwrites, target_of
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.output import INSIST, in_use

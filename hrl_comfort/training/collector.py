@@ -12,8 +12,8 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy, observed_by
 from hrl_comfort.tasks import subtask

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from hrl_comfort.config import MetaControllerTrainConfig
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner

@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
+from hrl_comfort.composition.stages import stages_of
 from hrl_comfort.config import CurriculumConfig, PrecisionConfig, StageConfig, TrainConfig
-from hrl_comfort.config.composition.stages import stages_of
 
 
 @dataclass(frozen=True)

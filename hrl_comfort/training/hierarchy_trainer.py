@@ -14,6 +14,7 @@ from typing import Any
 from rich.console import Console
 
 from hrl_comfort.analysis.tables import of_groups
+from hrl_comfort.composition.stages import stages_of, train_config, with_budget
 from hrl_comfort.config import (
     HIERARCHY,
     ConfigError,
@@ -24,12 +25,11 @@ from hrl_comfort.config import (
     MetaControllerTrainConfig,
     TrainConfig,
 )
-from hrl_comfort.config.composition.run_config import environment, is_same, load_config, save_config
-from hrl_comfort.config.composition.stages import stages_of, train_config, with_budget
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import RunState, is_finished, run_state, write_provenance
+from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim

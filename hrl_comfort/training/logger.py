@@ -13,7 +13,6 @@ from torch.utils.tensorboard import SummaryWriter
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.tables import GrowingTable
-from hrl_comfort.training.wandb_board import WandbBoard
 
 OUTCOMES = (
     *("success", "return", "steps", "contact", "unsafe_contact", "other_collision"),
@@ -114,7 +113,8 @@ class MetricsLog(RowLog):
         columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *outcomes, *TERMS)
         super().__init__(folder / "metrics.csv", columns, outcomes, tuple(TERMS))
         self._timing = GrowingTable(folder / "timing.csv", TIMING)
-        self._boards: list[SummaryWriter | WandbBoard] = []
+        self._tensorboard: SummaryWriter | None = None
+        self._wandb: Any = None
         self._run_id = uuid.uuid4().hex
         """Of Weights & Biases: a resumed training continues its run there."""
 
@@ -122,9 +122,9 @@ class MetricsLog(RowLog):
         """Cut the files back to the rows that this log knows of, and open the boards at `steps`."""
         super().start(steps)
         self._timing.begin(self._rows)
-        self._boards = [SummaryWriter(str(self._folder), purge_step=steps)]
+        self._tensorboard = SummaryWriter(str(self._folder), purge_step=steps)
         if self._config.logger == "wandb":
-            self._boards.append(WandbBoard(self._folder, self._run_id, asdict(self._config)))
+            self._wandb = wandb_run(self._folder, self._run_id, asdict(self._config))
 
     def write_row(
         self, policy_steps: int, stage: str, updates: int, precision_m: float, timing: tuple[float, ...]
@@ -133,11 +133,13 @@ class MetricsLog(RowLog):
         head = {"policy_steps": policy_steps, "stage": stage, "updates": updates, "episodes": self._episodes}
         row = self.append({**head, "precision_m": precision_m})
         self._timing.append([policy_steps, *map(self.cell, timing)])
-        for board in self._boards:
-            for name, value in row.items():
-                if name not in ("policy_steps", "stage"):
-                    board.add_scalar(name, value, policy_steps)
-            board.flush()
+        assert self._tensorboard is not None, "start"
+        scalars = {name: value for name, value in row.items() if name not in ("policy_steps", "stage")}
+        for name, value in scalars.items():
+            self._tensorboard.add_scalar(name, value, policy_steps)
+        self._tensorboard.flush()
+        if self._wandb is not None:
+            self._wandb.log(scalars, step=policy_steps)
 
     def cell(self, value: Any) -> Any:
         """Return a number with six digits."""
@@ -145,5 +147,20 @@ class MetricsLog(RowLog):
 
     def close(self) -> None:
         """Close the boards."""
-        for board in self._boards:
-            board.close()
+        if self._tensorboard is not None:
+            self._tensorboard.close()
+        if self._wandb is not None:
+            self._wandb.finish()
+
+
+def wandb_run(folder: Path, run_id: str, config: dict[str, Any]) -> Any:
+    """Return a run of Weights & Biases (extra `wandb`), begun or continued; offline with WANDB_MODE=offline.
+
+    Its files go to `wandb/` in the run folder; `wandb sync` uploads those of an offline run.
+    """
+    import wandb
+
+    return wandb.init(
+        project="hrl-comfort", name=folder.name, dir=str(folder), id=run_id, resume="allow", config=config,
+        settings=wandb.Settings(silent=True, console="off"),
+    )  # fmt: skip

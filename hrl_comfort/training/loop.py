@@ -14,8 +14,8 @@ from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import TrainingConfig
-from hrl_comfort.config.composition.run_config import save_config
 from hrl_comfort.files.provenance import write_provenance
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.training.logger import RowLog
 from hrl_comfort.training.preemption import Preempted, asked_to_stop

@@ -13,9 +13,9 @@ import torchrl
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.config import HIERARCHY, ConfigError, MetaControllerTrainConfig, TrainConfig, TrainingConfig
-from hrl_comfort.config.composition.run_config import load_config
 from hrl_comfort.files.output import held_folder, output_folder
 from hrl_comfort.files.provenance import RunState, is_finished, resumable, run_state
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.training.loop import TrainingLoop
 
 C = TypeVar("C", bound=TrainingConfig)

@@ -11,7 +11,7 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.run_config import environment, stored_config
+from hrl_comfort.files.run_config import environment, stored_config
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.training.collector import SkillCollector, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list

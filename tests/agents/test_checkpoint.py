@@ -12,8 +12,8 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
 from hrl_comfort.agents.sac import SAC
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.provenance import step_files, unfinished
 from hrl_comfort.files.state_file import FORMAT

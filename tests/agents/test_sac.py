@@ -12,8 +12,8 @@ from torch import Tensor
 
 from hrl_comfort.agents.networks import NORMALISED_LIMIT, Actor, Normaliser
 from hrl_comfort.agents.sac import SAC, TERMS, TrainingDiverged
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import AgentConfig, ConfigError
-from hrl_comfort.config.composition.compose import compose
 
 D, A = 7, 3
 

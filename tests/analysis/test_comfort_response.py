@@ -10,8 +10,8 @@ from scipy import stats
 from hrl_comfort.analysis import comfort
 from hrl_comfort.analysis.tables import levels
 from hrl_comfort.comfort.adapt import max_episode_steps
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
 

@@ -12,8 +12,8 @@ from scipy.stats import sem, t
 
 from hrl_comfort.analysis.comparison import controllers, table
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
 from hrl_comfort.plots.figure import figure

@@ -9,9 +9,9 @@ import pytest
 
 from hrl_comfort.analysis.comparison import divisions, table, training_cost
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
 

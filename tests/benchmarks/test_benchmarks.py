@@ -20,9 +20,9 @@ from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.benchmarks.peers import TorchRLSAC
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 
 SMALL = ("agent.hidden=[16,16]", "agent.batch_size=16")
 

@@ -14,9 +14,9 @@ import pytest
 
 from hrl_comfort.benchmarks import entries, suite
 from hrl_comfort.cli.first_checks import completed
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.files.run_config import save_config
 
 SHORT = ("split=validation", "episodes=2", "levels=[1,10]", "task.max_episode_steps=150")
 

@@ -9,8 +9,8 @@ import sys
 import pytest
 
 from hrl_comfort.cli.main import configuration, main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
 
 WRONG = {
     "": "",

@@ -13,10 +13,10 @@ from hrl_comfort.cli.commands import COMMANDS, VERBS
 from hrl_comfort.cli.completion import candidates
 from hrl_comfort.cli.help import WIDTH
 from hrl_comfort.cli.main import configuration, main
-from hrl_comfort.config.command_line.keys import keys_of
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import root_of
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.keys import keys_of
+from hrl_comfort.config.overrides import root_of
+from hrl_comfort.files.run_config import load_config
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -14,8 +14,8 @@ import pytest
 from hrl_comfort.comfort.frightened import level_rate, mean_level
 from hrl_comfort.comfort.sources import DRAWS, SourceInput, make_source
 from hrl_comfort.comfort.streams import Signal, read_recording, udp
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
-from hrl_comfort.config.composition.compose import compose
 
 
 def comfort(*overrides: str) -> ComfortConfig:

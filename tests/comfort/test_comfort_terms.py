@@ -12,8 +12,8 @@ from torch import Tensor
 
 from hrl_comfort.comfort import terms
 from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ComfortConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.tasks import SUBTASKS
 
 

@@ -10,11 +10,11 @@ from hydra import initialize_config_dir
 from omegaconf import OmegaConf
 
 from hrl_comfort.cli import main as commands
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.hydra_conf import composed
-from hrl_comfort.config.composition.overrides import ROOTS, check_overrides, choices, config_dir, groups, override
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.config.hydra_conf import composed
+from hrl_comfort.config.overrides import ROOTS, check_overrides, choices, config_dir, groups, override
+from hrl_comfort.files.run_config import save_config
 
 OWN = {
     "export": ["policy=expert"],

@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.config import comfort as allowed
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import ROOTS, groups, override
-from hrl_comfort.config.composition.run_config import environment, is_same, load_config, save_config
+from hrl_comfort.config.overrides import ROOTS, groups, override
+from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS
 from tests.generating import CHANGES, FOREIGN, ODD, changed, inputs, numbers, tried

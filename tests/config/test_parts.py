@@ -12,12 +12,12 @@ import torch
 
 import hrl_comfort
 from hrl_comfort.comfort.terms import distance_term
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.checks import implemented, plugins
 from hrl_comfort.config.commands import PICK_AND_PLACE
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import check_overrides, choices
-from hrl_comfort.config.composition.run_config import is_same, load_config, save_config
+from hrl_comfort.config.overrides import check_overrides, choices
+from hrl_comfort.files.run_config import is_same, load_config, save_config
 from hrl_comfort.humans import MOTIONS
 from hrl_comfort.scene.robots import ROBOTS
 from hrl_comfort.sim.engine import Engine

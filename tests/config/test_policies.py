@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.policies import check_beside, options_in, with_defaults
 from hrl_comfort.config import ConfigError, StudioConfig
-from hrl_comfort.config.command_line.policies import check_beside, options_in, with_defaults
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.files.run_config import save_config
 
 
 def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,8 +25,8 @@ import torch
 from numpy.typing import NDArray
 from pandas import DataFrame
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, Reading, SimulatedArm
 from hrl_comfort.deploy.links import STREAMER, Link, Lockstep, Paced, prefer
 from hrl_comfort.deploy.runner import Run, rehearse

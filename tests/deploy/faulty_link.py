@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, DeployConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run
 from hrl_comfort.deploy.streamer import TICKS, Limits, Report

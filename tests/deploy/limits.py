@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from pandas import DataFrame
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import Run

@@ -8,8 +8,8 @@ import torch
 
 import hrl_comfort
 from docs.behaviour_cloning import clone
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.dataset import dataset
 
 CONDITIONED = "comfort=conditioned"

@@ -11,8 +11,8 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, ExportConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.export import export
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.actor import load_policy

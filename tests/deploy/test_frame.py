@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.runner import settled
 from hrl_comfort.humans.motions.live import pose_source

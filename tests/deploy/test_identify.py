@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pandas import DataFrame
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.identify import identify
 from hrl_comfort.deploy.links import Lockstep

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.deploy.arms import SimulatedArm
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.predictor import Predictor
@@ -19,6 +18,7 @@ from hrl_comfort.deploy.robot import RobotEngine
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import TICKS, Streamer
 from hrl_comfort.evaluation.ledger import open_split
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from tests.deploy.campaign import LATENCY_S, LateArm, config
 from tests.deploy.test_streamer import limits, scene

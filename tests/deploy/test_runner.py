@@ -21,8 +21,8 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy import runner
 from hrl_comfort.deploy.arms import SimulatedArm
 from hrl_comfort.deploy.runner import LOG, deploy

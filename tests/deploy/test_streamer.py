@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, DeployConfig, RobotConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.streamer import COLUMNS, TICKS, Limits, Streamer
 from hrl_comfort.scene.workcell import Scene, build_scene

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import DeployConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.deploy.runner import LOG, deploy
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.files.tables import read_table

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import override
+from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.files.provenance import policy_steps
-from hrl_comfort.files.run_folder import read_run, recorded_paths, row_of
+from hrl_comfort.files.run_folder import Recorded, read_run, recorded
 
 
 def run(tmp_path: Path, *overrides: str) -> Path:
@@ -117,31 +117,33 @@ def test_recorded_paths_hold_every_control_step_once(tmp_path: Path) -> None:
         assert min(distances) == pytest.approx(float(episode["human_distance_min_m"]), abs=2e-6)
 
 
+def told(every: list[Recorded]) -> list[tuple[int, int | None]]:
+    return [(each.episode, each.level) for each in every]
+
+
 def test_recorded_paths_tell_levels_apart(tmp_path: Path) -> None:
     words = ("comfort=conditioned", "levels=[2,9]", "record=true", "task.max_episode_steps=13", "episodes=2")
     found = read_run(run(tmp_path, *words))
-    paths = recorded_paths(found)
-    assert list(paths) == [(0, 2), (1, 2), (0, 9), (1, 9)]
-    for key, path in paths.items():
-        row = row_of(found, key)
-        assert row is not None and (row["episode"], row["comfort_level"]) == key
-        assert path["step"].tolist() == list(range(int(row["steps"]) + 1))
-        assert set(path["level"]) == {key[1]}
-    assert list(recorded_paths(found, count=1)) == [(0, 2)]
-    assert list(recorded_paths(found, episodes=(1,))) == [(1, 2), (1, 9)]
+    assert told(recorded(found)) == [(0, 2), (1, 2), (0, 9), (1, 9)]
+    for each in recorded(found):
+        assert (each.row["episode"], each.row["comfort_level"]) == (each.episode, each.level)
+        assert each.path["step"].tolist() == list(range(int(each.row["steps"]) + 1))
+        assert set(each.path["level"]) == {each.level}
+    assert told(recorded(found, count=1)) == [(0, 2)]
+    assert told(recorded(found, episodes=(1,))) == [(1, 2), (1, 9)]
 
 
 def test_recorded_levels_are_those_in_force_and_empty_without_one(tmp_path: Path) -> None:
     schedule = ("comfort.source=schedule", "comfort.schedule_s=[0,0.2]", "comfort.schedule_levels=[9,2]")
     words = ("record=true", "task.max_episode_steps=20", "episodes=2")
     found = read_run(run(tmp_path / "jump", "comfort=conditioned", *schedule, *words))
-    (key, path), *_ = recorded_paths(found).items()
-    assert key == (0, 9)
-    assert path["level"][:11].tolist() == [9.0] * 11
-    assert set(path["level"][11:]) <= {2.0}
-    assert row_of(found, key)["episode"] == 0
+    first, *_ = recorded(found)
+    assert told([first]) == [(0, 9)]
+    assert first.path["level"][:11].tolist() == [9.0] * 11
+    assert set(first.path["level"][11:]) <= {2.0}
+    assert first.row["episode"] == 0
     none = read_run(run(tmp_path / "none", *words))
-    assert list(recorded_paths(none)) == [(0, None), (1, None)]
+    assert told(recorded(none)) == [(0, None), (1, None)]
     assert {row["level"] for row in table(tmp_path / "none" / "paths.csv")} == {""}
 
 

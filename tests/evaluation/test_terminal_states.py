@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import (
     FIRST_SEED,
     TERMINAL_STATES_SEED,
@@ -17,9 +18,8 @@ from hrl_comfort.config import (
     EvaluateConfig,
     TrainConfig,
 )
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
 
 COARSE = ["task=pick", "policy=expert", "human=none", "task.precision.grasp_tolerance_m=0.3"]

@@ -20,12 +20,12 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.cli.main import main
 from hrl_comfort.comfort.streams import read_recording
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ComfortConfig, ConfigError, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import check_overrides
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.files.documents import read_json, read_yaml
 from hrl_comfort.files.output import output_file
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.files.sweep_record import planned
 from hrl_comfort.files.tables import GrowingTable, read_table

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import at_home
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.config.overrides import at_home
 from hrl_comfort.files.atomic import all_or_none, write_text
 from hrl_comfort.files.output import output_file, output_folder
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.run_folder import find_runs
 
 EVALUATE = ("evaluate", "policy=random", "episodes=1", "task=reach", "human=none")

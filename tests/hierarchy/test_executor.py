@@ -11,10 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ComfortConfig, ConfigError
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import check_stages
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
 from hrl_comfort.hierarchy.meta_controllers import in_order

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import Decision, OptionExecutor

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
 from torchrl.objectives.value import TD0Estimator
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.executor import TERMINATIONS
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import Option, Termination, chain

@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDict
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import save_config
 from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy.observation import PERSON, observation_dim
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice

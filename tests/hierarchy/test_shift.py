@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EnvConfig, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.meta_controllers import nearest

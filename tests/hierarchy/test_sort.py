@@ -10,9 +10,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy import sort as sorting_module
 from hrl_comfort.hierarchy.executor import TERMINATIONS, OptionExecutor, execute
 from hrl_comfort.hierarchy.meta_controllers import RETREAT, WAIT, cautious, nearest

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.humans import body, steering
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
 from hrl_comfort.scene.human import limb_poses

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, HumanConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import choices
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.config.overrides import choices
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans.body import ARM_LENGTH_M, FOREARM_M, UPPER_ARM_M
 from hrl_comfort.humans.motions.reactive import social_force
 from hrl_comfort.scene.human import limb_poses

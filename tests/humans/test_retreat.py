@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import body
 from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
 from hrl_comfort.safety.separation import Encounter, Separation

@@ -13,14 +13,14 @@ import pytest
 
 import hrl_comfort
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.envs.inputs import replayed
 from hrl_comfort.evaluation import ledger, rollout
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.provenance import ROOT, git
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans.evaluation import SHARES
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.cli import main as commands
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.rollout import path_columns
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.paths import SHOWN

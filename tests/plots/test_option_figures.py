@@ -10,8 +10,8 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import chain_lengths
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, FigureConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.hierarchy import timeline
 

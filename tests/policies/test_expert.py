@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.policies.expert import (
     CONSIDERED,

@@ -14,10 +14,10 @@ from pandas.testing import assert_frame_equal
 
 import hrl_comfort
 from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.external import ObservationPolicy

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.hierarchy.meta_controllers import WAIT, Decision
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice

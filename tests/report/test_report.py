@@ -16,15 +16,16 @@ from pandas import DataFrame
 from hrl_comfort import humans
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.analysis.summary import summarise, with_totals
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.structured import section
+from hrl_comfort.config.hydra_conf import section
 from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import read_table, records_of
 from hrl_comfort.plots import training, video
 from hrl_comfort.plots.clip import gait, path_clip
 from hrl_comfort.plots.paths import overview
+from hrl_comfort.plots.tape import Tape
 from hrl_comfort.report import report
 from hrl_comfort.report import videos as module
 from hrl_comfort.report.texts import summary
@@ -223,9 +224,9 @@ def test_text_of_a_run_is_escaped(tmp_path):
 
 
 def test_paths_without_a_human_or_a_cell_are_drawn(demo):
-    path = run_folder.recorded_paths(run_folder.find_runs(demo)[0], 1)[0, None]
-    alone = path.assign(human_x=50.0, human_distance_m=np.nan)
-    figure = overview({(0, None): alone}, {}, {}, {})
+    (first,) = run_folder.recorded(run_folder.find_runs(demo)[0], 1)
+    alone = replace(first, path=first.path.assign(human_x=50.0, human_distance_m=np.nan))
+    figure = overview([alone], {}, {})
     assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "Top view",
         "Side view",
@@ -288,7 +289,7 @@ def test_a_folder_without_runs_is_named(tmp_path):
 
 def test_the_pictures_of_a_path_are_in_time_and_the_yaw_does_not_spin(demo):
     run = run_folder.find_runs(demo)[0]
-    path = run_folder.recorded_paths(run, 1)[0, None].iloc[[0] * 101].reset_index(drop=True)
+    path = run_folder.recorded(run, 1)[0].path.iloc[[0] * 101].reset_index(drop=True)
     path = path.assign(step=np.arange(101), human_yaw=np.where(np.arange(101) < 50, 3.1, -3.1))
     robot, cell = RobotConfig(**run.config["robot"]), section(CellConfig, run.config["cell"])
     clip = path_clip(path.assign(stage=np.arange(101) // 60), build_scene(robot, cell, 2), "pick", "orange")
@@ -318,7 +319,7 @@ def test_the_gait_is_the_one_that_was_simulated():
 def test_goals_have_circles_of_the_tolerance_in_both_views(demo):
     run = run_folder.find_runs(demo)[0]
     precision = {"grasp_tolerance_m": 0.1, "place_tolerance_m": 0.02}
-    figure = overview(run_folder.recorded_paths(run, 2), {}, run.config["cell"], precision)
+    figure = overview(run_folder.recorded(run, 2), run.config["cell"], precision)
     for axis in figure.axes[:2]:
         dotted = [patch for patch in axis.patches if patch.get_linestyle() == ":"]
         assert sorted(patch.radius for patch in dotted) == [0.02, 0.02, 0.1]
@@ -459,7 +460,7 @@ def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Write a video as the azimuth and the length of each of its episodes, and the speed; draw nothing."""
-    monkeypatch.setattr(video, "frames", lambda path, *words: (len(path), words[-2:]))
+    monkeypatch.setattr(video, "frames", lambda take, *words: (len(take.path), words))
     monkeypatch.setattr(video, "beside", list)
     monkeypatch.setattr(video, "write_video", lambda file, episodes: file.write_text(repr(episodes)))
 
@@ -507,10 +508,9 @@ def test_the_camera_sees_person_and_tool_beside_each_other(angle):
 
 def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     run = run_folder.find_runs(demo)[0]
-    path = run_folder.recorded_paths(run, 1)[0, None][:12]
-    robot, cell = RobotConfig(**run.config["robot"]), section(CellConfig, run.config["cell"])
+    (take,) = next(each.takes for each in Tape(run).recordings if each.episode == 0)
     try:
-        file = video.write_video(tmp_path / "video.mp4", video.frames(path, robot, cell, "pick", "orange"))
+        file = video.write_video(tmp_path / "video.mp4", video.frames(replace(take, path=take.path[:12])))
     except PicturesUnavailableError as error:
         pytest.skip(f"nothing can be drawn off screen here: {error}")
     data = file.read_bytes()

@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EvaluateConfig, ReportConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
-from hrl_comfort.files.run_folder import read_run, recorded_paths
+from hrl_comfort.files.run_folder import read_run, recorded
 from hrl_comfort.plots.tape import Tape
 from hrl_comfort.report import replay as module
 from hrl_comfort.report.replay import replays
@@ -56,7 +56,7 @@ def test_the_last_picture_has_the_recorded_tool_and_person(evaluation: Path) -> 
     assert found is not None
     take, moving = found["episodes"][0]["takes"][1], len(found["scenes"][0]["moving"])
     pictures = np.frombuffer(base64.b64decode(take["frames"]), dtype="<i2").reshape(len(take["times"]), moving + 1, 6)
-    last = recorded_paths(read_run(evaluation), episodes=[1])[1, 9].iloc[-1]
+    last = recorded(read_run(evaluation), episodes=[1])[1].path.iloc[-1]
     wanted = 1000 * last[["tcp_x", "tcp_y", "tcp_z", "human_x", "human_y"]].to_numpy(dtype=float)
     assert np.abs(pictures[-1, -1, :5] - wanted).max() <= 0.5
     assert take["times"][-1] == pytest.approx(0.02 * last["step"])

@@ -12,7 +12,7 @@ import pytest
 
 from hrl_comfort.cli.main import command_of
 from hrl_comfort.config import ConfigError, ResultsConfig
-from hrl_comfort.config.composition.overrides import check_overrides, root_of
+from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
 from hrl_comfort.results import looks, manifest, pages, record, remake

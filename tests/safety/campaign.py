@@ -18,9 +18,9 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.scene.ratings import RATINGS

@@ -17,8 +17,8 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.sim.engine import Engine

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HumanConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import steering
 from hrl_comfort.humans.motions.adversary import HANGING
 from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.allowances import check_allowances
 
 SHIELDED = ("robot.rating=collaborative", "safety=ssm", "safety.bound=worst")

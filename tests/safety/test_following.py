@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.drive import Drive, SetPoints, rating_of
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.safety.shield import LAGS, SERVO_SHARE

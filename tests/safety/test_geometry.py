@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.safety.geometry import ArmGeometry, norm
 from hrl_comfort.scene.workcell import Scene, build_scene
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel, plain
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Encounter, Separation

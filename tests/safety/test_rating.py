@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import limb_poses

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.geometry import segment_distance
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
 
 ROWS, DECISIONS = 64, 320

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hrl_comfort.cli.main import configuration, main
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.scene.layout import layout_warnings, reach
 from hrl_comfort.scene.ur import UR_ARMS
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.safety.geometry import _capsules
 from hrl_comfort.scene import LIMBS, Scene, build_scene, limb_poses
 from hrl_comfort.scene.camera import Camera

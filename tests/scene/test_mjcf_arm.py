@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import hrl_comfort
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.safety.geometry import ArmGeometry, segment_distance
 from hrl_comfort.scene import MjcfArm, build_scene, franka
 from hrl_comfort.scene.jaco import JACO

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from hrl_comfort.analysis.comfort import time_limit
 from hrl_comfort.comfort.terms import FORMS
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.sim.engine import Engine

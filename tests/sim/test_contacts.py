@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.separation import TOUCH_M, Separation
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import Scene, build_scene

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.evaluation.rollout import Result, rollout
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.variation.disturbance import BLOCK_STEPS
 

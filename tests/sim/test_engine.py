@@ -13,11 +13,11 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.stages import stages_of
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
-from hrl_comfort.config.composition.stages import stages_of
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.allowances import LARGEST_NOISE, MOST_LOST
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.variation.randomisation import Servos, Values, draws

@@ -8,8 +8,8 @@ import signal
 
 import numpy as np
 
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
 
 

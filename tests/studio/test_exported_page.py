@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, StudioConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 

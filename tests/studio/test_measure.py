@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, StudioConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.tables import read_table
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")

@@ -13,9 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, StudioConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import StudioConfig
-from hrl_comfort.config.command_line.policies import with_policy
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.plots.clip import Frame
 from hrl_comfort.studio.loop import Loop

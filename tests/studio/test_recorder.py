@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, ReportConfig, StudioConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.humans.recordings import read_recordings

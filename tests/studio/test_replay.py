@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, StudioConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.evaluation.evaluate import evaluate
-from hrl_comfort.files.run_folder import read_run, recorded_paths
+from hrl_comfort.files.run_folder import read_run, recorded
 from hrl_comfort.studio.replay import ReplayStudio, tape
 from tests.studio.browser import opened, until
 
@@ -51,7 +51,7 @@ def test_failures_come_first_and_levels_side_by_side(evaluation: Path) -> None:
 
 
 def test_a_clip_shows_the_recorded_instants(evaluation: Path) -> None:
-    path = recorded_paths(read_run(evaluation), episodes=[1])[1, 9]
+    path = recorded(read_run(evaluation), episodes=[1])[1].path
     take = tape(evaluation).recordings[0].takes[1]
     frame = take.clip.frame(7 * 0.02)
     assert np.allclose(frame.joints, path.loc[7, [f"q{joint}" for joint in range(6)]].to_numpy(dtype=float))

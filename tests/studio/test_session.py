@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, StudioConfig
-from hrl_comfort.config.command_line.policies import with_policy
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load

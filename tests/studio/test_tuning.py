@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, StudioConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 

@@ -12,7 +12,7 @@ pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 import viser
 
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.humans.body import HIP_M
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.scene.ur import LINKS

@@ -18,11 +18,11 @@ from types import SimpleNamespace
 import pytest
 
 from hrl_comfort.cli import main as commands
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.hydra_conf import hydra_over_conf
-from hrl_comfort.config.composition.run_config import save_config
+from hrl_comfort.config.hydra_conf import hydra_over_conf
 from hrl_comfort.files.output import held_folder
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.sweep_record import Job, find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
 from hrl_comfort.sweeps import launcher as sweep

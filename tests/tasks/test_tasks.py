@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State, subtask

@@ -12,8 +12,8 @@ import torch
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.files.provenance import read_provenance, resumable
 from hrl_comfort.files.sweep_record import find_jobs
 from hrl_comfort.sweeps.subprocesses import run_in_subprocess

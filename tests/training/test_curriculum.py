@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hrl_comfort.config.composition.compose import compose
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.training.curriculum import Curriculum
 
 CONFIG = compose("train")

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, ReportConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config, save_config
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.run_config import load_config, save_config
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.report.report import report
 from hrl_comfort.training.trainer import Training, train

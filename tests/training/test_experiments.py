@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HierarchyTrainConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import choices, config_dir
+from hrl_comfort.config.overrides import choices, config_dir
 from hrl_comfort.training.hierarchy_trainer import option_config
 from hrl_comfort.training.trainer import train
 

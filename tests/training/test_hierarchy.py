@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.config.composition.run_config import load_config
+from hrl_comfort.config.overrides import override
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.provenance import RunState
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.sweeps.job import OtherRunError, state_of
 from hrl_comfort.training import hierarchy_trainer as module

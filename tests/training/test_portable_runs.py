@@ -18,18 +18,18 @@ import yaml
 import hrl_comfort
 import hrl_comfort.gym
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import (
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files import state_file, versions
+from hrl_comfort.files.documents import read_config
+from hrl_comfort.files.run_config import (
     environment,
     load_config,
     save_config,
     trained_environment,
     yaml_of,
 )
-from hrl_comfort.envs.torchrl import CellEnv
-from hrl_comfort.files import state_file, versions
-from hrl_comfort.files.documents import read_config
 from hrl_comfort.sb3 import make_vec_env
 
 PICK, PLACE = "hrl_comfort/Pick-v0", "hrl_comfort/Place-v0"

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.stages import stages_of
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.run_config import load_config
-from hrl_comfort.config.composition.stages import stages_of
+from hrl_comfort.files.run_config import load_config
 from hrl_comfort.training.collector import SkillCollector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import PointEnv, make_points, small_config

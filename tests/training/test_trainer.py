@@ -19,9 +19,9 @@ from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import ConfigError, TrainConfig
-from hrl_comfort.config.composition.run_config import environment, load_config
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.provenance import step_files
+from hrl_comfort.files.run_config import environment, load_config
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask

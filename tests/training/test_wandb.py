@@ -8,8 +8,8 @@ from pathlib import Path
 from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.cli import first_checks
 from hrl_comfort.cli.main import main
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
-from hrl_comfort.config.composition.compose import compose
 from hrl_comfort.training import logger
 from hrl_comfort.training.logger import MetricsLog
 
@@ -31,17 +31,19 @@ def test_without_the_extra_one_line_names_it(monkeypatch, capsys):
 def test_a_resumed_training_goes_on_in_its_run_with_the_rows_of_the_log(tmp_path, monkeypatch):
     rows, ids = [], []
 
-    class Board:
-        def __init__(self, folder, run_id, config):
-            ids.append(run_id)
-            assert config["task"]["name"] == "reach"
+    class Run:
+        def log(self, scalars, step):
+            rows.extend((name, value, step) for name, value in scalars.items())
 
-        def add_scalar(self, name, value, step):
-            rows.append((name, value, step))
+        def finish(self):
+            pass
 
-        flush = close = lambda self: None
+    def begin(folder, run_id, config):
+        ids.append(run_id)
+        assert config["task"]["name"] == "reach"
+        return Run()
 
-    monkeypatch.setattr(logger, "WandbBoard", Board)
+    monkeypatch.setattr(logger, "wandb_run", begin)
     log = metrics_log(tmp_path)
     log.start(0)
     log.update(dict.fromkeys(TERMS, 0.5))

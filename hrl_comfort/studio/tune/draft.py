@@ -9,12 +9,12 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.stages import flat
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.hydra_conf import composed
-from hrl_comfort.config.composition.overrides import NAMES, choices, groups, override
-from hrl_comfort.config.composition.run_config import environment
-from hrl_comfort.config.composition.stages import flat
+from hrl_comfort.config.hydra_conf import values_of
+from hrl_comfort.config.overrides import NAMES, choices, groups, override
+from hrl_comfort.files.run_config import environment
 
 
 def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
@@ -23,24 +23,16 @@ def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
     values = {name: value for name, value in asdict(config).items() if name in fields}
     chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items()}
     lines = {group: f"{group}={name}" for group, name in chosen.items() if name in choices(group)}
-    default = dict(flat(plain(composed(root, lines.values()))))
-    plainest = dict(flat(plain(composed(root, []))))
+    default, plainest = dict(flat(values_of(root, lines.values()))), dict(flat(values_of(root)))
     lines = {group: line for group, line in lines.items() if plainest[NAMES[group]] != chosen[group]}
     return lines | {key: override(key, value) for key, value in flat(values) if default.get(key) != value}
-
-
-def plain(node: Any) -> Mapping[str, Any]:
-    """Return a composed configuration as plain values."""
-    values = OmegaConf.to_container(node, resolve=True)
-    assert isinstance(values, dict)
-    return {str(key): value for key, value in values.items()}
 
 
 class Draft:
     """A configuration of `root` under change.
 
     Args:
-      root: key of `config.composition.overrides.ROOTS`.
+      root: key of `config.overrides.ROOTS`.
       lines: overrides to begin with, by key.
     """
 

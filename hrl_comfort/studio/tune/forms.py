@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
 from typing import Any, get_args
 
+from hrl_comfort.composition.keys import Key, choices_of, keys_of
 from hrl_comfort.config import ConfigError
-from hrl_comfort.config.command_line.keys import Key, choices_of, keys_of
-from hrl_comfort.config.composition.overrides import groups, override
+from hrl_comfort.config.overrides import groups, override
 from hrl_comfort.studio.tune.draft import Draft
 
 KEPT = "as it is"

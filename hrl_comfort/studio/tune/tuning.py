@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import viser.uplot
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig, StudioConfig, TrainConfig
-from hrl_comfort.config.composition.compose import compose
-from hrl_comfort.config.composition.overrides import groups
+from hrl_comfort.config.overrides import groups
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.studio.curves import COLOURS
 from hrl_comfort.studio.panel import PLAIN, Panel

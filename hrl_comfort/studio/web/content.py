@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, SORTING, ConfigError, StudioConfig
-from hrl_comfort.config.composition.run_config import environment
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.options import Option
 from hrl_comfort.humans import body, walk
 from hrl_comfort.humans.motions.live import ARRIVED_M

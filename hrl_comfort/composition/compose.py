@@ -11,6 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from hrl_comfort.composition.stages import stages_of, with_budget
 from hrl_comfort.config import (
     ConfigError,
     EnvConfig,
@@ -21,8 +22,8 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import part_name
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.hydra_conf import ALONE, composed
-from hrl_comfort.config.composition.overrides import (
+from hrl_comfort.config.hydra_conf import ALONE, composed, freeze
+from hrl_comfort.config.overrides import (
     NAMES,
     ROOTS,
     TOO_DEEP,
@@ -33,9 +34,7 @@ from hrl_comfort.config.composition.overrides import (
     override,
     parse,
 )
-from hrl_comfort.config.composition.run_config import trained_environment
-from hrl_comfort.config.composition.stages import stages_of, with_budget
-from hrl_comfort.config.composition.structured import freeze
+from hrl_comfort.files.run_config import trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")

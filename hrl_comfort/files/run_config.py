@@ -15,9 +15,8 @@ from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.composition.hydra_conf import composed, run_folder
-from hrl_comfort.config.composition.overrides import NAMES, ROOTS, TOO_DEEP, choices, one_line, override
-from hrl_comfort.config.composition.structured import section
+from hrl_comfort.config.hydra_conf import run_folder, section, values_of
+from hrl_comfort.config.overrides import NAMES, ROOTS, TOO_DEEP, choices, one_line, override
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import unfinished
@@ -101,10 +100,7 @@ def _of_file(cls: type[C], root: str, values: Mapping[str, Any], folder: Path, f
     def defaults() -> Mapping[str, Any]:
         sections = {group: values.get(group) for group in NAMES}
         named = {g: each.get(NAMES[g].split(".")[1]) for g, each in sections.items() if isinstance(each, Mapping)}
-        chosen = [override(group, name) for group, name in named.items() if name in choices(group)]
-        found = OmegaConf.to_container(composed(root, chosen), resolve=True)
-        assert isinstance(found, dict)
-        return {str(key): value for key, value in found.items()}
+        return values_of(root, [override(group, name) for group, name in named.items() if name in choices(group)])
 
     try:
         return section(cls, of_this_version(cls, converted(resolved(values, folder)), defaults))

@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config.checks import ConfigError
-from hrl_comfort.config.composition.overrides import check_overrides, one_line, override
-from hrl_comfort.config.composition.structured import freeze, section
+from hrl_comfort.config.hydra_conf import freeze, section
 from hrl_comfort.config.learning import StageConfig
+from hrl_comfort.config.overrides import check_overrides, one_line, override
 from hrl_comfort.config.training import TrainConfig
 
 T = TypeVar("T", bound=TrainConfig)

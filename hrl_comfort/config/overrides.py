@@ -70,7 +70,7 @@ def root_of(command: str) -> str:
 
 def config_dir() -> Path:
     """Return the folder of the YAML files: in the package of a wheel, beside it in a checkout."""
-    package = Path(__file__).resolve().parents[2]
+    package = Path(__file__).resolve().parents[1]
     for folder in (package / "conf", package.parent / "conf"):
         if (folder / "train.yaml").is_file():
             return folder

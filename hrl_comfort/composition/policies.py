@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from hrl_comfort.config import HIERARCHY, SORTING, ConfigError, HierarchyTrainConfig, StudioConfig
-from hrl_comfort.config.composition.overrides import override
-from hrl_comfort.config.composition.run_config import load_config, trained_environment
+from hrl_comfort.config.overrides import override
+from hrl_comfort.files.run_config import load_config, trained_environment
 
 DEMO = Path("runs/demo")
 """Run of `make demo`."""

@@ -1,24 +1,33 @@
-"""Hydra over `conf/`."""
+"""Hydra over `conf/`, and the frozen dataclasses that pydantic makes of the trees that it composes."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any, TypeVar
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue
+from pydantic import TypeAdapter, ValidationError
 
 from hrl_comfort.config import HIERARCHY
-from hrl_comfort.config.composition.overrides import config_dir, parse
+from hrl_comfort.config.checks import ConfigError, first_error
+from hrl_comfort.config.overrides import config_dir, parse
 
+T = TypeVar("T")
+adapter = cache(TypeAdapter)
+EXACT = 2.0**53
+"""Below it a float holds every whole number."""
 ALONE = threading.RLock()
 """Hydra composes in one thread at a time."""
 
@@ -39,6 +48,13 @@ def composed(root: str, known: Iterable[str]) -> DictConfig:
         for each in values:
             OmegaConf.update(node, each.key_or_group, each.value(), force_add=each.is_force_add())
         return node
+
+
+def values_of(root: str, known: Iterable[str] = ()) -> dict[str, Any]:
+    """Return what `composed` returns as plain values."""
+    values = OmegaConf.to_container(composed(root, known), resolve=True)
+    assert isinstance(values, dict)
+    return {str(key): value for key, value in values.items()}
 
 
 def _is_choice(asked: Override) -> bool:
@@ -63,6 +79,37 @@ def hydra_over_conf() -> Iterator[GlobalHydra]:
         yield state
     finally:
         state.hydra = outer
+
+
+def freeze(cls: type[T], node: Any) -> T:
+    """Return the dataclass `cls` for `node`; raise ConfigError if a value is missing or not allowed."""
+    try:
+        return section(cls, OmegaConf.to_container(node, resolve=True, throw_on_missing=True))
+    except MissingMandatoryValue:
+        raise ConfigError(f"{min(OmegaConf.missing_keys(node))} must be set") from None
+
+
+def section(cls: type[T], values: Any) -> T:
+    """Return the dataclass `cls` for plain `values`; raise ConfigError if one is missing or not allowed."""
+    # As JSON, for pydantic's strict mode takes a dict for a dataclass only from there.
+    text = json.dumps(_whole(values), default=repr)
+    try:
+        frozen: T = adapter(cls).validate_json(text, strict=True)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise ConfigError(first_error(error)) from None
+    return frozen
+
+
+def _whole(value: Any) -> Any:
+    """Return `value` with whole numbers as integers: 1e4 is one, and a float's field takes integers too."""
+    match value:
+        case dict():
+            return {key: _whole(each) for key, each in value.items()}
+        case list():
+            return [_whole(each) for each in value]
+        case float() if value.is_integer() and abs(value) < EXACT:
+            return int(value)
+    return value
 
 
 def run_folder(policy: str) -> Path | None:

@@ -12,11 +12,9 @@ from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from omegaconf import OmegaConf
-
 from hrl_comfort.config import checks
-from hrl_comfort.config.composition.hydra_conf import composed
-from hrl_comfort.config.composition.overrides import ROOTS
+from hrl_comfort.config.hydra_conf import values_of
+from hrl_comfort.config.overrides import ROOTS
 
 MOST = 40
 """Longest default, characters, that is shown."""
@@ -44,8 +42,7 @@ class Key:
 @cache
 def keys_of(root: str) -> tuple[Key, ...]:
     """Return the keys of a configuration of ROOTS, with the defaults of its command without overrides."""
-    values = OmegaConf.to_container(composed(root, []), resolve=True)
-    return tuple(_keys(ROOTS[root], values, ""))
+    return tuple(_keys(ROOTS[root], values_of(root), ""))
 
 
 def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:

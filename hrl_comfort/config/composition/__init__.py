@@ -1,1 +1,0 @@
-"""Configurations from `conf/`, from the command line and from run folders."""
