@@ -152,6 +152,11 @@ class HumanConfig:
             found.append(self._changed(f"human.others.{name}", given, COMMON))
         return found
 
+    @property
+    def motions(self) -> str:
+        """The motions of all people, as tables have them: `worker+patrol`."""
+        return "+".join(each.motion for each in self.everyone)
+
     def _changed(self, key: str, changes: dict[str, Any], fixed: tuple[str, ...], **implied: Any) -> HumanConfig:
         """Return this configuration of one person with `changes`, which `key` names, of none of the keys `fixed`.
 

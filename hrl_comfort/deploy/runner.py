@@ -24,7 +24,7 @@ from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
-from hrl_comfort.deploy.robot import RobotEngine
+from hrl_comfort.deploy.robot import RobotEngine, sources_of
 from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm
@@ -34,7 +34,6 @@ from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
-from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.scene.workcell import Scene, scene_of
@@ -97,9 +96,8 @@ def refuse(config: DeployConfig) -> None:
 
 def settled(config: DeployConfig) -> DeployConfig:
     """Return `config` with places in the frame of the robot's base, and make live positions of people come in it."""
-    source = pose_source(config.human.file) if config.human.motion == "live" else None
     frame = Frame.taught(config.connection.frame_m) if config.connection.frame_m is not None else None
-    if isinstance(source, CheckedPoses):
+    for source in sources_of(config.human):
         source.moved = (lambda pose: pose) if frame is None else frame.pose
     return config if frame is None else frame.places(config)
 

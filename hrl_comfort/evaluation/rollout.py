@@ -229,7 +229,7 @@ class EpisodeRecorder:
             motion_id=int(episodes.draw.motion_id[row]),
             seen=None if entries.drawn else bool(entries.seen[row]),
             comfort_level=self._level(row, config),
-            human=config.human.motion,
+            human=config.human.motions,
             precision_m=config.task.precision.grasp_tolerance_m,
             success=success,
             steps=int(state.steps[row]),

@@ -140,6 +140,12 @@ class People:
         self.now = self.crowd([walk, *self.now.walks[1:]])
         return self.now
 
+    def follow_at(self, speed_m_s: float) -> None:
+        """Let people of `live` walk to where their source says at up to `speed_m_s`, whatever they are configured."""
+        live = [each.motion == "live" for each in self.everyone]
+        hurried = zip(self.everyone, live, strict=True)
+        self.everyone = [replace(each, speed_m_s=speed_m_s) if follows else each for each, follows in hurried]
+
     def go_on_as(self, human: HumanConfig) -> None:
         """Let the first go on from where they are as `human` says; who was nobody comes in where they would begin."""
         first, (walk, *others) = self.everyone[0], self.now.walks

@@ -67,7 +67,7 @@ def test_a_registry_has_a_part_for_every_name_that_the_configuration_allows() ->
 
 
 def test_every_choice_of_a_group_of_parts_exists() -> None:
-    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture"}, "robot": ROBOTS}.items():
+    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture", "pair"}, "robot": ROBOTS}.items():
         assert set(choices(group)) == set(registry), group
 
 

@@ -84,7 +84,8 @@ def test_episodes_are_the_same_one_by_one(folder: Path) -> None:
 def test_the_archive_beside_it_needs_torch_alone(folder: Path) -> None:
     code = (
         "import sys, torch; program = torch.export.load(sys.argv[1]).module();"
-        "rows = [torch.zeros(3, n) for n in (6, 6, 3, 6, 2, 3)]; print(tuple(program(*rows).shape));"
+        "rows = [torch.zeros(3, *n) for n in ((6,), (6,), (3,), (6,), (1, 2), (3,))];"
+        "print(tuple(program(*rows).shape));"
         "assert not any(name.startswith('hrl_comfort') for name in sys.modules)"
     )
     shown = subprocess.run(
