@@ -15,6 +15,7 @@ from hrl_comfort.cli import help as help_texts
 from hrl_comfort.cli.commands import COMMANDS, VERBS, parts_of
 from hrl_comfort.cli.first_checks import BARE, check, completed
 from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.own_files import with_own_files
 from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.config.commands import CommandConfig
 from hrl_comfort.config.overrides import at_home, check_overrides, near, root_of
@@ -82,7 +83,7 @@ def sweep(command: str, overrides: list[str]) -> None:
         raise ConfigError("resume does not go with -m: give one run at a time")
     outputs = [line.split("=", 1)[1] for line in overrides if line.startswith("output=")]
     rest = completed(command, [line for line in overrides if not line.startswith("output=")], sweep=True)
-    checked = check_overrides(root_of(command), rest, sweep=True)
+    checked = check_overrides(root_of(command), with_own_files(rest), sweep=True)
     from hrl_comfort.sweeps.launcher import multirun
 
     multirun(command, RUN[command], checked, outputs)

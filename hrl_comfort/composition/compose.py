@@ -11,6 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from hrl_comfort.composition.own_files import with_own_files
 from hrl_comfort.composition.stages import stages_of, with_budget
 from hrl_comfort.config import (
     ConfigError,
@@ -67,7 +68,7 @@ def compose_environment(root: str, overrides: Iterable[str] = ()) -> EnvConfig:
 
 def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
     with ALONE:
-        known = check_overrides(root, overrides)
+        known = check_overrides(root, with_own_files(overrides))
         try:
             run = _run_of(known) if root in AS_TRAINED else None
             return _validated(cls, root, known if run is None else _with_sections(root, run, known))

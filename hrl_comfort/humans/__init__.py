@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 
@@ -45,8 +46,11 @@ from hrl_comfort.humans.walk import (
 )
 
 MAX_SPAWN_DRAWS = 1000
-APART_M = 0.6
-"""Smallest distance between people where an episode begins; nothing keeps them apart afterwards."""
+SPAWN_TRIES, SPAWN_ROUNDS = 50, 10
+"""Draws of the start of one of several people before all are drawn anew, and how often they are at each of APART_M."""
+APART_M = (0.6, 0.45, 0.3)
+"""Smallest distance between people where an episode begins; the next is for where there is no room for the one before.
+Nothing keeps people apart afterwards."""
 
 
 def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Walk:
@@ -227,26 +231,38 @@ def training_spawn(
     )
 
 
-def spawn_apart(
-    config: HumanConfig,
-    spawns: Array,
+def spawns_apart(
+    people: Sequence[HumanConfig],
+    spawns: Sequence[Array],
     keep_out: KeepOut,
-    rng: np.random.Generator,
+    rngs: Sequence[np.random.Generator],
     share: tuple[float, float],
-    taken: list[Array],
+    first: Array,
 ) -> Array:
-    """Draw a training spawn (2,) m of a further person as `training_spawn`, APART_M from the places `taken` (2,) m.
+    """Draw training spawns of the others as `training_spawn` does, APART_M from the `first` (2,) m and each other.
+
+    `people` and their `spawns` (s, 2) m are those of everybody, `keep_out` says where the discs are, and `rngs` are
+    those of the others. Return the places (P, 2) m of everybody.
 
     Raises:
-      ConfigError: no free position in MAX_SPAWN_DRAWS draws.
+      ConfigError: no room was found for them.
     """
-    for _ in range(MAX_SPAWN_DRAWS):
-        _, place = training_spawn(config, spawns, keep_out, rng, share)
-        if all(length(place - each) >= APART_M for each in taken):
-            return place
+    others = [(person, KeepOut(keep_out.centres, person.keep_out_m)) for person in people[1:]]
+    for apart_m in np.repeat(APART_M, SPAWN_ROUNDS):
+        taken = [first]
+        for (person, discs), own, rng in zip(others, spawns[1:], rngs, strict=True):
+            for _ in range(SPAWN_TRIES):
+                _, place = training_spawn(person, own, discs, rng, share)
+                if all(length(place - each) >= apart_m for each in taken):
+                    taken.append(place)
+                    break
+            else:
+                break  # those before may stand in the way
+        if len(taken) == len(people):
+            return np.stack(taken)
     raise ConfigError(
-        f"human.others leaves no spawn {APART_M} m from the {len(taken)} other people; widen human.spawn_radius_m, or "
-        "give fewer people"
+        f"human.spawn_radius_m={list(people[0].spawn_radius_m)} has no room for {len(people)} people {APART_M[-1]} m "
+        "apart; widen it, or give fewer human.others"
     )
 
 
@@ -271,6 +287,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
     "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector", "jittered_spawn",
-    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "spawn_apart",
+    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "spawns_apart",
     "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

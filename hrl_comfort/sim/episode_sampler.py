@@ -167,12 +167,9 @@ class EpisodeSampler:
                 spawn_id, spawn = -1, humans.outside(person, self.keep_out(points[None]))[0]
                 if not np.isnan(start[-1]):  # the draw that gives this level
                     told[0] = (start[-1] - 0.5) / self._config.comfort.levels
-            ids, spawns = (np.array(motion_id), np.array(spawn_id)), [spawn]
-            for index, each in enumerate(others, start=1):
-                person, discs = self._config.human.everyone[index], self.keep_out(points[None])
-                discs = humans.KeepOut(discs.centres, person.keep_out_m)
-                spawns.append(humans.spawn_apart(person, self.spawns[index], discs, each, share, spawns))
-            placed = np.stack(spawns)
+            people, discs = self._config.human.everyone, self.keep_out(points[None])
+            placed = humans.spawns_apart(people, self.spawns, discs, others, share, spawn)
+            ids = np.array(motion_id), np.array(spawn_id)
             yield Draw(*standing, *objects, noise, traits, told, *ids, placed, start[: self._arm], points, *other)
 
     @property

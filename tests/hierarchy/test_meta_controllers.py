@@ -45,6 +45,13 @@ def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decisio
     assert (cautious(replace(asked, state=here, mask=patient)) != wait).all()
 
 
+def test_cautious_waits_for_whoever_is_at_the_goal(asked: Decision) -> None:
+    goal = asked.state.objects[:, 0, :2]
+    for people in ([goal, goal + 9.0], [goal + 9.0, goal]):
+        here = asked.state.with_(humans_pos=torch.stack(people, dim=1))
+        assert (cautious(replace(asked, state=here)) == asked.mask.shape[1] + WAIT).all()
+
+
 def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
     engine = Engine(config(), 2, 0)
     state, everyone = engine.reset(), torch.ones(2, dtype=torch.bool)
