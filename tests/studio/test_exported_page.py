@@ -318,6 +318,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     ("words", "message"),
     [
         (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
+        (["human=pair"], r"human.others=passer_by: a page of export= has human.others=\{\} alone"),
         (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
         (["task=shift"], r"task=shift: a page of export= shows one policy"),
         (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),

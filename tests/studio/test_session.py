@@ -63,6 +63,25 @@ def test_a_step_is_one_decision_whose_pictures_last_as_long(session: Session) ->
     assert np.isfinite(middle.limbs).all() and np.isfinite(middle.props).all(axis=1).sum() == 1
 
 
+def test_the_hand_is_on_the_first_of_two_and_pictures_show_both() -> None:
+    session = Session(studio_config("human=pair", "policy=random"))
+    person = Person([session], LIVE, session.config.human)
+    clip = session.step().clip
+    assert clip.people.shape == (6, 2, 23) and clip.frame(0.05).limbs.shape == (14, 7)
+    assert np.allclose(clip.people[-1, :, :2], session.state.humans_pos[0])
+    second = session.engine.episodes.people.everyone[1]
+    start, beside = session.state.humans_pos[0].numpy().copy()
+    person.drag(-1.5, -1.5)
+    for _ in range(20):
+        session.step()
+    first, other = session.state.humans_pos[0].numpy()
+    assert np.linalg.norm(first - [-1.5, -1.5]) < np.linalg.norm(start - [-1.5, -1.5]) - 0.2
+    assert session.engine.episodes.people.everyone[1] is second and np.linalg.norm(other - beside) > 0.01
+    session.reset()
+    assert np.allclose(session.walk.position[0], first), "who is held stays"
+    session.close()
+
+
 def test_the_level_of_the_slider_is_what_the_next_decision_sees(session: Session) -> None:
     session.set_level(9)
     assert SEEN[-1][0] == 9
