@@ -49,7 +49,7 @@ def test_every_committed_configuration_loads(path: Path) -> None:
 def test_a_committed_skill_can_be_evaluated_alone(path: Path) -> None:
     env = trained_environment(str(path.parent))
     assert env is not None
-    assert env.task.start == "ik" or len(recorded(env.task.start, env.comfort.levels, joints=6)) == 2
+    assert env.task.start == "ik" or len(recorded(env.task.start, env.comfort.levels, 6, env.cell.kinds)) == 2
 
 
 @pytest.mark.parametrize("path", POLICIES, ids=named)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Iterator
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra.errors import HydraException
@@ -35,6 +37,7 @@ from hrl_comfort.config.overrides import (
     override,
     parse,
 )
+from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.run_config import trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
@@ -78,6 +81,19 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
             raise ConfigError(f"{' '.join(known)} {TOO_DEEP}") from None
         except OverflowError as error:
             raise ConfigError(f"{' '.join(known)}: {one_line(error)}") from None
+
+
+def _of_cell_file(line: str) -> list[str]:
+    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
+
+    Raises:
+      ConfigError: there is no such file, or it is damaged.
+    """
+    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
+        return [line]
+    if not (file := Path(match[2])).is_file():
+        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
+    return [override(f"cell.{key}", value).lstrip("+") for key, value in read_yaml(file)[1].items()]
 
 
 def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
@@ -150,11 +166,14 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
 def _fields(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the fields of nested dataclasses by their dotted keys; those in a mapping as plain values."""
     if not dataclasses.is_dataclass(value):
-        yield key, {name: _plain(each) for name, each in value.items()} if isinstance(value, dict) else value
+        yield key, plain_value(value)
         return
     for field in dataclasses.fields(value):
         yield from _fields(f"{key}.{field.name}", getattr(value, field.name))
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """Return a value of a configuration, the dataclasses of a mapping as mappings."""
+    if isinstance(value, dict):
+        return {name: plain_value(each) for name, each in value.items()}
     return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value

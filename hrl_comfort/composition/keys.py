@@ -34,6 +34,11 @@ class Key:
     """Type of its value, with its checks."""
 
     @property
+    def of_entry(self) -> bool:
+        """Whether it stands for a key of each entry of a list (`[]`) or of a mapping (`NAME`)."""
+        return "[]" in self.name or ".NAME." in self.name
+
+    @property
     def section(self) -> str:
         """The first part of the name; empty for a key of the command."""
         return self.name.partition(".")[0] if "." in self.name else ""
@@ -51,14 +56,18 @@ def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:
     for field in fields(kind):
         name, hint = f"{before}{field.name}", hints[field.name]
         own = {} if field.default is MISSING else {field.name: field.default}
+        own |= {} if field.default_factory is MISSING else {field.name: field.default_factory()}
         given = own if values is None else values
         if is_dataclass(hint):
             yield from _keys(hint, given[field.name], f"{name}.")
             continue
         default = shown(given[field.name]) if field.name in given else ""
         yield Key(name, meanings.get(field.name, ""), allowed(hint), default, hint)
-        if get_origin(hint) is list and is_dataclass(entry := get_args(hint)[0]):
+        inner = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        if get_origin(inner) is list and is_dataclass(entry := get_args(inner)[0]):
             yield from _keys(entry, None, f"{name}[].")
+        if get_origin(inner) is dict and is_dataclass(entry := get_args(inner)[1]):
+            yield from _keys(entry, None, f"{name}.NAME.")
 
 
 def docstrings(kind: type) -> dict[str, str]:
@@ -89,6 +98,8 @@ def allowed(hint: Any) -> str:
         if "low" in keywords:
             low, high = keywords["low"], keywords["high"]
             said.append(f"from {low:g}" if high > 1e9 else f"{low:g} to {high:g}")
+        elif "numbers" in keywords:
+            said.append(", ".join(map(str, keywords["numbers"])))
         elif "names" in keywords:
             names = (*keywords["names"], *(["package.module:name"] if "key" in keywords else []))
             said.append(", ".join(f"`{name}`" for name in names))

@@ -1,4 +1,4 @@
-"""Choices that are a user's own file: `human=FILE.yaml` has keys of `human`, on top of the motion that it names."""
+"""Files of a user's own in the place of a choice of conf/."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hrl_comfort.files.documents import read_yaml
 
 
 def with_own_files(overrides: Iterable[str]) -> list[str]:
-    """Return `overrides` with what a user's own files say in the place of those that name one.
+    """Return `overrides` with `cell=FILE.yaml` and `human=FILE.yaml` replaced by what the files hold.
 
     Raises:
       ConfigError: there is no such file, or it is damaged.
@@ -21,13 +21,20 @@ def with_own_files(overrides: Iterable[str]) -> list[str]:
 
 
 def _of_file(line: str) -> list[str]:
-    if (match := re.fullmatch(r"human=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
+    """Return the overrides that a user's own file stands for; `line` itself where it is none.
+
+    A file of `human` has keys on top of the motion that it names.
+
+    Raises:
+      ConfigError: there is no such file, or it is damaged.
+    """
+    if (match := re.fullmatch(r"(cell|human)=(['\"]?)([^'\"]+\.ya?ml)\2", line)) is None:
         return [line]
-    if not (file := Path(match[2])).is_file():
-        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('human'))}")
-    said = read_yaml(file)[1]
-    found = [f"human={motion}"] if (motion := said.get("motion")) in choices("human") else []
-    for key, value in said.items():
-        found += [override(f"human.{key}", None)] if isinstance(value, dict) else []  # Hydra would add its entries
-        found += [] if key == "motion" and motion in choices("human") else [override(f"human.{key}", value)]
-    return found
+    group, known, file = match[1], choices(match[1]), Path(match[3])
+    if not file.is_file():
+        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(known)}")
+    content = read_yaml(file)[1]
+    if group == "cell":
+        content = {"stations_m": None, **content}  # those of the default cell are of no use elsewhere
+    base = [f"human={content.pop('motion')}"] if group == "human" and content.get("motion") in known else []
+    return [*base, *(override(f"{group}.{key}", value).lstrip("+") for key, value in content.items())]

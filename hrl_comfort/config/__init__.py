@@ -15,6 +15,7 @@ from hrl_comfort.config.cell import (
     PlaceConfig,
     RandomiseConfig,
     RobotConfig,
+    VaryConfig,
 )
 from hrl_comfort.config.checks import ConfigError
 from hrl_comfort.config.comfort import ComfortConfig
@@ -64,5 +65,5 @@ __all__ = [
     "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",
     "MetaControllerConfig", "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig",
     "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig", "RobotConfig",
-    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig",
+    "SafetyConfig", "StageConfig", "StudioConfig", "TaskConfig", "TrainConfig", "TrainingConfig", "VaryConfig",
 ]  # fmt: skip

@@ -45,6 +45,11 @@ class RobotConfig:
     model."""
 
 
+def half_height(shape: str, size_m: list[float]) -> float:
+    """Return half the height of an upright shape, m."""
+    return size_m[-1] if shape != "capsule" else size_m[0] + size_m[1]
+
+
 @dataclass(frozen=True)
 class PlaceConfig:
     """A horizontal surface on which objects lie: a table, a tray, a shelf, a part of a larger table."""
@@ -77,14 +82,14 @@ class ObjectConfig:
     belongs_at: str
     """Name of the place where it is put down."""
     mass_kg: Annotated[float, within(0.001, 50.0)] = 0.05
-    """Mass, kg."""
+    """Mass, kg. A picked object rides on the gripper without mass: the arm does not feel it yet."""
     rgb: Rgb = field(default_factory=lambda: [0.3, 0.5, 0.8])
     """Colour in pictures: red, green and blue, 0 to 1."""
 
     @property
     def half_height_m(self) -> float:
         """Height of its centre above what it lies on, m."""
-        return self.size_m[-1] if self.shape != "capsule" else self.size_m[0] + self.size_m[1]
+        return half_height(self.shape, self.size_m)
 
     @property
     def half_width_m(self) -> float:
@@ -107,6 +112,36 @@ class ObstacleConfig:
     rgb: Rgb = field(default_factory=lambda: [0.55, 0.57, 0.6])
     """Colour in pictures: red, green and blue, 0 to 1."""
 
+    @property
+    def half_height_m(self) -> float:
+        """Height of its top above its centre, m."""
+        return half_height(self.shape, self.size_m)
+
+
+@dataclass(frozen=True)
+class VaryConfig:
+    """Ranges [low, high] from which the layouts of a cell are drawn, uniformly."""
+
+    layouts: Annotated[int, within(0, 100_000)] = 0
+    """Number of layouts in each split; `train`, `validation` and `test` have none in common. 0: the layout is always
+    the one given."""
+    distance_m: XY = field(default_factory=lambda: [0.38, 0.68])
+    """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any."""
+    height_m: XY = field(default_factory=lambda: [0.0, 0.42])
+    """Height of a place's top above the robot's base, m."""
+    apart_m: Annotated[float, within(0.0, 2.0)] = 0.3
+    """Smallest horizontal distance between the middles of two places, and of a place and an obstacle, m."""
+    home_deg: Annotated[float, within(0.0, 45.0)] = 10.0
+    """Largest difference of each joint's home angle from that of `robot.home_deg`, degrees."""
+    obstacle_probability: Annotated[float, within(0.0, 1.0)] = 0.5
+    """Probability that an obstacle is there; it stands at a distance in `distance_m`, as high as configured."""
+
+    def __post_init__(self) -> None:
+        for name in ("distance_m", "height_m"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ConfigError(f"cell.vary.{name}=[{low:g}, {high:g}] is not [low, high]")
+
 
 @dataclass(frozen=True)
 class CellConfig:
@@ -123,6 +158,10 @@ class CellConfig:
     """What else the arm must not touch, by name."""
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
+    stations_m: list[XY] | None = None
+    """Where people work who live there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
+    vary: VaryConfig = field(default_factory=VaryConfig)
+    """How the layout differs from one episode to another."""
 
     def __post_init__(self) -> None:
         for section in ("objects", "obstacles"):

@@ -52,6 +52,8 @@ class EnvConfig(CommandConfig):
     def __post_init__(self) -> None:
         task, cell = self.task, self.cell
         one_of("task.object", task.object, (RANDOM, *cell.kinds))
+        if task.observation == "paper" and len(cell.kinds) < 2:
+            raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
         for name in sorted({each.arrives_at for each in cell.objects.values()}):
             if task.objects > (slots := len(cell.places[name].slots_m)):
                 raise ConfigError(

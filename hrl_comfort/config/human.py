@@ -83,8 +83,9 @@ class HumanConfig:
     `partial`: whichever of these two is nearer to the robot."""
     masked: bool
     """Hide the person from the policy, which then observes one far away."""
-    stations_m: list[XY]
-    """Stations (x, y), m: `worker` uses the one nearest to its spawn point, `patrol` and `reactive` use all."""
+    stations_m: Annotated[list[XY], Field(min_length=1)] | None
+    """Stations (x, y), m: `worker` uses the one nearest to its spawn point, `patrol` and `reactive` use all. null:
+    those of the cell."""
     stay_s: Annotated[float, within(0.1, 3600.0)]
     """`patrol`, `reactive`: mean time at a station, s."""
 
@@ -94,8 +95,6 @@ class HumanConfig:
         if len(set(self.held_out)) >= len(self.spawns_m):
             raise ConfigError(f"human.held_out={list(self.held_out)!r} leaves no spawn for training")
         between("human.spawn_radius_m[0]", self.spawn_radius_m[0], 0.0, self.spawn_radius_m[1])
-        if self.motion in ("worker", "patrol", "reactive") and not self.stations_m:
-            raise ConfigError(f"human.stations_m=[]: motion={self.motion} needs at least one place")
         if self.motion == "patrol" and self.speed_m_s == 0.0:
             raise ConfigError("human.speed_m_s=0: motion=patrol walks; choose a speed above 0")
         if self.motion in ("worker", "reactive", "adversary") and self.acceleration_m_s2 is None:

@@ -133,9 +133,18 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
     """
     if root not in ROOTS:
         raise ConfigError(f"{root!r} is not a configuration; choose one of {', '.join(ROOTS)}")
-    parsed = [(_parsed(line, sweep), line) for line in overrides]
+    parsed = [(_parsed(each, sweep), each) for line in overrides for each in _replaced(line)]
     check_jobs(each for each, _ in parsed)
     return [_checked(root, each, line) for each, line in parsed]
+
+
+def _replaced(line: str) -> list[str]:
+    """Return the overrides by which `cell.KEY={...}`, or one of `human`, sets a mapping.
+
+    Without the first of them, Hydra adds to its entries.
+    """
+    match = re.match(r"((?:cell|human)\.\w+)=\{", line)
+    return [override(match[1], None), f"++{line}"] if match else [line]
 
 
 def check_jobs(overrides: Iterable[Override]) -> None:
@@ -232,9 +241,9 @@ def _checked(root: str, parsed: Override, line: str) -> str:
 
 
 def _in_mapping(root: str, parts: list[str]) -> bool:
-    """Return whether a key lies in an entry of a mapping, as `cell.places.NAME.size_m`."""
+    """Return whether a key is a mapping, or in one, as `cell.places.NAME.size_m`."""
     kind: Any = ROOTS[root]
-    for name in parts[:-1]:
+    for name in parts:
         kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
         if get_origin(kind) is dict:
             return True

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import XYZ, ConfigError, choice, within
 
-OBSERVATIONS = ("default", "proximity", "set_points", "paper")
+OBSERVATIONS = ("default", "proximity", "set_points", "sight", "paper")
 SORTING = ("sort", "shift")
 """Tasks of several objects."""
 RANDOM = "random"

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed
 from hrl_comfort.scene.camera import PACKAGES, PicturesUnavailableError
-from hrl_comfort.scene.links import vary_links
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.links import vary_links
 
 Array = NDArray[np.float64]
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS

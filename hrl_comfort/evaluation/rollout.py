@@ -215,7 +215,7 @@ class EpisodeRecorder:
         subtask = self.engine.episodes.subtask
         # A shift is over, and done, when its time is up.
         success = bool(step.truncated[row] if subtask.repeats else step.success[row])
-        kind = config.cell.kinds[int(self.engine.episodes.draw.kinds[row, 0])]
+        kind = config.cell.kinds[int(state.kinds[row, 0])]
         episodes, shielded = self.engine.episodes, config.safety.kind != "none"
         return Episode(
             task=config.task.name,

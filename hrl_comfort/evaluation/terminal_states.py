@@ -16,6 +16,7 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.starts import fingerprint
 
 
 def record_terminal_states(config: EvaluateConfig) -> Path:
@@ -42,6 +43,8 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
         if not states:
             raise ConfigError(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
     banks: dict[str, Any] = {kind: np.array(states) for kind, states in found.items()}
+    if config.cell.vary.layouts:
+        banks["cell"] = np.array(fingerprint(environment(config)))
     write_atomically(path, lambda file: np.savez(file, **banks))
     count = sum(map(len, found.values()))
     Console().print(f"{path}: {count} terminal states of {config.episodes} episodes", soft_wrap=True)
@@ -59,6 +62,9 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
         if config.human.motion != "none":
             parts += [state.humans_pos[:, 0], executed.result.level[:, None]]
+        if config.cell.vary.layouts:
+            nobody = config.human.motion == "none"
+            parts += [torch.full((rows, 3), torch.nan)] * nobody + [torch.from_numpy(engine.episodes.draw.layout_id)]
         states = torch.cat(parts, dim=-1).numpy().astype(np.float32)
         for row in torch.nonzero(executed.ended & executed.result.success).squeeze(-1).tolist():
             found.append((config.cell.kinds[int(state.target_kind[row])], states[row].copy()))

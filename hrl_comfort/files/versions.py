@@ -48,10 +48,10 @@ def renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, An
 
 
 def converted(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the `values` of a configuration with the sections `cell` and `task` as this version has them.
+    """Return the `values` of a configuration with the sections `cell`, `task` and `human` as this version has them.
 
-    A cell had a ball table and two drop tables, and a task the slots of the balls. Sections that are damaged, or that
-    this version cannot have, stay as they are: the check of keys refuses them.
+    A cell had a ball table and two drop tables, a task the slots of the balls, and people had stations, if any.
+    Sections that are damaged, or that this version cannot have, stay as they are: the check of keys refuses them.
     """
     found, cell, task = dict(values), values.get("cell"), values.get("task")
     if isinstance(task, Mapping):
@@ -60,6 +60,9 @@ def converted(values: Mapping[str, Any]) -> dict[str, Any]:
         found["cell"] = made
         if isinstance(task, dict):
             task.pop("ball_slots_m", None)
+    human = values.get("human")
+    if isinstance(human, Mapping) and human.get("stations_m") == []:  # of motions that have none
+        found["human"] = {**human, "stations_m": None}
     hierarchy = values.get("hierarchy")
     if isinstance(hierarchy, Mapping) and isinstance(hierarchy.get("controller"), Mapping):
         found["hierarchy"] = {**hierarchy, "controller": converted(hierarchy["controller"])}
@@ -112,10 +115,19 @@ def of_this_version(
     found = {}
     for key, kind in hints.items():
         if key not in values:
-            found[key] = BEFORE[f"{before}{key}"] if f"{before}{key}" in BEFORE else defaults()[key]
+            found[key] = BEFORE[f"{before}{key}"] if f"{before}{key}" in BEFORE else _default(cls, key, defaults())
         elif isinstance(kind, type) and dataclasses.is_dataclass(kind) and isinstance(values[key], Mapping):
             inside = lambda key=key: defaults()[key]  # noqa: E731
             found[key] = of_this_version(kind, values[key], inside, f"{before}{key}")
         else:
             found[key] = values[key]
     return found
+
+
+def _default(cls: type, key: str, values: Mapping[str, Any]) -> Any:
+    """Return the default of a key of `cls`: that of conf/, or else that of the dataclass."""
+    if key in values:
+        return values[key]
+    own = next(each for each in dataclasses.fields(cls) if each.name == key)
+    made = own.default if own.default_factory is dataclasses.MISSING else own.default_factory()
+    return dataclasses.asdict(made) if dataclasses.is_dataclass(made) and not isinstance(made, type) else made

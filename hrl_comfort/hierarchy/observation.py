@@ -10,7 +10,7 @@ from hrl_comfort.config.checks import implemented
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.observations import human, joint_error, nearness, seen_nearest, tool
+from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, seen_nearest, tool
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""

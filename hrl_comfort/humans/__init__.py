@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -90,16 +89,13 @@ def _members(config: HumanConfig, traits: Array) -> list[tuple[NDArray[np.int64]
     return [(rows, member) for rows, member in found if len(rows)]
 
 
-def advance(
-    config: HumanConfig, walk: Walk, noise: Array, tcp: Array, keep_out: KeepOut, arm: ArmSource | None = None
-) -> Walk:
-    """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1), tcp (n, 2) m.
+def advance(config: HumanConfig, walk: Walk, noise: Array, seen: Surroundings) -> Walk:
+    """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1).
 
-    `arm` is that of `Surroundings`; without it the arm is its tool, at rest. A step beyond `bound_m` from the spawn
+    A step beyond `bound_m` from the spawn
     ends at that distance. A step into a keep-out disc slides along its rim. The human stays in place if the slide
     ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
     """
-    seen = Surroundings(tcp, keep_out, arm or partial(_tool, tcp))
     parts = _members(config, walk.traits)
     if len(parts) == 1:
         return _walked(walk, *_proposed(parts[0][1], walk, noise, seen))
@@ -113,11 +109,6 @@ def advance(
         for at, (_, member) in zip(slices, parts, strict=True)
     ]
     return _walked(walk, *(np.concatenate(each) for each in zip(*found, strict=True))).rows(np.argsort(order))
-
-
-def _tool(tcp: Array) -> tuple[Array, Array]:
-    point = np.concatenate([tcp, np.zeros((len(tcp), 1))], axis=1)[:, None]
-    return point, np.zeros_like(point)
 
 
 def _proposed(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, ...]:
@@ -286,7 +277,8 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
-    "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector", "jittered_spawn",
-    "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of", "spawns_apart",
+    "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector",
+    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of",
+    "spawns_apart",
     "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -44,9 +44,12 @@ def evaluation_set(human: HumanConfig, cell: CellConfig) -> str:
 
 def default_choices(conf: Path) -> tuple[HumanConfig, CellConfig]:
     """Return the default human and the paper's cell of the YAML files in `conf`, read without Hydra."""
-    human = yaml.safe_load((conf / "human" / "_shared.yaml").read_text(encoding="utf-8"))
-    cell = yaml.safe_load((conf / "cell" / "paper.yaml").read_text(encoding="utf-8"))
-    return HumanConfig(motion="random_walk", **human), TypeAdapter(CellConfig).validate_python(cell)
+    human, shared, cell = (
+        yaml.safe_load((conf / name).read_text(encoding="utf-8"))
+        for name in ("human/_shared.yaml", "cell/_shared.yaml", "cell/paper.yaml")
+    )
+    del cell["defaults"]
+    return HumanConfig(motion="random_walk", **human), TypeAdapter(CellConfig).validate_python({**shared, **cell})
 
 
 if __name__ == "__main__":

@@ -113,11 +113,13 @@ class Surroundings:
     """(n, 2) m, tool centre point."""
     keep_out: KeepOut
     arm: ArmSource
+    stations: Array
+    """(n, S, 2) m, where those who live there work."""
 
     def part(self, at: slice | NDArray[np.int64]) -> Surroundings:
         """Return the surroundings of the rows `at`."""
         discs = KeepOut(self.keep_out.centres[at], self.keep_out.radius_m)
-        return Surroundings(self.tcp[at], discs, lambda: _rows_of(self.arm(), at))
+        return Surroundings(self.tcp[at], discs, lambda: _rows_of(self.arm(), at), self.stations[at])
 
 
 def _rows_of(arm: tuple[Array, Array], at: slice | NDArray[np.int64]) -> tuple[Array, Array]:

@@ -51,7 +51,13 @@ class CollisionChecker:
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
         self._limits = [mink.ConfigurationLimit(self._model)]
         self._data = self._configuration.data
-        self._data.mocap_pos[: len(scene.limbs), 0] = FAR_AWAY_M
+        self._data.mocap_pos[: scene.first_furniture, 0] = FAR_AWAY_M
+        self._furniture = slice(scene.first_furniture, scene.first_prop)
+
+    def stand(self, layout: Array) -> None:
+        """Put places and obstacles at their poses (F, 7) m and quaternion in another cell."""
+        self._data.mocap_pos[self._furniture] = layout[:, :3]
+        self._data.mocap_quat[self._furniture] = layout[:, 3:]
 
     def _depth(self, joints: Array) -> float:
         """Return the distance (m) of the closest contact, CLEARANCE_M if there is none nearer."""

@@ -63,6 +63,17 @@ NEGLIGIBLE = 2e-3
 """Collision chance below which a straight plan is not compared with detours."""
 
 
+class _Known:
+    """What the expert knows of a layout whose home posture is `home` (6,) rad."""
+
+    def __init__(self, home: Array) -> None:
+        self.home = home
+        self.upright = np.tile(home, (len(UPRIGHT_PANS_RAD), 1))
+        self.upright[:, 0] = UPRIGHT_PANS_RAD
+        self.postures: dict[tuple[tuple[float, ...], bool], Array] = {}
+        self.passages: dict[Goal, NDArray[np.bool_]] = {}
+
+
 class Expert:
     """Policy for any rows of any subtask; a function of the state.
 
@@ -84,19 +95,30 @@ class Expert:
         self._sigma = human.jitter_m / np.sqrt(3.0)
         self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0
         self._tolerance = 0.6 * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
-        self._home, self._range = scene.home, scene.joint_range
-        self._shoulder_z = scene.floor_z + SHOULDER_M
-        self._upright = np.tile(scene.home, (len(UPRIGHT_PANS_RAD), 1))
-        self._upright[:, 0] = UPRIGHT_PANS_RAD
+        self._range, self._shoulder_z = scene.joint_range, scene.floor_z + SHOULDER_M
         self._cell = CollisionChecker(scene)
         self._body = ArmSpheres(scene)
-        self._library = self._seeds()
-        self._known: dict[tuple[tuple[float, ...], bool], Array] = {}
-        self._passages: dict[Goal, NDArray[np.bool_]] = {}
+        self._library = self._seeds(scene.home)
+        self._layouts: dict[bytes, _Known] = {}
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
         """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
+        layout, home = state.layout.numpy(), state.joint_home.numpy()
+        alike: dict[bytes, list[int]] = {}
+        for row in range(len(home)):
+            alike.setdefault(layout[row].tobytes() + home[row].tobytes(), []).append(row)
+        if len(alike) == 1:
+            return self._act(state, layout[0], home[0])
+        action = torch.empty_like(state.joint_target)
+        for rows in alike.values():
+            action[rows] = self._act(state.rows(torch.tensor(rows)), layout[rows[0]], home[rows[0]])
+        return action
+
+    def _act(self, state: State, layout: Array, home: Array) -> Tensor:
+        """Return the actions of cells of one layout (F, 7) and home posture (6,) rad; see `act`."""
+        self._here = self._layouts.setdefault(layout.tobytes() + home.tobytes(), _Known(home))
+        self._cell.stand(layout)
         joints = state.joint_target.numpy()
         points, homeward = self._goals(state)
         goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
@@ -133,12 +155,12 @@ class Expert:
         safest = np.argsort(steps + price * end_risk)[:CONSIDERED]
         # Upright at some pan; any of shoulder to second wrist at home; raised; or the present posture.
         raised = self._cell.raised(joints) if blocked else joints[None]
-        ways = np.concatenate([self._upright, np.where(PARTS, self._home, joints), raised])
+        ways = np.concatenate([self._here.upright, np.where(PARTS, self._here.home, joints), raised])
         first_steps, first_risk = self._weigh(joints, ways, person)
         first = first_steps + price * first_risk
         steps_on = self._steps(ways[:, None], postures[safest], person)
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
-        clear[: len(self._upright)] &= self._clear(goal)[:, safest]
+        clear[: len(self._here.upright)] &= self._clear(goal)[:, safest]
         there = np.clip(first_steps + FORESIGHT_STEPS / 2, 1.0, FORESIGHT_STEPS)
         exposed = self._risk(ways[:, None], there[:, None], person)
         waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
@@ -201,11 +223,11 @@ class Expert:
 
     # ---- postures --------------------------------------------------------------------------------------
 
-    def _seeds(self) -> Array:
-        """Return random postures (LIBRARY, 6) rad around home, pan at home."""
+    def _seeds(self, home: Array) -> Array:
+        """Return random postures (LIBRARY, 6) rad around `home` (6,) rad, pan at home."""
         rng = np.random.default_rng(0)
         bend = np.radians([0.0, 120.0, 120.0, 120.0, 80.0, 0.0])
-        return np.clip(self._home + rng.uniform(-bend, bend, (LIBRARY, len(bend))), *self._range.T)
+        return np.clip(home + rng.uniform(-bend, bend, (LIBRARY, len(bend))), *self._range.T)
 
     def _postures(self, goal: Goal, more: bool = False) -> Array:
         """Return collision-free postures (K, 6) with the tool at `goal`, the NEAREST to home first, or home itself.
@@ -213,10 +235,10 @@ class Expert:
         `more` adds others.
         """
         if goal is None:
-            return np.tile(self._home, (NEAREST, 1))
-        if (goal, more) not in self._known:
-            self._known[goal, more] = self._solve(goal, more)
-        return self._known[goal, more]
+            return np.tile(self._here.home, (NEAREST, 1))
+        if (goal, more) not in self._here.postures:
+            self._here.postures[goal, more] = self._solve(goal, more)
+        return self._here.postures[goal, more]
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
         tool = self._body.arm.tool(self._library)
@@ -228,7 +250,7 @@ class Expert:
         count = NEAREST + SPREAD if more else NEAREST
         found: list[Array] = list(self._postures(goal)) if more else []
         if not more:
-            seeds = seeds[np.argsort(np.abs(seeds - self._home).max(axis=-1))]
+            seeds = seeds[np.argsort(np.abs(seeds - self._here.home).max(axis=-1))]
         for seed in seeds:
             if all(np.abs(seed - other).max() > DISTINCT_RAD for other in found):
                 posture = self._cell.reach(seed, np.array(goal), self._tolerance)
@@ -246,7 +268,8 @@ class Expert:
 
     def _clear(self, goal: Goal) -> NDArray[np.bool_]:
         """Return (V, K): whether the leg from upright to each of `_postures(goal, more=True)` is free."""
-        if goal not in self._passages:
+        if goal not in self._here.passages:
             postures = self._postures(goal, more=True)
-            self._passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in self._upright])
-        return self._passages[goal]
+            ways = self._here.upright
+            self._here.passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in ways])
+        return self._here.passages[goal]

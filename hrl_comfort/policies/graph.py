@@ -25,7 +25,7 @@ from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.versions import INPUTS, ONE_PERSON
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.tasks import State, Subtask
-from hrl_comfort.tasks.observations import nearest_alone
+from hrl_comfort.tasks.observations.standard import nearest_alone
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
@@ -153,24 +153,22 @@ class OnnxPolicy:
     session: Any
     about: dict[str, Any]
 
-    @cached_property
-    def people(self) -> int | None:
-        """Number of people that it sees; None if it sees none."""
-        shapes = {each.name: each.shape for each in self.session.get_inputs()}
-        seen = [1 if name in ONE_PERSON else shapes[name][1] for name in shapes if name.startswith("human")]
-        return next((int(count) for count in seen if isinstance(count, int)), None)
-
     def __call__(self, state: State) -> Tensor:
         """Return actions (N, joints) in [-1, 1], float64.
 
         Raises:
           ConfigError: it sees several people, and there are others.
         """
-        names, people = tuple(self.about["inputs"]), state.humans_pos.shape[1]
-        if self.people == 1:
-            state = nearest_alone(state)
-        elif self.people not in (None, people):
-            raise ConfigError(f"the policy was exported beside {self.people} people; human.others makes {people}")
+        names = tuple(self.about["inputs"])
+        counts = {each.name: each.shape[1:2] for each in self.session.get_inputs() if each.name.startswith("humans_")}
+        counts |= {ONE_PERSON[name]: [1] for name in names if name in ONE_PERSON}
+        for people in (state, nearest_alone(state)):
+            if all(list(getattr(people, name).shape[1:2]) == count for name, count in counts.items()):
+                break
+        else:
+            many = state.humans_pos.shape[1]
+            raise ConfigError(f"human.others makes {many} people; the policy was exported beside several others")
+        state = people
         given = {name: value.numpy() for name, value in zip(names, arguments(state, names), strict=True)}
         increment = torch.from_numpy(self.session.run([OUTPUT], given)[0]).double()
         return (increment / torch.deg2rad(torch.tensor(self.about["max_step_deg"]).double())).clamp(-1.0, 1.0)

@@ -22,7 +22,7 @@ from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
-from hrl_comfort.tasks.observations import share
+from hrl_comfort.tasks.observations.standard import share
 
 Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, A) in [-1, 1]."""

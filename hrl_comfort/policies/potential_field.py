@@ -62,12 +62,11 @@ class PotentialField:
         self._comfort, self._floor_z = config.comfort, scene.floor_z
         self._step = np.radians(config.task.max_step_deg)
         self._solves = config.task.action_repeat
-        self._home, self._range = scene.home, scene.joint_range
+        self._range, self._furniture = scene.joint_range, slice(scene.first_furniture, scene.first_prop)
         model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
         self._configuration = mink.Configuration(model)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0)
         self._posture = mink.PostureTask(model, cost=np.append(0.0, np.ones(len(scene.joints) - 1)) * 3e-3)
-        self._posture.set_target(scene.home)
         self._homing = mink.PostureTask(model, cost=1.0)
         speed = self._step / CONTROL_STEP_S
         names = [model.geom(index).name for index in range(model.ngeom)]
@@ -91,21 +90,25 @@ class PotentialField:
         pace = comfortable_pace(level, self._comfort).numpy()
         (people, _), limbs = nearest_person(state), standing_limbs(state, self._floor_z)
         before, data = state.joint_target.numpy(), self._configuration.data
-        joints = before.copy()
+        joints, layout, home = before.copy(), state.layout.numpy(), state.joint_home.numpy()
         for row in range(len(joints)):
+            data.mocap_pos[self._furniture], data.mocap_quat[self._furniture] = layout[row, :, :3], layout[row, :, 3:]
+            self._posture.set_target(home[row])
             data.mocap_pos[: limbs.shape[1]], data.mocap_quat[: limbs.shape[1]] = limbs[row, :, :3], limbs[row, :, 3:]
             for _ in range(self._solves):
-                ahead = self._follow(joints[row], goals[row], people[row], radius[row], homeward[row])
+                ahead = self._follow(
+                    joints[row], goals[row], people[row], radius[row], home[row] if homeward[row] else None
+                )
                 joints[row] += pace[row] * (ahead - joints[row])
         return torch.from_numpy(np.clip((joints - before) / (self._solves * self._step), -1.0, 1.0))
 
-    def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: bool) -> Array:
-        """Return the joints (J,) rad after one control step."""
+    def _follow(self, joints: Array, goal: Array, person: Array, radius: float, home: Array | None) -> Array:
+        """Return the joints (J,) rad after one control step, towards `home` (J,) rad or else the `goal` (3,) m."""
         self._configuration.update(joints)
         tool = self._configuration.data.site("robot/tcp").xpos.copy()
         tasks: list[mink.Task]
-        if home:
-            move = self._home - joints
+        if home is not None:
+            move = home - joints
             self._homing.set_target(joints + move * min(1.0, self._step / max(np.abs(move).max(), 1e-9)))
             tasks = [self._homing]
         else:

@@ -72,7 +72,7 @@ class PredictiveSampling:
         model.geom_margin[:], model.geom_gap[:] = -DEEPEST_M, DEEPEST_M
         self._model, self._data, self._rollout = model, mujoco.MjData(model), rollout.Rollout(nthread=0)
         self._checker, self._separation = CollisionChecker(scene), Separation(scene)
-        self._known: dict[tuple[float, ...], Array] = {}
+        self._known: dict[tuple[bytes, ...], Array] = {}
         early = HORIZON // 2
         noise = np.random.default_rng(0).standard_normal((VARIATIONS, 2, len(scene.home)))
         self._noise = SPREAD * np.repeat(noise, [early, HORIZON - early], axis=1)
@@ -81,7 +81,8 @@ class PredictiveSampling:
     def act(self, state: State) -> Tensor:
         """Return actions (N, J) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""
         points, homeward = self._goals(state)
-        goals = np.stack([self._postures(point, home) for point, home in zip(points, homeward, strict=True)])
+        there = zip(points, homeward, state.joint_home.numpy(), state.layout.numpy(), strict=True)
+        goals = np.stack([self._postures(point, back, home, layout) for point, back, home, layout in there])
         motions = self.motions(state.joint_target.numpy(), goals)
         cost = self._cost(state, motions, goals)
         return torch.from_numpy(motions[np.arange(len(cost)), cost.argmin(axis=1), 0])
@@ -145,12 +146,10 @@ class PredictiveSampling:
         rows = np.repeat(np.arange(n), count)
         state_of = np.concatenate([np.zeros((n, 1)), state.joint_pos.numpy(), state.joint_vel.numpy()], axis=1)
         beside = np.repeat(limbs[rows], steps, axis=0)
-        layout = np.tile(self._scene.layout, (n, 1, 1))
-        layout[:, : state.places.shape[1], :3] = state.places.numpy()
         nothing = np.zeros((n * count, 0, 3))
         flat = targets.reshape(n * count, steps, joints)
         objects = nothing, np.zeros((n * count, 0), dtype=np.int64)
-        control = pack_controls(self._scene, flat, beside, layout[rows], *objects, nothing)
+        control = pack_controls(self._scene, flat, beside, state.layout.numpy()[rows], *objects, nothing)
         run = self._rollout.rollout(self._model, self._data, state_of[rows], control, control_spec=CONTROL_SPEC)
         sensed, at = run[1].reshape(n, count, steps, -1), self._scene.sensors
         touching = np.any([sensed[:, :, 1:, at[name]].any(axis=-1) for name in ("human", "table", "self")], axis=0)
@@ -167,20 +166,21 @@ class PredictiveSampling:
         cost = discomfort(torch.from_numpy(distance), torch.from_numpy(moved), level, self._max_step_deg, self._comfort)
         return np.asarray(torch.where(present(state.humans_pos)[:, None, None], cost, 0.0).numpy())
 
-    def _postures(self, goal: Array, home: bool) -> Array:
-        """Return postures (POSTURES, J) rad, some of them alike, with the tool at `goal` (3,) m, or the home posture.
+    def _postures(self, goal: Array, back: bool, home: Array, layout: Array) -> Array:
+        """Return postures (POSTURES, J) rad, some of them alike, with the tool at `goal` (3,) m, or `home` (J,) rad.
 
         Raises:
           ConfigError: there is none without a collision.
         """
-        if home:
-            return np.tile(self._scene.home, (POSTURES, 1))
-        key = tuple(goal.round(3))
-        goal = np.array(key)
+        if back:
+            return np.tile(home, (POSTURES, 1))
+        goal = goal.round(3)
+        key = goal.tobytes(), home.tobytes(), layout.tobytes()
         if key not in self._known:
+            self._checker.stand(layout)
             found, rng = [], np.random.default_rng(0)
             for _ in range(TRIES):
-                seed = self._scene.home + BEND_RAD * rng.standard_normal(len(self._scene.home))
+                seed = home + BEND_RAD * rng.standard_normal(len(home))
                 tool = self._separation.arm.tool(seed[None])[0]
                 turned = seed[0] + np.arctan2(goal[1], goal[0]) - np.arctan2(tool[1], tool[0])
                 seed[0] = (turned + np.pi) % (2 * np.pi) - np.pi
@@ -190,6 +190,6 @@ class PredictiveSampling:
                     break
             if not found:
                 raise ConfigError(f"no posture found that brings the tool to {goal.tolist()}: is it within reach?")
-            found.sort(key=lambda each: float(np.abs(each - self._scene.home).max()))
+            found.sort(key=lambda each: float(np.abs(each - home).max()))
             self._known[key] = np.array(found)[np.arange(POSTURES) % len(found)]
         return self._known[key]

@@ -109,7 +109,7 @@
     scene.moving.forEach(([radius, colour], k) => {
       const at = (picture) => Array.from(pictures.slice(picture * take.width + 6 * k, picture * take.width + 6 * k + 6));
       const [now, then] = [at(frame), at(next)];
-      const jumps = now.some((value, k) => Math.abs(value - then[k]) > 1000); // a ball that appears
+      const jumps = now.some((value, k) => Math.abs(value - then[k]) > 1000); // an object that appears
       addLine(parts, project, scale, radius, colour, now.map((value, k) => value + (jumps ? 0 : share) * (then[k] - value)));
     });
     parts.sort((one, other) => other[0] - one[0]).forEach(([, draw]) => draw());

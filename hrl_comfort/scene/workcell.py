@@ -69,7 +69,12 @@ class Scene:
     @property
     def first_prop(self) -> int:
         """Mocap index of the first prop; props have no contacts, and unused ones stand at x = FAR_AWAY_M."""
-        return len(self.limbs) + len(self.furniture)
+        return self.first_furniture + len(self.furniture)
+
+    @property
+    def first_furniture(self) -> int:
+        """Mocap index of the first of `furniture`."""
+        return len(self.limbs)
 
     @property
     def still(self) -> tuple[str, ...]:

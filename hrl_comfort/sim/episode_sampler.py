@@ -1,7 +1,7 @@
 """Random draws of an episode: objects, walk, spawn, start and points, from (seed, row, episode)."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,10 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.starts import PARTS, start_states
+from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
+from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.randomisation import draws
-from hrl_comfort.tasks import Subtask
+from hrl_comfort.tasks import Start, Subtask
 
 Array = NDArray[np.float64]
 
@@ -26,10 +27,11 @@ ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
-"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits and domain
-randomisation: with or without any of them, the rest of an episode is the same."""
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
+LAYOUT_STREAM = 40
+"""Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
+randomisation and layouts: with or without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,18 @@ class Draw:
     """(M, 7) m and quaternion, poses of the middle of the tops of the cell's places."""
     obstacles: Array
     """(O, 7) m and quaternion, poses of the cell's obstacles."""
+    tops: Array
+    """(F, 6), tops of places and obstacles, as `State.tops`."""
+    goals: Array
+    """(M, 3) m, goal of the tool at each place."""
+    stations: Array
+    """(S, 2) m, where people work."""
+    home: Array
+    """(J,) rad."""
+    tcp_home: Array
+    """(3,) m, tool centre point with every joint at home."""
+    layout_id: Array
+    """(1,) number of the layout; NaN of a cell that does not vary."""
     kind_places: Array
     """(kinds, 3) m, where the centre of an object of each kind belongs."""
     arrivals: Array
@@ -91,15 +105,10 @@ class EpisodeSampler:
         self.seed = seed
         self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
-        cell = config.cell
-        self.goals = np.array(list(cell.goals.values()))
-        """(M, 3) m, goal of the tool at each place."""
-        belongs = [cell.centre(kind, each.belongs_at) for kind, each in cell.objects.items()]
-        self.kind_places = np.array(belongs)
-        """(kinds, 3) m, where the centre of an object of each kind belongs."""
-        self.spawns = [humans.moved_spawns(each, self.goals[:, :2]) for each in config.human.everyone]
+        self._layouts = Layouts(scene, config)
+        given = self._layouts.given
+        self.spawns = [humans.moved_spawns(each, given.goals[:, :2]) for each in config.human.everyone]
         """(s, 2) m of each person, spawn points moved out of the keep-out discs."""
-        self._centres = humans.around(self.goals[:, :2], config.human.keep_out_m, 1).centres
         self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
         longest = config.task.max_episode_steps
         longest = longest if task.repeats else longest_max_episode_steps(longest, config.comfort)
@@ -111,10 +120,9 @@ class EpisodeSampler:
         self.horizon = longest + config.task.action_repeat
         self._joints = len(scene.joints)
         self._arm = PARTS * self._joints
-        self._starts = start_states(scene, config, task.start)
-        self._solved = replace(config, task=replace(config.task, start="ik"))
-        if self._drawn:
-            self._starts = [self._unseen_left_out(bank) for bank in self._starts]
+        self._recorded = recorded_starts(config, task.start, self._joints)
+        if self._recorded is not None and self._drawn:
+            self._recorded = [self._unseen_left_out(bank) for bank in self._recorded]
 
     def blank(self, rows: int) -> Draw:
         """Return the draws of `rows` cells, to be filled in; raise ConfigError if none can be made."""
@@ -148,29 +156,35 @@ class EpisodeSampler:
         own = self.generator(row, episode, TRAIT_STREAM)
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
-        objects = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
-        places, obstacles = np.split(self._scene.layout, [len(self.goals)])
-        standing = places, obstacles, self.kind_places
+        arriving = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
+        own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         for attempt in range(ATTEMPTS):
-            banks = (
-                self._starts if attempt < ATTEMPTS // 2 else start_states(self._scene, self._solved, self._task.start)
-            )
-            bank = banks[kind]
+            layout = own_layout
+            bank = self._bank(kind, layout, row, attempt)
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
-            spawn_id, spawn, points = self._spawn_and_points(row, rng, share)
+            if len(start) > self._arm + WITH_HUMAN:
+                layout = self._layouts.numbered("train", int(start[-1]))
+            spawn_id, spawn, points = self._spawn_and_points(row, rng, share, layout)
             told = level.copy()
             person = start[None, self._arm : self._arm + 2]
-            if kept and len(start) > self._arm and self._drawn and humans.in_sector(person, share)[0]:
-                spawn_id, spawn = -1, humans.outside(person, self.keep_out(points[None]))[0]
-                if not np.isnan(start[-1]):  # the draw that gives this level
-                    told[0] = (start[-1] - 0.5) / self._config.comfort.levels
-            people, discs = self._config.human.everyone, self.keep_out(points[None])
-            placed = humans.spawns_apart(people, self.spawns, discs, others, share, spawn)
+            discs = self.keep_out(points[None], layout.goals[None])
+            given = kept and len(start) > self._arm and self._drawn and np.isfinite(person).all()
+            if given and humans.in_sector(person, share)[0]:
+                spawn_id, spawn = -1, humans.outside(person, discs)[0]
+                own_level = start[self._arm + WITH_HUMAN - 1]
+                if not np.isnan(own_level):  # the draw that gives this level
+                    told[0] = (own_level - 0.5) / self._config.comfort.levels
+            spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, share, spawn)
             ids = np.array(motion_id), np.array(spawn_id)
-            yield Draw(*standing, *objects, noise, traits, told, *ids, placed, start[: self._arm], points, *other)
+            standing = (
+                layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
+                layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
+                *arriving[1:],
+            )  # fmt: skip
+            yield Draw(*standing, noise, traits, told, *ids, spawns, start[: self._arm], points, *other)
 
     @property
     def _streams(self) -> range:
@@ -186,6 +200,27 @@ class EpisodeSampler:
                 rng = np.random.Generator(np.random.Philox(key=key))
             yield rng.random((self.horizon, humans.NOISE))
 
+    def _layout(self, row: int, rng: np.random.Generator) -> Layout:
+        """Return the layout of an episode of `row`."""
+        if not self._layouts.varies:
+            return self._layouts.given
+        return self._layouts.numbered(self._split(row), int(rng.integers(self._config.cell.vary.layouts)))
+
+    def _split(self, row: int) -> str:
+        """Return the split of the layouts of the episodes of `row`; `paper` has those of `validation`."""
+        if self._evaluation is None:
+            return "train"
+        return "test" if self._evaluation.split.take(row, mode="wrap") == "test" else "validation"
+
+    def _bank(self, kind: int, layout: Layout, row: int, attempt: int) -> Array:
+        """Return the starts (M, 3 J or more) of an episode: recorded ones where they may be, or of the layout."""
+        start, early = self._task.start, attempt < ATTEMPTS // 2
+        if self._recorded is not None and early and (not self._layouts.varies or self._split(row) == "train"):
+            return self._recorded[kind]
+        if start == Start.HOME:
+            return at_rest(layout.home[None])
+        return at_rest(self._layouts.postures(layout, start == Start.AT_OBJECT, kind))
+
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
 
@@ -196,7 +231,7 @@ class EpisodeSampler:
             return bank
         human = self._config.human
         apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[0][list(human.held_out)]
-        clear = (np.linalg.norm(apart, axis=-1) >= human.spawn_margin_m).all(axis=1)
+        clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
         if not clear.any():
             raise ConfigError(
                 f"task.start={self._config.task.start!r}: in each of its starts the human is within "
@@ -205,35 +240,38 @@ class EpisodeSampler:
         return bank[clear]
 
     def _objects(self, kind: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Return arrivals (B, kinds, 3) m, kinds (B,) of the objects, and kinds of later ones; the first is given.
+        """Return offsets (B, kinds, 2, 2) m of the objects in the frames of the places where kinds arrive, kinds (B,).
 
-        An object has one slot at each place where objects arrive.
+        Offsets are those of the slot and of the jitter. An object has one slot at each place where objects arrive. The
+        kinds of later objects are the third; the first kind is given.
         """
         task, cell = self._config.task, self._config.cell
-        count, kinds = task.objects, list(cell.objects.items())
+        count, kinds = task.objects, list(cell.objects.values())
         slots = {}
-        for name in dict.fromkeys(each.arrives_at for _, each in kinds):
-            place = cell.places[name]
-            own = np.array(place.slots_m if count > 1 else [[0.0, 0.0]])
-            slots[name] = turned(own[rng.permutation(len(own))[:count]], place.yaw_deg)
+        for name in dict.fromkeys(each.arrives_at for each in kinds):
+            own = np.array(cell.places[name].slots_m if count > 1 else [[0.0, 0.0]])
+            slots[name] = own[rng.permutation(len(own))[:count]]
         jitter = task.object_jitter_m * rng.uniform(-1, 1, (count, 2))
-        arrivals = np.empty((count, len(kinds), 3))
-        for index, (name, each) in enumerate(kinds):
-            arrivals[:, index] = cell.centre(name, each.arrives_at)
-            arrivals[:, index, :2] += slots[each.arrives_at]
-            arrivals[:, index, :2] += turned(jitter, cell.places[each.arrives_at].yaw_deg)
+        offsets = np.stack([np.stack([slots[each.arrives_at], jitter], axis=1) for each in kinds], axis=1)
         random = task.object == RANDOM
         chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
         chosen[0] = kind
-        return arrivals, chosen, rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
+        return offsets, chosen, rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
 
-    def keep_out(self, points: Array) -> humans.KeepOut:
-        """Return the keep-out discs of the humans round goals and base; points (n, 2, 3) m are the episodes'."""
-        n = len(points)
-        if self._task.points:
-            centres = np.concatenate([points[:, : self._task.points, :2], np.zeros((n, 1, 2))], axis=1)
-        else:
-            centres = np.broadcast_to(self._centres, (n, *self._centres.shape[1:]))
+    def _arrivals(self, layout: Layout, offsets: Array) -> Array:
+        """Return where objects arrive (B, kinds, 3) m, for `offsets` as of `_objects`."""
+        cell = self._config.cell
+        arrivals = np.tile(layout.arrives, (len(offsets), 1, 1))
+        for index, each in enumerate(cell.objects.values()):
+            w, _, _, z = layout.places[list(cell.places).index(each.arrives_at), 3:]
+            for offset in offsets[:, index].transpose(1, 0, 2):
+                arrivals[:, index, :2] += turned(offset, 2 * np.arctan2(z, w))
+        return arrivals
+
+    def keep_out(self, points: Array, goals: Array) -> humans.KeepOut:
+        """Return the discs that people keep out of: round the base, and points (n, 2, 3) m or goals (n, M, 3) m."""
+        given = points[:, : self._task.points] if self._task.points else goals
+        centres = np.concatenate([given[..., :2], np.zeros((len(given), 1, 2))], axis=1)
         return humans.KeepOut(centres, self._config.human.keep_out_m)
 
     def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
@@ -249,7 +287,7 @@ class EpisodeSampler:
         return humans.share_of(split, self._config.human.partitioned)
 
     def _spawn_and_points(
-        self, row: int, rng: np.random.Generator, share: tuple[float, float]
+        self, row: int, rng: np.random.Generator, share: tuple[float, float], layout: Layout
     ) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task
         points = np.array([task.point_m, task.second_point_m])
@@ -257,22 +295,22 @@ class EpisodeSampler:
         if drawn and self._task.points:  # random points keep clear of the human themselves
             discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
         else:
-            discs = self.keep_out(points[None])
+            discs = self.keep_out(points[None], layout.goals[None])
         if self._evaluation is not None and not self._drawn:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
             spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng, share)
         spawn = humans.outside(spawn[None], discs)[0]
-        return spawn_id, spawn, self._random_points(spawn, rng) if drawn else points
+        return spawn_id, spawn, self._random_points(spawn, layout.goals, rng) if drawn else points
 
-    def _random_points(self, spawn: Array, rng: np.random.Generator) -> Array:
-        """Return two points (2, 3) m, clear of the tables, of each other and of a human at spawn (2,)."""
+    def _random_points(self, spawn: Array, goals: Array, rng: np.random.Generator) -> Array:
+        """Return two points (2, 3) m, clear of `goals` (M, 3) m, of each other and of a human at spawn (2,)."""
         for _ in range(ATTEMPTS):
             radius, height = rng.uniform(*POINT_RADIUS_M, 2), rng.uniform(*POINT_HEIGHT_M, 2)
             bearing = rng.uniform(-np.pi, np.pi, 2)
             points = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), height], axis=-1)
-            from_tables = np.linalg.norm(points[:, None] - self.goals[None], axis=-1).min()
+            from_tables = np.linalg.norm(points[:, None] - goals, axis=-1).min()
             apart = np.linalg.norm(points[0] - points[1])
             from_human = np.linalg.norm(points[:, :2] - spawn, axis=-1).min()
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
@@ -280,9 +318,9 @@ class EpisodeSampler:
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
 
 
-def turned(points: Array, yaw_deg: float) -> Array:
-    """Return `points` (n, 2) turned about the origin."""
-    cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+def turned(points: Array, yaw: float) -> Array:
+    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
     return points @ np.array([[cos, sin], [-sin, cos]])
 
 

@@ -22,7 +22,7 @@ from hrl_comfort.config import ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
 from hrl_comfort.safety.separation import Separation
-from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
 from hrl_comfort.sim.objects import choose_target
 from hrl_comfort.sim.people import People
@@ -32,7 +32,7 @@ from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Values, observed
 from hrl_comfort.tasks import State, Subtask, subtask
-from hrl_comfort.tasks.observations import share
+from hrl_comfort.tasks.observations.standard import share
 
 Array = NDArray[np.float64]
 Probe = Callable[[Array, Array], Array]
@@ -68,7 +68,6 @@ class Episodes:
         self.reward_names = tuple(self.subtask.rewards)
         self.precision_m = task.precision.grasp_tolerance_m
         self.sampler = EpisodeSampler(scene, config, self.subtask, seed, evaluation)
-        self._tcp_home = tool_at(scene, scene.home)
         self.separation, self._disturbance = Separation(scene), Disturbance(disturbance, rows)
         self.plan = Plan(
             scene, self.separation, config, self.subtask, self.sampler, self._disturbance, rows,
@@ -165,8 +164,6 @@ class Episodes:
         precision, draw = self.config.task.precision, self.draw
         n, scale, kinds = len(rows), self.precision_m / precision.grasp_tolerance_m, draw.kinds[rows]
         constant = {
-            "tcp_home": self._tcp_home,
-            "joint_home": self.scene.home,
             "target": np.int64(0),
             "stage": np.int64(0),
             "grasp_tolerance": self.precision_m,
@@ -175,7 +172,11 @@ class Episodes:
         }
         known = {
             **{name: np.repeat(np.asarray(value)[None], n, axis=0) for name, value in constant.items()},
-            "places": draw.places[rows, :, :3],
+            "tcp_home": draw.tcp_home[rows],
+            "joint_home": draw.home[rows],
+            "layout": draw.layout(rows),
+            "tops": draw.tops[rows],
+            **self.plan.bodies(draw.start[rows, : len(self.scene.joints)], rows),
             "kind_places": draw.kind_places[rows],
             "points": draw.points[rows],
             "objects": draw.objects(rows),
@@ -221,9 +222,10 @@ class Episodes:
         readings = sensed.reshape(len(sensed), -1, self.config.engine.substeps, sensed.shape[-1])
         limbs = self.people.now.limbs
         result = self.referee.judge(self.state, self.draw, self.plan.planned, limbs, readings, rows)
-        self.state = result.state
         self.plan.end(result.decision_steps.numpy() - 1)
-        return result
+        self.state = result.state
+        self.state = self.measured(**self.plan.bodies(self.state.joint_pos.numpy()))
+        return replace(result, state=self.state)
 
     def values(self, rows: Any = slice(None)) -> Values:
         """Return how the cells of `rows`, all by default, differ from the model."""

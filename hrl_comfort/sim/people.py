@@ -90,9 +90,8 @@ class People:
         """People as the decision begins."""
         self.course: list[Crowd] = []
         """People as the decision begins and after each of its control steps."""
-        self._around: tuple[Array, list[humans.KeepOut], humans.ArmSource] | None = None
-        """Tool (N, 2) m, keep-out discs of each person and arm as people see them while a decision lasts: as at its
-        beginning."""
+        self._around: list[humans.Surroundings] = []
+        """What each person sees while a decision lasts: the robot as at its beginning."""
 
     def crowd(self, walks: Sequence[humans.Walk]) -> Crowd:
         """Return people who walk as `walks`, one of each person, say."""
@@ -106,10 +105,10 @@ class People:
         self.now = self.now.put(rows, fresh)
         return fresh
 
-    def begin_decision(self, tool: Array, keep_out: humans.KeepOut, arm: humans.ArmSource) -> None:
-        """Begin a decision: the tool is at (N, 2) m, the first keeps out of the discs, others of theirs round them."""
-        others = [humans.KeepOut(keep_out.centres, each.keep_out_m) for each in self.everyone[1:]]
-        self._around = tool, [keep_out, *others], arm
+    def begin_decision(self, around: humans.Surroundings) -> None:
+        """Begin a decision beside what the first sees; the discs of others are as wide as they are configured."""
+        discs = [humans.KeepOut(around.keep_out.centres, each.keep_out_m) for each in self.everyone[1:]]
+        self._around = [around, *(replace(around, keep_out=own) for own in discs)]
         self.course = [self.now]
 
     def step(self, noise: Array, times: NDArray[np.int64], now: Encounter | None) -> Crowd:
@@ -118,10 +117,9 @@ class People:
         `noise` (N, P, NOISE) in [0, 1) moves them. Those who would walk into the arms of `now`, which are beside the
         people before it, stop at them; without it nobody stops.
         """
-        assert self._around is not None
-        (tool, discs, arm), before = self._around, self.course[-1]
+        before = self.course[-1]
         walks = [
-            humans.advance(human, walk, noise[:, index], tool, discs[index], arm)
+            humans.advance(human, walk, noise[:, index], self._around[index])
             for index, (human, walk) in enumerate(zip(self.everyone, before.walks, strict=True))
         ]
         walks[0] = self._disturbance.walked(before.walks[0], walks[0], times)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
-from hrl_comfort.scene.links import vary_links
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
+from hrl_comfort.sim.variation.links import vary_links
 from hrl_comfort.sim.variation.randomisation import Values
 from hrl_comfort.threads import Threads
 

@@ -8,6 +8,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
@@ -82,6 +83,10 @@ class Plan:
         self.tracker = Tracker(config.randomise, rows, len(self.people.everyone))
         parts = (self._servos, self.tracker, self.drive)
         self._parts: list[Servos | Tracker | Drive] = [part for part in parts if part is not None]
+        self._ends = np.zeros((3, len(separation.person.radius), 2, rows))
+        """m, ends of the capsules of people as last seen, as the decision begins."""
+        self._pace = np.zeros_like(self._ends)
+        """m/s, their mean velocity over the decision before."""
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
 
@@ -96,6 +101,7 @@ class Plan:
         steps, objects = np.zeros((len(rows), 1), dtype=np.int64), draw.objects(rows)
         self._servos.begin(rows, values, targets)
         measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.places, fresh.limbs)
+        self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
         planned = self._planned([fresh], measured[:, None], points, steps)
         return planned, self._controls(draw, targets[:, None], fresh.limbs, objects, draw.kinds[rows], rows)[:, 0]
@@ -119,7 +125,8 @@ class Plan:
             increment = self._hand.increments(joint_target, action)
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
-        self.people.begin_decision(state.tcp_pos.numpy()[:, :2], self._sampler.keep_out(draw.points), arm)
+        discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
+        self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations))
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:
@@ -156,6 +163,29 @@ class Plan:
         self.people.end_decision(last)
         for part in self._parts:
             part.end_decision(last)
+        ends = self._seen_ends()
+        self._ends, self._pace = ends, (ends - self._ends) / ((last + 1) * CONTROL_STEP_S)
+
+    def _seen_ends(self) -> Array:
+        """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
+        shown = self.tracker.shown
+        return self._separation.person.ends(self.people.now.limbs if shown is None else shown)
+
+    def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
+        """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""
+        arm = self._separation.arm
+        return {
+            "arm_body": capsules(arm.pose(joints).ends, arm.radius),
+            **self.people_bodies(rows),
+        }
+
+    def people_bodies(self, rows: Any = slice(None)) -> dict[str, Array]:
+        """Return the fields of State about the bodies of people in `rows`."""
+        radius = self._separation.person.radius
+        return {
+            "humans_body": capsules(self._ends[..., rows], radius),
+            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(radius), 6),
+        }
 
     def shown(self, places: Array) -> Array:
         """Return where policies see people (..., P, 2) m who are measured at `places` (..., P, 2) m."""
@@ -181,7 +211,9 @@ class Plan:
         crowd, rows = self.people.stand(walk), np.arange(self._rows)
         measured = self.tracker.begin(rows, values, draw.frames, crowd.places, crowd.limbs)
         self.accepted(rows, crowd.limbs)
-        return {name: value[:, 0] for name, value in self.people_fields([crowd], measured[:, None]).items()}
+        self._ends, self._pace[:] = self._seen_ends(), 0.0
+        fields = self.people_fields([crowd], measured[:, None])
+        return {name: value[:, 0] for name, value in fields.items()} | self.people_bodies()
 
     def _planned(
         self, crowds: Sequence[Crowd], measured: Array, points: Sequence[SetPoints], steps: NDArray[np.int64]
@@ -220,13 +252,22 @@ class Plan:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
-        return {"people": self.people.state_dict(), "parts": [part.state_dict() for part in self._parts]}
+        seen = {"ends": torch.from_numpy(self._ends.copy()), "pace": torch.from_numpy(self._pace.copy())}
+        parts = [part.state_dict() for part in self._parts]
+        return {"people": self.people.state_dict(), "seen": seen, "parts": parts}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.people.load_state_dict(saved["people"])
+        self._ends, self._pace = (saved["seen"][name].numpy().copy() for name in ("ends", "pace"))
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
+
+
+def capsules(ends: Array, radius: Array) -> Array:
+    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,)."""
+    both = ends.transpose(3, 1, 2, 0).reshape(ends.shape[3], -1, 6)
+    return np.concatenate([both, np.broadcast_to(radius[:, None], (*both.shape[:2], 1))], axis=2)
 
 
 def set_points(state: State) -> SetPoints:

@@ -171,7 +171,7 @@ class Person:
         session = self._sessions[0]
         episodes = session.engine.episodes
         position = session.walk.position
-        free = humans.outside(position, episodes.sampler.keep_out(episodes.draw.points))
+        free = humans.outside(position, episodes.sampler.keep_out(episodes.draw.points, episodes.draw.goals))
         if float(np.linalg.norm(free - position)) <= ARRIVED_M and np.isnan(session.walk.limbs).all():
             self._leaving = False
             self._set_motion(self.human)

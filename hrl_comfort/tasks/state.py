@@ -60,8 +60,16 @@ class State:
     """(N, P, 2) m, their positions as the policy observes them (tracker, clipping, masking)."""
     humans_shown: Tensor
     """(N, P) bool, `humans_seen` is where they were measured, neither clipped nor masked."""
-    places: Tensor
-    """(N, M, 3) m, middle of the top of each place of the cell."""
+    layout: Tensor
+    """(N, F, 7) m and quaternion, poses of the cell's places (the middle of their tops), then of its obstacles."""
+    tops: Tensor
+    """(N, F, 6), tops of the places and obstacles: middle (3) m, half sides (2) m, turn about the vertical (1) rad."""
+    arm_body: Tensor
+    """(N, A, 7) m, the arm's capsules as the decision begins: ends of the axis (6), radius (1)."""
+    humans_body: Tensor
+    """(N, Q, 7) m, the capsules of all people as last seen when the decision begins, as `arm_body`."""
+    humans_body_vel: Tensor
+    """(N, Q, 6) m/s, mean velocities of their ends over the decision before."""
     kind_places: Tensor
     """(N, kinds, 3) m, where the centre of an object of each kind belongs."""
     points: Tensor

@@ -13,6 +13,7 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanCon
 from hrl_comfort.humans import body
 from hrl_comfort.humans.evaluation import FIRST_SEED
 from hrl_comfort.humans.make_evaluation_set import default_choices, evaluation_set
+from tests.humans.around import STATIONS, around
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GOALS = np.array([[-0.615, -0.070], [0.647, -0.055], [0.126, 0.453]])
@@ -22,13 +23,12 @@ SPAWNS = [
     [0.55, -0.39], [-0.28, 0.28], [0.49, 0.29], [0.10, 0.73], [0.60, -0.55], [0.10, -0.54], [-0.42, 0.28],
     [0.74, 0.56], [-0.53, 0.35], [-0.28, -0.66], [-0.91, 0.13], [0.20, -0.72],
 ]  # fmt: skip
-STATIONS = [[-1.01, -0.12], [1.05, -0.09], [0.23, 0.84]]
 HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
     acceleration_m_s2=None, curiosity=0.5, mixture={}, others={}, partitioned=False, file=None, clipping="off",
-    masked=False, stations_m=STATIONS, stay_s=4.0,
+    masked=False, stations_m=None, stay_s=4.0,
 )  # fmt: skip
 PAPER = ("still", "random_walk", "arc", "approach", "patrol")
 """Motions that jump: they stay within `bound_m` of the spawn and are cut at keep-out discs."""
@@ -52,7 +52,7 @@ def stroll(config: HumanConfig, spawn: np.ndarray, steps: int, tcp=(0.3, 0.2), k
     walks = [humans.begin(config, spawn)]
     for _ in range(steps):
         noise = rng.random((n, humans.NOISE))
-        walks.append(humans.advance(config, walks[-1], noise, np.tile(tcp, (n, 1)), keep_out or discs(n)))
+        walks.append(humans.advance(config, walks[-1], noise, around(np.tile(tcp, (n, 1)), keep_out or discs(n))))
     return walks
 
 
@@ -92,16 +92,10 @@ def test_rows_do_not_influence_each_other(motion: str) -> None:
     tcp = np.random.default_rng(4).uniform(-0.4, 0.4, (19, 2))
     together, alone = humans.begin(human(motion), spawns), humans.begin(human(motion), spawns[7:8])
     for step in noise:
-        together = humans.advance(human(motion), together, step, tcp, discs(19))
-        alone = humans.advance(human(motion), alone, step[7:8], tcp[7:8], discs(1))
+        together = humans.advance(human(motion), together, step, around(tcp, discs(19)))
+        alone = humans.advance(human(motion), alone, step[7:8], around(tcp[7:8], discs(1)))
     for name, value in vars(together.rows(np.array([7]))).items():
         np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
-
-
-@pytest.mark.parametrize("motion", ["worker", "reactive", "patrol"])
-def test_people_who_walk_between_tables_need_a_station(motion: str) -> None:
-    with pytest.raises(ConfigError, match=rf"human\.stations_m=\[\].*motion={motion} needs at least one place"):
-        human(motion, stations_m=[])
 
 
 def test_patrol_stays_at_every_station_for_its_time_and_faces_the_robot_there() -> None:
@@ -125,7 +119,7 @@ def test_patrol_stays_at_every_station_for_its_time_and_faces_the_robot_there() 
 def test_advance_leaves_its_arguments_alone() -> None:
     walk = humans.begin(HUMAN, free_spawns(5))
     before = {name: value.copy() for name, value in vars(walk).items()}
-    humans.advance(HUMAN, walk, np.full((5, 3), 0.9), np.zeros((5, 2)), discs(5))
+    humans.advance(HUMAN, walk, np.full((5, 3), 0.9), around(np.zeros((5, 2)), discs(5)))
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(walk, name), value, err_msg=name)
 
@@ -146,7 +140,7 @@ def test_a_still_human_faces_the_robot_and_does_not_move_a_limb() -> None:
 def test_the_random_walk_jitters_within_its_bounds_or_steps_forward() -> None:
     spawn = np.tile([0.0, 1.5], (3, 1))
     noise = np.array([[0.0, 0.75, 0.5], [0.5, 0.5, 0.02], [0.0, 0.0, 0.0199]])
-    walk = humans.advance(HUMAN, humans.begin(HUMAN, spawn), noise, np.zeros((3, 2)), no_discs(3))
+    walk = humans.advance(HUMAN, humans.begin(HUMAN, spawn), noise, around(np.zeros((3, 2)), no_discs(3)))
     np.testing.assert_allclose(walk.position - spawn, [[-0.015, 0.0075], [0.0, 0.0], [0.0, -0.008]], atol=1e-15)
     np.testing.assert_allclose(walk.yaw, np.arctan2(-walk.position[:, 1], -walk.position[:, 0]))
 
@@ -261,7 +255,7 @@ def test_a_person_of_a_bvh_file_stands_at_the_spawn_faces_the_robot_and_reaches(
     config = human("recorded", file=str(file))
     walks = [humans.begin(config, spawn)]
     for _ in range(120):
-        walks.append(humans.advance(config, walks[-1], np.zeros((2, 3)), np.zeros((2, 2)), no_discs(2)))
+        walks.append(humans.advance(config, walks[-1], np.zeros((2, 3)), around(np.zeros((2, 2)), no_discs(2))))
     position, yaw, limbs = (np.stack([getattr(walk, name) for walk in walks]) for name in ("position", "yaw", "limbs"))
     np.testing.assert_allclose(np.median(position[:101], axis=0), spawn, atol=0.01)
     np.testing.assert_allclose(angle_between(yaw, humans.facing_base(spawn)), 0.0, atol=1e-9)

@@ -16,6 +16,7 @@ from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD, CheckedPoses, pose_source
 from hrl_comfort.streams import UdpStream
+from tests.humans.around import around
 from tests.humans.test_humans import HUMAN, no_discs
 
 LIVE = replace(HUMAN, motion="live", speed_m_s=1.6)
@@ -37,7 +38,9 @@ def nobody_holds() -> None:
 def walked(config, steps: int) -> list[humans.Walk]:
     walks = [humans.begin(config, np.array([[0.5, -0.5], [-0.4, 0.6]]))]
     for _ in range(steps):
-        walks.append(humans.advance(config, walks[-1], np.zeros((2, humans.NOISE)), np.zeros((2, 2)), no_discs(2)))
+        walks.append(
+            humans.advance(config, walks[-1], np.zeros((2, humans.NOISE)), around(np.zeros((2, 2)), no_discs(2)))
+        )
     return walks
 
 
@@ -150,7 +153,9 @@ def test_held_hands_move_within_the_speed_limit_and_hang_again() -> None:
     assert max(speeds) <= 1.6 + 1e-9 and np.allclose(hands[-1], HELD.hands)
     HELD.hands = None
     for _ in range(60):
-        walks.append(humans.advance(LIVE, walks[-1], np.zeros((2, humans.NOISE)), np.zeros((2, 2)), no_discs(2)))
+        walks.append(
+            humans.advance(LIVE, walks[-1], np.zeros((2, humans.NOISE)), around(np.zeros((2, 2)), no_discs(2)))
+        )
     assert np.isnan(walks[-1].limbs).all()
 
 

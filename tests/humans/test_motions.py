@@ -17,6 +17,7 @@ from hrl_comfort.humans.body import ARM_LENGTH_M, FOREARM_M, UPPER_ARM_M
 from hrl_comfort.humans.motions.reactive import social_force
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.sim.engine import Engine
+from tests.humans.around import STATIONS, around
 
 OWN = Path(__file__).with_name("reach.bvh")
 GOALS = np.array([[-0.615, -0.070], [0.647, -0.055], [0.126, 0.453]])
@@ -48,7 +49,7 @@ def strolled(config_name: str, *overrides: str) -> list[humans.Walk]:
     walks = [humans.begin(config, spawn, rng.random((PEOPLE, humans.TRAITS)))]
     for step in range(STEPS):
         noise, arm = rng.random((PEOPLE, humans.NOISE)), waving(step)
-        walks.append(humans.advance(config, walks[-1], noise, arm()[0][:, -1, :2], keep_out, arm))
+        walks.append(humans.advance(config, walks[-1], noise, around(arm()[0][:, -1, :2], keep_out, arm)))
     return walks
 
 
@@ -109,8 +110,8 @@ def test_they_walk_round_the_discs_without_being_cut_at_them(name: str) -> None:
 
 def test_the_worker_reaches_with_both_hands_to_where_the_objects_lie() -> None:
     walks = strolled("worker")
-    config, hand = human("worker"), hands(walks)
-    stations = np.array(config.stations_m)
+    hand = hands(walks)
+    stations = np.array(STATIONS)
     nearest = np.linalg.norm(walks[0].position[:, None] - stations, axis=-1).argmin(axis=1)
     arrived = stacked(walks[-300:], "position")
     assert np.linalg.norm(arrived - stations[nearest], axis=-1).max() < 0.05
@@ -126,7 +127,7 @@ def test_the_worker_reaches_with_both_hands_to_where_the_objects_lie() -> None:
 def test_patrol_turns_to_the_next_table_and_pauses_there() -> None:
     walks = strolled("patrol")
     position, yaw = stacked(walks, "position"), np.unwrap(stacked(walks, "yaw"), axis=0)
-    stations = np.array(human("patrol").stations_m)
+    stations = np.array(STATIONS)
     at = np.linalg.norm(position[:, :, None] - stations, axis=-1) < 0.1
     assert (at.any(axis=0).sum(axis=-1) >= 2).mean() > 0.8, "most visit two tables or more in 20 s"
     assert np.abs(np.diff(yaw, axis=0)).max() <= 1.6 * CONTROL_STEP_S + 1e-9
@@ -186,7 +187,7 @@ def test_a_mixture_draws_each_of_its_motions_equally_often() -> None:
     assert np.bincount(chosen, minlength=len(config.people)).min() > 0
     alone = human("mixture").people[3]
     assert (alone.motion, alone.speed_m_s, alone.keep_out_m) == ("worker", 1.2, config.keep_out_m)
-    stations = np.array(config.stations_m)
+    stations = np.array(STATIONS)
     last = walks[-1].position[chosen == 3]
     assert np.linalg.norm(last[:, None] - stations, axis=-1).min(axis=1).max() < 0.05
 
@@ -232,9 +233,9 @@ def test_people_of_a_mixture_walk_as_they_would_alone() -> None:
     chosen = (walk.traits[:, 0] * len(config.people)).astype(int)
     for step in range(200):
         noise, arm = rng.random((PEOPLE, humans.NOISE)), waving(step)
-        around = arm()[0][:, -1, :2], keep_out, arm
-        walk = humans.advance(config, walk, noise, *around)
-        alone = [humans.advance(*pair, noise, *around) for pair in zip(config.people, alone, strict=True)]
+        seen = around(arm()[0][:, -1, :2], keep_out, arm)
+        walk = humans.advance(config, walk, noise, seen)
+        alone = [humans.advance(*pair, noise, seen) for pair in zip(config.people, alone, strict=True)]
         for index, other in enumerate(alone):
             rows = np.flatnonzero(chosen == index)
             for name, value in vars(walk.rows(rows)).items():

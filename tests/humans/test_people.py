@@ -24,7 +24,8 @@ from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.people import OVERLAP_M, Crowd, stop_at_contact
-from hrl_comfort.tasks.observations import human, human_from_tool, nearest_alone, nearness
+from hrl_comfort.tasks.observations.standard import human, human_from_tool, nearest_alone, nearness
+from tests.humans.around import around
 
 SHIELDED = ("safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
 SECOND = "+human.others.second="
@@ -51,7 +52,7 @@ def test_each_person_is_the_first_with_some_keys_replaced() -> None:
     config = configured("human=mixture", "human.speed_m_s=0.7", SECOND + "{motion: worker, stations_m: [[1.0, 0.0]]}")
     first, second = config.human.everyone
     assert (first.motion, second.motion, first.others, second.mixture) == ("mixture", "worker", {}, {})
-    assert second.speed_m_s == 0.7 and second.stations_m == [[1.0, 0.0]] and len(first.stations_m) == 3
+    assert second.speed_m_s == 0.7 and second.stations_m == [[1.0, 0.0]] and first.stations_m is None
     assert config.human.motions == "mixture+worker"
     assert [each.motion for each in people_of(config.human)] == [*first.mixture, "worker"]
 
@@ -162,14 +163,14 @@ def test_a_person_walks_beside_others_as_alone() -> None:
     engine.reset()
     draw, second = engine.episodes.draw, config.human.everyone[1]
     walk = humans.begin(second, draw.spawn[:, 1], draw.traits[:, 1])
-    discs = humans.KeepOut(engine.episodes.sampler.keep_out(draw.points).centres, second.keep_out_m)
+    discs = engine.episodes.sampler.keep_out(draw.points, draw.goals)
     going = np.ones(8, dtype=bool)
     for decision in range(20):
         tool = engine.episodes.state.tcp_pos.numpy()[:, :2]
         result = engine.step(np.zeros((8, 6)))
         going &= ~result.done.numpy()
         for step in range(5):
-            walk = humans.advance(second, walk, draw.noise[:, 5 * decision + step, 1], tool, discs)
+            walk = humans.advance(second, walk, draw.noise[:, 5 * decision + step, 1], around(tool, discs))
             passed = result.instants.humans_pos.numpy()[:, step, 1]
             np.testing.assert_allclose(passed[going], walk.position[going], atol=1e-9)
     assert going.sum() > 5

@@ -18,6 +18,7 @@ from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.people import Crowd, stop_at_contact
+from tests.humans.around import around
 
 SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
 NOWHERE = humans.around(np.zeros((0, 2)), 0.35, 2)
@@ -37,7 +38,7 @@ def away(walk: humans.Walk) -> np.ndarray:
 def test_who_touches_the_arm_steps_back_half_a_metre(name):
     config = compose("train", [f"human={name}"]).human
     walk = begin_retreat(humans.begin(config, SPAWN), np.array([0, 1]))
-    on = partial(humans.advance, config, tcp=arm()[0][:, 0, :2], keep_out=NOWHERE, arm=arm)
+    on = partial(humans.advance, config, seen=around(arm()[0][:, 0, :2], NOWHERE, arm))
     farthest, velocity = away(walk), [walk.velocity[:, :2]]
     for _ in range(RETREAT_STEPS):
         walk = on(walk, noise=np.full((2, humans.NOISE), 0.5))
@@ -78,7 +79,7 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     assert touching.sum() > 20
     noise, nowhere = np.full((len(near), humans.NOISE), 0.5), humans.around(np.zeros((0, 2)), 0.35, len(near))
     for _ in range(RETREAT_STEPS):
-        ahead = humans.advance(env.human, walk, noise, np.zeros((len(near), 2)), nowhere, lambda: points)
+        ahead = humans.advance(env.human, walk, noise, around(np.zeros((len(near), 2)), nowhere, lambda: points))
         walk, now = stopped(ahead)
     assert (now.apart.min(axis=0)[touching] > 0.0).all()
 
@@ -89,5 +90,7 @@ def test_others_stay(name):
     fresh = humans.begin(config, SPAWN)
     walks = [fresh, begin_retreat(fresh, np.array([0, 1]))]
     for _ in range(10):
-        walks = [humans.advance(config, walk, np.full((2, humans.NOISE), 0.5), SPAWN, NOWHERE, arm) for walk in walks]
+        walks = [
+            humans.advance(config, walk, np.full((2, humans.NOISE), 0.5), around(SPAWN, NOWHERE, arm)) for walk in walks
+        ]
     np.testing.assert_array_equal(walks[0].position, walks[1].position)

@@ -19,7 +19,7 @@ from hrl_comfort.scene import MjcfArm, build_scene, franka
 from hrl_comfort.scene.jaco import JACO
 from hrl_comfort.scene.robots import robot_named
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.starts import inverse_kinematics
+from hrl_comfort.sim.variation.layouts import inverse_kinematics
 
 LINK = "<geom type='capsule' fromto='0 0 0 0 0 .12' size='.03' mass='0.5'/>"
 AXES = ["001", "010", "001", "010", "001", "010", "001"]

@@ -237,7 +237,9 @@ def test_training_spawns_stay_clear_of_the_held_out_ones() -> None:
 def test_human_never_within_35_cm_of_a_goal(task: str) -> None:
     engine = Engine(configured(f"task={task}", "human.jitter_m=0.05"), 16, 0)
     engine.reset()
-    centres = torch.from_numpy(engine.episodes.sampler.keep_out(engine.episodes.draw.points).centres)
+    centres = torch.from_numpy(
+        engine.episodes.sampler.keep_out(engine.episodes.draw.points, engine.episodes.draw.goals).centres
+    )
     for _ in range(30):
         outcome = engine.step(np.zeros((16, 6)))
         gaps = (outcome.instants.humans_pos - centres[:, None]).norm(dim=-1)

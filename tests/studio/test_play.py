@@ -71,7 +71,7 @@ def test_an_arm_never_begins_inside_a_person_who_keeps_their_place() -> None:
     while len(begins) < 4:
         person.drag(-0.05, -0.1)  # into the base; the episode ends with a contact
         play.advance()
-        assert not any(warning.number for data in session.engine._data for warning in data.warning)
+        assert not any(warning.number for data in session.engine.physics._data for warning in data.warning)
         if int(session.state.steps) == 0:
             begins.append(session.decisions)
             place = session.walk.position.copy()

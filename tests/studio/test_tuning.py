@@ -73,6 +73,20 @@ def test_a_draft_refuses_a_value_and_stays_and_a_choice_drops_changes_of_its_sec
     assert draft.changed == {"human": "human=patrol"} and draft.value("human.motion") == "patrol"
 
 
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (("cell=bench",), "cell"),
+        (("cell=bench", "cell.places.left.top_m=[0.3,0.3,0.01]"), "cell.places"),
+        (("cell.obstacles.post={shape:cylinder,position_m:[0.5,0.5,0],size_m:[0.1,0.7]}",), "cell.obstacles"),
+    ],
+)
+def test_the_overrides_of_another_cell_give_that_cell(words: tuple[str, ...], key: str) -> None:
+    config = config_of(*words)
+    lines = overrides_of("studio", config)
+    assert key in lines and Draft("studio", lines).config.cell == config.cell
+
+
 def test_an_overlay_gives_the_training_that_the_overrides_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from omegaconf import OmegaConf
 

@@ -15,7 +15,7 @@ NEAR_M = 0.02
 
 
 def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
-    """Walk around the robot to the next of `stations_m`, stay there for `stay_s` on average, and repeat.
+    """Walk around the robot to the next of the stations, stay there for `stay_s` on average, and repeat.
 
     The stay has an exponential distribution; away from a station the human leaves at once. The direction is
     drawn on leaving. A working human faces the robot, a walking one the direction. With `acceleration_m_s2` the
@@ -23,7 +23,7 @@ def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     they change direction and speed at once. Memory: way (1 anticlockwise, -1 clockwise, 0 staying), goal.
     """
     smooth = config.acceleration_m_s2 is not None
-    stations = np.array(config.stations_m, dtype=np.float64)
+    stations, rows = around.stations, np.arange(len(walk.position))
     gaps = length(walk.position[:, None] - stations)
     away = gaps.min(axis=1) > (5 * NEAR_M if smooth else EPSILON_M)
     bearing = np.arctan2(walk.position[:, 1], walk.position[:, 0])
@@ -31,13 +31,13 @@ def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     leaving = (way == 0) & (away | (noise[:, 2] * config.stay_s < CONTROL_STEP_S))
     way = np.where(leaving, np.where(noise[:, 0] < 0.5, 1.0, -1.0), way)
 
-    ahead = (np.arctan2(stations[:, 1], stations[:, 0]) - bearing[:, None]) * way[:, None] % FULL_TURN_RAD
+    ahead = (np.arctan2(stations[..., 1], stations[..., 0]) - bearing[:, None]) * way[:, None] % FULL_TURN_RAD
     here = (ahead < EPSILON_RAD) | (smooth & (gaps < 5 * NEAR_M))
     goal = np.where(leaving, np.where(here, ahead + FULL_TURN_RAD, ahead).argmin(axis=1), goal)
-    left = ahead[np.arange(len(goal)), goal]
+    left = ahead[rows, goal]
 
     radius = length(walk.position)
-    outwards = length(stations)[goal] - radius
+    outwards = length(stations)[rows, goal] - radius
     span = np.hypot(radius * left, outwards)
     share = np.minimum(1.0, config.speed_m_s * CONTROL_STEP_S / np.maximum(span, EPSILON_M))
     turned, reached = bearing + way * left * share, radius + outwards * share
@@ -47,12 +47,12 @@ def patrol(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     arrived = span < NEAR_M if smooth else share == 1.0
     memory[:, 0], memory[:, 1] = np.where(arrived, 0.0, way), goal
     if config.acceleration_m_s2 is not None:
-        wanted = _wanted(walk, walking & ~arrived, there, span, stations[gaps.argmin(axis=1)], config)
+        wanted = _wanted(walk, walking & ~arrived, there, span, stations[rows, gaps.argmin(axis=1)], config)
         position = steering.step(walk, wanted, config, around)
         heading = steering.bearing_of(there - walk.position)
         yaw = steering.turn(walk, np.where(walking & ~arrived, heading, facing_base(walk.position)))
         return Stride(position, yaw, memory=memory)
-    there = np.where(arrived[:, None], stations[goal], there)
+    there = np.where(arrived[:, None], stations[rows, goal], there)
     position = np.where(walking[:, None], there, walk.position)
     facing = facing_base(position)
     return Stride(position, np.where(walking & ~arrived, facing - way * np.pi / 2, facing), memory=memory)

@@ -18,25 +18,26 @@ NEAR_M = 0.1
 
 
 def reactive(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
-    """Walk between `stations_m` under social forces, one of which is the moving arm's.
+    """Walk between the stations under social forces, one of which is the moving arm's.
 
     `curiosity` 0 is afraid: the nearest moving link repels twice as another person would. At 0.5 it repels as one. 1
     is curious: nothing repels, and the human goes to look at the tool. Memory: goal (station number), remaining stay
     (s).
     """
     assert config.acceleration_m_s2 is not None
-    stations = np.array(config.stations_m, dtype=np.float64)
+    stations, rows = around.stations, np.arange(len(walk.position))
+    count = stations.shape[1]
     memory = walk.memory.copy()
     at_start = walk.step == 0
-    goal = np.where(at_start, np.floor(noise[:, 0] * len(stations)), memory[:, 0]).astype(np.int64)
-    there = length(stations[goal] - walk.position) < NEAR_M
+    goal = np.where(at_start, np.floor(noise[:, 0] * count), memory[:, 0]).astype(np.int64)
+    there = length(stations[rows, goal] - walk.position) < NEAR_M
     leaving = there & (noise[:, 2] * config.stay_s < CONTROL_STEP_S)
-    goal = np.where(leaving, (goal + 1 + np.floor(noise[:, 0] * (len(stations) - 1))) % len(stations), goal)
+    goal = np.where(leaving, (goal + 1 + np.floor(noise[:, 0] * (count - 1))) % count, goal)
     goal = goal.astype(np.int64)
     memory[:, 0] = goal
 
     speed = steering.pace(config, walk)
-    desired = steering.round_robot(walk.position, stations[goal], speed, config.acceleration_m_s2 / 2)
+    desired = steering.round_robot(walk.position, stations[rows, goal], speed, config.acceleration_m_s2 / 2)
     to_tool = around.tcp - walk.position
     looking = to_tool * (1 - LOOKING_M / np.maximum(length(to_tool), LOOKING_M))[:, None]
     look = steering.towards(looking, speed, config.acceleration_m_s2 / 2)

@@ -27,8 +27,8 @@ def worker(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     Memory: time in the cycle of reaching (s), and the hands' height and offset to the side (m) of this reach.
     """
     assert config.acceleration_m_s2 is not None
-    stations = np.array(config.stations_m, dtype=np.float64)
-    station = stations[length(walk.spawn[:, None] - stations).argmin(axis=1)]
+    nearest = length(walk.spawn[:, None] - around.stations).argmin(axis=1)
+    station = around.stations[np.arange(len(nearest)), nearest]
     offset = station - walk.position
     there = length(offset) < NEAR_M
     speed = steering.pace(config, walk)

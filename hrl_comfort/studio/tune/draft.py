@@ -9,7 +9,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.compose import compose, compose_environment, plain_value
 from hrl_comfort.composition.stages import flat
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.config.hydra_conf import values_of
@@ -21,11 +21,24 @@ def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
     """Return the overrides, by key, with which `root` has the values of `config` in the keys that both have."""
     fields = groups(root).keys() | {"policy", "policies"}
     values = {name: value for name, value in asdict(config).items() if name in fields}
+    cell = _cell_lines(root, config) if values.pop("cell", None) else {}
     chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items()}
     lines = {group: f"{group}={name}" for group, name in chosen.items() if name in choices(group)}
     default, plainest = dict(flat(values_of(root, lines.values()))), dict(flat(values_of(root)))
     lines = {group: line for group, line in lines.items() if plainest[NAMES[group]] != chosen[group]}
-    return lines | {key: override(key, value) for key, value in flat(values) if default.get(key) != value}
+    return lines | cell | {key: override(key, value) for key, value in flat(values) if default.get(key) != value}
+
+
+def _cell_lines(root: str, config: EnvConfig) -> dict[str, str]:
+    """Return the overrides of a cell: of a built-in one its choice, of another the parts in which it differs."""
+    usual = compose_environment(root, []).cell
+    if config.cell == usual:
+        return {}
+    for name in choices("cell"):
+        if compose_environment(root, [f"cell={name}"]).cell == config.cell:
+            return {"cell": f"cell={name}"}
+    parts = {key: value for key, value in asdict(config.cell).items() if value != asdict(usual)[key]}
+    return {f"cell.{key}": override(f"cell.{key}", value).lstrip("+") for key, value in parts.items()}
 
 
 class Draft:
@@ -76,5 +89,5 @@ def overlay(lines: Mapping[str, str]) -> str:
     node: dict[str, Any] = {"defaults": [{f"override /{key}": lines[key].partition("=")[2]} for key in chosen]}
     made = OmegaConf.create(node if chosen else {})
     for key in (each for each in lines if each not in chosen):
-        OmegaConf.update(made, key, attrgetter(key)(config))
+        OmegaConf.update(made, key, plain_value(attrgetter(key)(config)))
     return f"# @package _global_\n# Made by hrl-comfort studio.\n{OmegaConf.to_yaml(made)}"

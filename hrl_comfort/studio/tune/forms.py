@@ -36,7 +36,7 @@ class Form:
                     chosen = gui.add_dropdown(section, (KEPT, *choices), initial_value=KEPT)
                     chosen.on_update(lambda event, section=section: self._choose(event, section))
                 for key in keys_of(draft.root):
-                    if key.section == section and "[]" not in key.name and not self._of_parts(key):
+                    if key.section == section and not key.of_entry and not self._of_parts(key):
                         self._inputs[key.name] = self._add(gui, key)
 
     def _of_parts(self, key: Key) -> bool:

@@ -11,8 +11,6 @@ import math
 import torch
 from torch import Tensor
 
-from hrl_comfort.config.checks import implemented
-from hrl_comfort.config.task import OBSERVATIONS
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, StateFunction, by_stage
 
@@ -65,9 +63,10 @@ def nearest_alone(state: State) -> State:
     """Return the state with one human: the one who is seen nearest to the tool."""
     if state.humans_seen.shape[1] == 1:
         return state
-    index = torch.arange(len(state.steps)), _nearest(state)
-    people = {name: value[index][:, None] for name, value in state.fields().items() if name.startswith("humans_")}
-    return state.with_(**people)
+    count = state.humans_seen.shape[1]
+    index = torch.arange(len(state.humans_seen)), _nearest(state)
+    people = {name: value for name, value in state.fields().items() if name.startswith("humans_")}
+    return state.with_(**{name: value.unflatten(1, (count, -1))[index] for name, value in people.items()})
 
 
 def _nearest(state: State) -> Tensor:
@@ -172,8 +171,3 @@ def paper(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
         return torch.cat([state.joint_pos, human(state), rest], dim=-1)
 
     return {"paper": term}
-
-
-LAYOUTS = implemented(
-    OBSERVATIONS, {"default": standard, "proximity": proximity, "set_points": set_points, "paper": paper}
-)

@@ -1,0 +1,214 @@
+"""Layouts of a cell: the one given, or those that `cell.vary` draws for each split.
+
+A layout is known by its split and its number, so that recorded starts can name the one they belong to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, VaryConfig
+from hrl_comfort.config.cell import DIGITS
+from hrl_comfort.scene.layout import reach
+from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.sim.variation.postures import Postures
+
+Array = NDArray[np.float64]
+BEHIND_M = 0.4
+"""Distance of people's stations behind the places."""
+ATTEMPTS, TRIES = 300, 12
+"""Draws of a layout before it is given up, and of a posture for one of its goals."""
+REACHED = 0.92
+"""Part of the arm's reach within which goals are drawn."""
+COUNT = 96
+"""Number of postures for each goal of a cell that does not vary."""
+SPLITS = ("train", "validation", "test")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything stands in an episode; metres, cell frame."""
+
+    number: float
+    """Of the layout in its split; NaN of the only one of a cell that does not vary."""
+    places: Array
+    """(M, 7) m and quaternion, poses of the middle of the tops of the places."""
+    obstacles: Array
+    """(O, 7) m and quaternion, poses of the obstacles; one that is not there is far away."""
+    tops: Array
+    """(F, 6), tops of places and obstacles, as `State.tops`."""
+    goals: Array
+    """(M, 3) m, goal of the tool at each place."""
+    arrives: Array
+    """(kinds, 3) m, centre of an object of each kind in the middle of the place where it arrives."""
+    belongs: Array
+    """(kinds, 3) m, centre of an object of each kind where it belongs."""
+    stations: Array
+    """(S, 2) m, where people work."""
+    home: Array
+    """(J,) rad."""
+    tcp_home: Array
+    """(3,) m, tool centre point with every joint at home."""
+    at_arrival: list[Array]
+    at_place: list[Array]
+    """Of each kind, postures (n, J) rad with the tool at the goal where it arrives, and where it belongs."""
+
+
+class Layouts:
+    """Layouts of the cell of `scene`.
+
+    Raises:
+      ConfigError: no layout within the ranges of `cell.vary` can be reached.
+    """
+
+    def __init__(self, scene: Scene, config: EnvConfig) -> None:
+        self._scene, self._cell, self._precision = scene, config.cell, config.task.precision
+        self._shoulder, self._reach = reach(config.robot.name)
+        self._solver = Postures(scene.xml, scene.home)
+        self._known: dict[tuple[str, int], Layout] = {}
+
+    @property
+    def varies(self) -> bool:
+        """Whether the layout differs from one episode to another."""
+        return self._cell.vary.layouts > 0
+
+    @cached_property
+    def given(self) -> Layout:
+        """The layout of the configuration."""
+        places, obstacles = np.split(self._scene.layout, [len(self._cell.places)])
+        return self._layout(np.nan, places, obstacles, self._scene.home)
+
+    def postures(self, layout: Layout, picked: bool, kind: int) -> Array:
+        """Return postures (n, J) rad with the tool where an object of a kind belongs or, `picked`, where it arrives."""
+        if layout is not self.given:
+            return (layout.at_arrival if picked else layout.at_place)[kind]
+        goal = (layout.arrives if picked else layout.belongs)[kind]
+        near = self._precision.grasp_tolerance_m if picked else self._precision.place_tolerance_m
+        return inverse_kinematics(self._scene.xml, tuple(goal.tolist()), near, tuple(self._scene.home.tolist()))
+
+    def numbered(self, split: str, number: int) -> Layout:
+        """Return the layout `number` of `cell.vary` in a split, one of SPLITS."""
+        if (split, number) in self._known:
+            return self._known[split, number]
+        vary = self._cell.vary
+        key = np.array([SPLITS.index(split), number], dtype=np.uint64)
+        rng = np.random.Generator(np.random.Philox(key=key))
+        for _ in range(ATTEMPTS):
+            found = self._drawn(vary, number, rng)
+            if found is not None:
+                self._known[split, number] = found
+                return found
+        raise ConfigError(
+            f"cell.vary: none of {ATTEMPTS} layouts can be reached; bring cell.vary.distance_m={vary.distance_m} and "
+            f"cell.vary.height_m={vary.height_m} nearer to the arm, or lower cell.vary.apart_m={vary.apart_m:g}"
+        )
+
+    def _drawn(self, vary: VaryConfig, number: int, rng: np.random.Generator) -> Layout | None:
+        """Return a layout whose goals and home posture are free of contacts, if this draw is one."""
+        count, standing = len(self._cell.places), len(self._cell.obstacles)
+        ground = self._ground(vary, count + standing, rng)
+        places, obstacles = (each.copy() for each in np.split(self._scene.layout, [count]))
+        low, high = vary.height_m
+        height = rng.uniform(low, high, count).round(DIGITS)
+        there = rng.random(standing) < vary.obstacle_probability
+        home = self._scene.home + np.radians(vary.home_deg) * rng.uniform(-1, 1, len(self._scene.home))
+        if ground is None:
+            return None
+        places[:, :2], places[:, 2] = ground[:count], height
+        obstacles[:, :2] = np.where(there[:, None], ground[count:], [FAR_AWAY_M, 0.0])
+        for pose, place in zip(places, self._cell.places.values(), strict=True):
+            pose[3:] = turn(np.arctan2(pose[1], pose[0]) + np.radians(place.yaw_deg))
+        found = self._layout(number, places, obstacles, home)
+        ends = [*found.arrives, *found.belongs]
+        if max(np.linalg.norm(end - self._shoulder) for end in ends) > REACHED * self._reach:
+            return None
+        self._solver.stand(home, np.concatenate([places, obstacles]), self._scene.first_furniture)
+        if not self._solver.free(home):
+            return None
+        near = self._precision.grasp_tolerance_m, self._precision.place_tolerance_m
+        solved: dict[bytes, Array] = {}
+        every = (found.arrives, found.belongs), near, (found.at_arrival, found.at_place)
+        for goals, tolerance, postures in zip(*every, strict=True):
+            for goal in goals:
+                if goal.tobytes() not in solved:
+                    solved[goal.tobytes()] = self._solver.solve(goal, tolerance, 1, TRIES, rng)
+                if not len(solved[goal.tobytes()]):
+                    return None
+                postures.append(solved[goal.tobytes()])
+        return found
+
+    def _ground(self, vary: VaryConfig, count: int, rng: np.random.Generator) -> Array | None:
+        """Return where (count, 2) m things stand, `apart_m` from each other, if this draw is free."""
+        found: list[Array] = []
+        for _ in range(count):
+            near, far = vary.distance_m
+            distance, bearing = rng.uniform(near, far), rng.uniform(-np.pi, np.pi)
+            place = distance * np.array([np.cos(bearing), np.sin(bearing)])
+            if any(np.linalg.norm(place - other) < vary.apart_m for other in found):
+                return None
+            found.append(place)
+        return np.array(found)
+
+    def _layout(self, number: float, places: Array, obstacles: Array, home: Array) -> Layout:
+        cell, names = self._cell, list(self._cell.places)
+        goals = np.array(
+            [[*pose[:2], round(pose[2] + up, DIGITS)] for pose, up in zip(places, rises(cell), strict=True)]
+        )
+
+        def centres(end: str) -> Array:
+            tops = [(places[names.index(getattr(each, end))], each.half_height_m) for each in cell.objects.values()]
+            return np.array([[*pose[:2], round(pose[2] + up, DIGITS)] for pose, up in tops])
+
+        stations = np.array(cell.stations_m) if cell.stations_m is not None else behind(places[:, :2])
+        if self.varies and number == number:
+            stations = behind(places[:, :2])
+        ends = centres("arrives_at"), centres("belongs_at")
+        surfaces, tcp_home = tops(cell, places, obstacles), tool_at(self._scene, home)
+        return Layout(number, places, obstacles, surfaces, goals, *ends, stations, home, tcp_home, [], [])
+
+
+@lru_cache(maxsize=32)
+def inverse_kinematics(xml: str, goal: tuple[float, ...], precision_m: float, home: tuple[float, ...]) -> Array:
+    """Return (COUNT, J) rad: postures free of contact with the tool within `precision_m` of `goal`; see `Postures`.
+
+    Raises:
+      ConfigError: there are fewer.
+    """
+    rng = np.random.default_rng(0)
+    found = Postures(xml, np.array(home)).solve(np.array(goal), precision_m, COUNT, 50 * COUNT, rng)
+    if len(found) < COUNT:
+        raise ConfigError(f"only {len(found)} of {COUNT} starts found at cell point {goal}: is it within reach?")
+    return found
+
+
+def rises(cell: CellConfig) -> list[float]:
+    """Return how high (M,) m above the top of each place the goal of the tool is; see `CellConfig.goals`."""
+    return [goal[2] - place.top_m[2] for goal, place in zip(cell.goals.values(), cell.places.values(), strict=True)]
+
+
+def tops(cell: CellConfig, places: Array, obstacles: Array) -> Array:
+    """Return the tops (F, 6) of places and obstacles at poses (M, 7), (O, 7): middle, half sides m, turn rad."""
+    half = [np.array(each.size_m) / 2 for each in cell.places.values()]
+    half += [
+        np.array(each.size_m[:2] if each.shape == "box" else [each.size_m[0]] * 2) for each in cell.obstacles.values()
+    ]
+    rise = [0.0] * len(places) + [each.half_height_m for each in cell.obstacles.values()]
+    poses = np.concatenate([places, obstacles])
+    middle = poses[:, :3] + np.array(rise)[:, None] * [0.0, 0.0, 1.0]
+    yaw = 2 * np.arctan2(poses[:, 6], poses[:, 3])
+    return np.concatenate([middle, np.array(half), yaw[:, None]], axis=1)
+
+
+def behind(places: Array) -> Array:
+    """Return the stations (M, 2) m behind `places` (M, 2) m, as seen from the robot."""
+    distance = np.linalg.norm(places, axis=1, keepdims=True)
+    return np.asarray(places * (1 + BEHIND_M / np.maximum(distance, 1e-6)))
+
+
+def turn(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion of a turn about the vertical by `yaw` rad."""
+    return float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))
