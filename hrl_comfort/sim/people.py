@@ -41,17 +41,17 @@ class Crowd:
     @property
     def places(self) -> Array:
         """(N, P, 2) m, axes of the people."""
-        return np.stack([walk.position for walk in self.walks], axis=1)
+        return together([walk.position for walk in self.walks])
 
     @property
     def yaw(self) -> Array:
         """(N, P) rad."""
-        return np.stack([walk.yaw for walk in self.walks], axis=1)
+        return together([walk.yaw for walk in self.walks])
 
     @property
     def velocity(self) -> Array:
         """(N, P, 2) m/s, with which their axes moved in the last control step."""
-        return np.stack([walk.velocity[:, :2] for walk in self.walks], axis=1)
+        return together([walk.velocity[:, :2] for walk in self.walks])
 
     def put(self, rows: NDArray[np.int64], other: Crowd) -> Crowd:
         """Return a copy whose `rows` (r,) are those of `other` (r)."""
@@ -162,6 +162,11 @@ class People:
         self.now = self.crowd([
             humans.Walk(**{name: value.numpy().copy() for name, value in walk.items()}) for walk in saved
         ])  # fmt: skip
+
+
+def together(each: Sequence[Array]) -> Array:
+    """Return values (N, P, ...) of those (N, ...) of each person; of one person without a copy."""
+    return each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
 
 
 def share_walked(room: Array, gap: Array) -> Array:

@@ -154,9 +154,7 @@ class Plan:
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
-        crowds = self.people.course[1:]
-        measured = self.tracker.seen(np.stack([each.places for each in crowds], axis=1))
-        self.planned = self._planned(crowds, measured, points[1:], times + 1)
+        self.planned = self._planned(self.people.course[1:], self.tracker.seen(), points[1:], times + 1)
 
     def end(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
@@ -195,11 +193,15 @@ class Plan:
         ]
         return seen[0][..., None, :] if len(seen) == 1 else np.stack(seen, axis=-2)
 
-    def people_fields(self, crowds: Sequence[Crowd], measured: Array) -> dict[str, NDArray[Any]]:
-        """Return the fields (N, K, ...) of State of the people of K instants, `measured` at (N, K, P, 2) m."""
+    def people_fields(self, crowds: Sequence[Crowd], measured: Array | None) -> dict[str, NDArray[Any]]:
+        """Return the fields (N, K, ...) of State of the people of K instants.
+
+        They are `measured` at (N, K, P, 2) m, by default where they are.
+        """
         places, yaw, velocity = (
             np.stack([getattr(crowd, name) for crowd in crowds], axis=1) for name in ("places", "yaw", "velocity")
         )
+        measured = places if measured is None else measured
         seen = self.shown(measured)
         whole = (seen == measured).all(axis=-1)
         return {
@@ -216,9 +218,9 @@ class Plan:
         return {name: value[:, 0] for name, value in fields.items()} | self.people_bodies()
 
     def _planned(
-        self, crowds: Sequence[Crowd], measured: Array, points: Sequence[SetPoints], steps: NDArray[np.int64]
+        self, crowds: Sequence[Crowd], measured: Array | None, points: Sequence[SetPoints], steps: NDArray[np.int64]
     ) -> Planned:
-        """Return what is known of the people of K instants, measured at (N, K, P, 2) m, and of the K set-points (N).
+        """Return what is known of the people of K instants, `measured` as of `people_fields`, and of the K set-points.
 
         `steps` (N, K) are the control steps of the episodes.
         """

@@ -151,8 +151,8 @@ def test_the_tracker_holds_its_frames_and_loses_two_in_a_row_at_most() -> None:
     for step in range(1, 500):
         here = np.full((1, 1, 2), float(step))
         tracker.see(np.array([step]), frames[None], here, np.full((1, 7, 7), float(step)))
-        ages.append(step - tracker.seen(here)[0, -1, 0, 0])
-        assert tracker.shown[0, 0, 0] == tracker.seen(here)[0, -1, 0, 0]
+        ages.append(step - tracker.seen()[0, -1, 0, 0])
+        assert tracker.shown[0, 0, 0] == tracker.seen()[0, -1, 0, 0]
     assert 5 <= max(ages) <= (1 + MOST_LOST) / 20 / 0.02
     assert ages.count(0) > 50
 

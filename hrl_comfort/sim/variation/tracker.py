@@ -69,10 +69,10 @@ class Tracker:
         self._missed = np.where(due, np.where(lost, self._missed + 1, 0), self._missed)
         self._decision.append((self._place, self._limbs, self._missed))
 
-    def seen(self, true: Array) -> Array:
-        """Return where people are seen (N, K, P, 2) m over a decision; `true` (N, K, P, 2) m without a tracker."""
+    def seen(self) -> Array | None:
+        """Return where people are seen (N, K, P, 2) m over a decision; None without a tracker."""
         if not self.active:
-            return true
+            return None
         return np.stack([place for place, *_ in self._decision], axis=1)
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
