@@ -132,7 +132,8 @@ def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, optio
     engine.close()
     given = tab.evaluate(
         """([option, states]) => states.map((state) => {
-             const row = (value) => ({ shape: value.length ? [1, value.length] : [1], data: [value].flat() });
+             const shape = (value) => Array.isArray(value) ? [value.length, ...shape(value[0])] : [];
+             const row = (value) => ({ shape: [1, ...shape(value)], data: [value].flat(2) });
              const fields = Object.fromEntries(Object.entries(state).map(([name, value]) => [name, row(value)]));
              return Array.from(player.cell.options.find(({ name }) => name === option).act(fields).made);
            })""",
