@@ -116,13 +116,13 @@ assert isinstance(TRAINED, TrainConfig)
 COMFORT = TRAINED.comfort
 SIZES = {
     "joint_pos": (6,), "joint_vel": (6,), "joint_target": (6,), "joint_home": (6,), "points": (2, 3),
-    "human_pos": (2,), "human_seen": (2,), "human_yaw": (), "grasp_tolerance": (), "place_tolerance": (),
-    "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (), "human_beyond_bound": (),
-    "arm_distance": (),
+    "humans_pos": (1, 2), "humans_seen": (1, 2), "humans_vel": (1, 2), "humans_yaw": (1,), "grasp_tolerance": (),
+    "place_tolerance": (), "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (),
+    "human_beyond_bound": (), "arm_distance": (),
     "level": (), "objects": (1, 3), "places": (3, 3), "kind_places": (2, 3),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
-FLAGS = ("human_shown", "braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")
+FLAGS = ("braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")
 ROWS = 4
 
 
@@ -141,11 +141,12 @@ def random_state(rng: np.random.Generator, exponents: tuple[int, int]) -> State:
         "stage": torch.from_numpy(rng.integers(4, size=ROWS)),
         "steps": torch.from_numpy(rng.integers(10**6, size=ROWS)),
         "level": torch.from_numpy(rng.integers(1, COMFORT.levels + 1, size=ROWS).astype(np.float64)),
+        "humans_shown": torch.from_numpy(rng.random((ROWS, 1)) < 0.5),
         **{name: torch.from_numpy(rng.random(ROWS) < 0.5) for name in FLAGS},
     }
     names = [field.name for field in dataclasses.fields(State)]
     state = State(**{name: whole.get(name, numbers_of(SIZES.get(name, (3,)))) for name in names})
     if rng.random() < 0.3:
-        away = torch.tensor([[FAR_AWAY_M, 0.0]], dtype=torch.float64).expand(ROWS, 2)
-        return state.with_(human_pos=away, human_seen=away, arm_distance=torch.full((ROWS,), math.nan))
-    return state.with_(human_pos=state.tcp_pos[:, :2].clone()) if rng.random() < 0.3 else state
+        away = torch.tensor([[FAR_AWAY_M, 0.0]], dtype=torch.float64).expand(ROWS, 1, 2)
+        return state.with_(humans_pos=away, humans_seen=away, arm_distance=torch.full((ROWS,), math.nan))
+    return state.with_(humans_pos=state.tcp_pos[:, None, :2].clone()) if rng.random() < 0.3 else state

@@ -101,13 +101,14 @@ def check(config: CommandConfig) -> None:
         remedy = f"on Debian or Ubuntu: apt-get install {PACKAGES}"
         warnings.warn(f"{lost}, for off-screen OpenGL is not installed; {remedy}", stacklevel=2)
     if isinstance(config, EnvConfig):
+        followed = [each for each in config.human.everyone if each.motion == "live"]
         for key, live in {
             "comfort.source": config.comfort.source == "lsl",
-            "human.file": config.human.motion == "live" and (config.human.file or "").startswith("lsl:"),
+            "human.file": any((each.file or "").startswith("lsl:") for each in followed),
         }.items():
             if live:
                 pylsl_for(key)
-        live = config.comfort.source in ("udp", "lsl") or config.human.motion == "live"
+        live = config.comfort.source in ("udp", "lsl") or bool(followed)
         if live and isinstance(config, EvaluateConfig) and not config.realtime:
             warnings.warn("live values come by the wall clock, episodes run faster: add realtime=true", stacklevel=2)
         from hrl_comfort.scene.layout import layout_warnings  # mujoco, once all else is right

@@ -41,10 +41,10 @@ def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunc
 
     def term(before: State, after: State) -> Tensor:
         arm = config.distance == "arm"
-        distance = after.arm_distance if arm else human_distance(after.tcp_pos, after.human_pos)
+        distance = after.arm_distance if arm else human_distance(after.tcp_pos, after.humans_pos)
         increment_deg = torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))
         value = comfort(distance, increment_deg, after.level, max_step_deg, config)
-        return torch.where(present(after.human_pos), value, 0.0)
+        return torch.where(present(after.humans_pos), value, 0.0)
 
     return term
 

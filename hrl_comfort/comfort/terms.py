@@ -23,14 +23,17 @@ ROUNDING_DEG = 1e-6
 """Tolerance of increments against rounding by the ramp, radians and float32."""
 
 
-def human_distance(tcp_pos: Tensor, human_pos: Tensor) -> Tensor:
-    """Return the horizontal distance (...,) m from tool (..., 3) to the human's axis (..., 2), as in the paper."""
-    return vector_norm(tcp_pos[..., :2] - human_pos, dim=-1)
+def human_distance(tcp_pos: Tensor, humans: Tensor) -> Tensor:
+    """Return the horizontal distance (...,) m from tool (..., 3) to the axis of the nearest of `humans` (..., P, 2).
+
+    That of one human is the paper's.
+    """
+    return vector_norm(tcp_pos[..., None, :2] - humans, dim=-1).amin(dim=-1)
 
 
-def present(human_pos: Tensor) -> Tensor:
-    """Return (...,) bool: a human is in the cell; human_pos (..., 2) m is far away for `human=none`."""
-    return human_pos[..., 0] < 0.5 * FAR_AWAY_M
+def present(humans: Tensor) -> Tensor:
+    """Return (...,) bool: a human is in the cell; `humans` (..., P, 2) m are far away for `human=none`."""
+    return (humans[..., 0] < 0.5 * FAR_AWAY_M).any(dim=-1)
 
 
 def threshold_range(level: Tensor, config: ComfortConfig) -> Tensor:

@@ -48,8 +48,8 @@ class Trajectory:
 
     tool: Floats
     """(T + 1, 3) m, tool centre point."""
-    human: Floats
-    """(T + 1, 2) m, axis of the human."""
+    people: Floats
+    """(T + 1, P, 2) m, axes of the people."""
     joint_target: Floats
     """(T + 1, J) rad."""
     arm_distance: Floats
@@ -77,14 +77,15 @@ def of_motion(path: Trajectory) -> dict[str, float | None]:
 
 
 def of_person(path: Trajectory) -> dict[str, float | None]:
-    """Return distances, zones, speed near the human, time to contact and separation margins."""
+    """Return distances from the nearest human, zones, speed near them, time to contact and separation margins."""
     lengths = np.linalg.norm(np.diff(path.tool, axis=0), axis=-1)
-    distance = np.linalg.norm(path.tool[1:, :2] - path.human[1:], axis=-1)
+    distance = np.linalg.norm(path.tool[1:, None, :2] - path.people[1:], axis=-1).min(axis=-1)
     arm, speed = path.arm_distance[1:], lengths / CONTROL_STEP_S
     near, beside = arm < INTIMATE_M, arm < BESIDE_M
     contact = time_to_contact(path.arm_distance)
-    tool, human = (np.linalg.norm(smoothed_rate(each), axis=-1) for each in (path.tool, path.human))
-    worst, observed = (arm - protective_distance(tool, each) for each in (WORST_HUMAN_M_S, human))
+    tool = np.linalg.norm(smoothed_rate(path.tool), axis=-1)
+    fastest = np.linalg.norm(smoothed_rate(path.people), axis=-1).max(axis=-1)
+    worst, observed = (arm - protective_distance(tool, each) for each in (WORST_HUMAN_M_S, fastest))
     return {
         "human_distance_mean_m": float(distance.mean()),
         "human_distance_min_m": float(distance.min()),
@@ -147,6 +148,6 @@ def _ratio(above: float, below: float) -> float | None:
     return float(above / below) if below > 0 else None
 
 
-_STILL = Trajectory(np.zeros((2, 3)), np.ones((2, 2)), np.zeros((2, 6)), np.ones(2), human_here=True)
+_STILL = Trajectory(np.zeros((2, 3)), np.ones((2, 1, 2)), np.zeros((2, 6)), np.ones(2), human_here=True)
 MEASURES = tuple(metrics(_STILL))
 """Names of the values of `metrics`, in order."""

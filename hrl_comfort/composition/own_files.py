@@ -12,7 +12,7 @@ from hrl_comfort.files.documents import read_yaml
 
 
 def with_own_files(overrides: Iterable[str]) -> list[str]:
-    """Return `overrides` with `cell=FILE.yaml` replaced by what the file holds.
+    """Return `overrides` with `cell=FILE.yaml` and `human=FILE.yaml` replaced by what the files hold.
 
     Raises:
       ConfigError: there is no such file, or it is damaged.
@@ -21,15 +21,21 @@ def with_own_files(overrides: Iterable[str]) -> list[str]:
 
 
 def _of_file(line: str) -> list[str]:
-    """Return the overrides that a cell's own file, `cell=FILE.yaml`, stands for; `line` itself where it is none.
+    """Return the overrides that a user's own file stands for; `line` itself where it is none.
+
+    A file of `human` has keys on top of the motion that it names.
 
     Raises:
       ConfigError: there is no such file, or it is damaged.
     """
-    if (match := re.fullmatch(r"cell=(['\"]?)([^'\"]+\.ya?ml)\1", line)) is None:
+    if (match := re.fullmatch(r"(cell|human)=(['\"]?)([^'\"]+\.ya?ml)\2", line)) is None:
         return [line]
-    if not (file := Path(match[2])).is_file():
-        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(choices('cell'))}")
-    content = {"stations_m": None, **read_yaml(file)[1]}  # those of the default cell are of no use elsewhere
-    # Without `++` a mapping is set as a whole; with it Hydra would add to the entries of the default cell.
-    return [override(f"cell.{key}", value).lstrip("+") for key, value in content.items()]
+    group, known, file = match[1], choices(match[1]), Path(match[3])
+    if not file.is_file():
+        raise ConfigError(f"{line}: there is no such file; give one, or choose one of {', '.join(known)}")
+    content = read_yaml(file)[1]
+    if group == "cell":
+        content = {"stations_m": None, **content}  # those of the default cell are of no use elsewhere
+    base = [f"human={content.pop('motion')}"] if group == "human" and content.get("motion") in known else []
+    # Without `++` a mapping is set as a whole; with it Hydra would add to the entries of the default.
+    return [*base, *(override(f"{group}.{key}", value).lstrip("+") for key, value in content.items())]

@@ -199,9 +199,9 @@ class DeployConfig(EvaluateConfig):
             raise ConfigError("randomise= is for simulated cells, not for an arm; choose randomise=none")
         if (real := self.connection.name != "simulated") and self.confirm == "yes":
             raise ConfigError(f"confirm=yes is for connection=simulated; connection={self.connection.name} asks")
-        if real and self.human.motion not in LIVE_MOTIONS:
+        if real and not all(each.motion in LIVE_MOTIONS for each in self.human.everyone):
             choices = ", ".join(LIVE_MOTIONS)
-            raise ConfigError(f"human.motion={self.human.motion} is nobody beside a real arm; choose one of {choices}")
+            raise ConfigError(f"human.motion={self.human.motions} is nobody beside a real arm; choose one of {choices}")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -11,10 +11,15 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from hrl_comfort.config.checks import XY, ConfigError, between, choice, first_error, within
 
+MOST_PEOPLE = 3
+"""Largest number of people in a cell."""
+COMMON = ("others", "masked", "clipping", "partitioned")
+"""Keys that are the same for all people of a cell."""
+
 
 @dataclass(frozen=True)
 class HumanConfig:
-    """The human beside the robot; metres, cell frame."""
+    """The people beside the robot; metres, cell frame. The keys are those of the first, and of `others` by default."""
 
     motion: str
     """A built-in motion, a motion that an installed package offers as an entry point (both by name), or
@@ -62,6 +67,10 @@ class HumanConfig:
     mixture: dict[str, dict[str, Any]]
     """`mixture`: the motions, each with the `human` values to change for it, such as `{patrol: {speed_m_s: 1.2}}`; each
     episode draws one of these motions."""
+    others: dict[str, dict[str, Any]]
+    """Further people, by a name that says who they are, each with the `human` values to change for them, such as
+    `{colleague: {motion: patrol}}`; there are at most three people in all. `masked`, `clipping` and `partitioned` are
+    the same for all of them, and only the first can be moved by hand."""
     partitioned: bool
     """Whether `train`, `validation` and `test` each have their own sectors around the robot, traits of people,
     recordings and arm starts. If so, training sees those of `train` alone."""
@@ -98,6 +107,22 @@ class HumanConfig:
             raise ConfigError("human.mixture.mixture: a mixture cannot hold another")
         if self.mixture:
             assert self.people
+        if self.others:
+            self._check_others()
+
+    def _check_others(self) -> None:
+        if len(self.others) >= MOST_PEOPLE:
+            raise ConfigError(
+                f"human.others={list(self.others)} are {1 + len(self.others)} people with the first; a cell has "
+                f"{MOST_PEOPLE} at most"
+            )
+        if self.motion == "none":
+            raise ConfigError(f"human.others={list(self.others)}: motion=none is nobody; choose a motion for the first")
+        for name, each in zip(self.others, self.everyone[1:], strict=True):
+            if each.motion == "none":
+                raise ConfigError(f"human.others.{name}.motion=none is nobody; leave them out")
+            if each.motion == "live" and each.file is None:
+                raise ConfigError(f"human.others.{name}.file=null: only the first can be moved by hand; give a source")
 
     @cached_property
     def people(self) -> list[HumanConfig]:
@@ -106,15 +131,44 @@ class HumanConfig:
         Raises:
           ConfigError: a value of one is not allowed.
         """
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        found = []
-        for name, changes in self.mixture.items():
-            for key in changes:
-                if key not in own or key in ("motion", "mixture"):
-                    raise ConfigError(f"human.mixture.{name}.{key} cannot be changed for a motion of a mixture")
-            text = json.dumps({**own, **changes, "motion": name, "mixture": {}})
-            try:
-                found.append(TypeAdapter(HumanConfig).validate_json(text, strict=True))
-            except ValidationError as error:
-                raise ConfigError(f"human.mixture.{name}: {first_error(error)}") from None
+        fixed = ("motion", "mixture", "others")
+        return [
+            self._changed(f"human.mixture.{name}", changes, fixed, motion=name, mixture={})
+            for name, changes in self.mixture.items()
+        ]
+
+    @cached_property
+    def everyone(self) -> list[HumanConfig]:
+        """The configuration of each person, the first before the others, who have none themselves.
+
+        Raises:
+          ConfigError: a value of one is not allowed.
+        """
+        found = [replace(self, others={})]
+        for name, changes in self.others.items():
+            plain = changes.get("motion", "mixture") != "mixture"  # one of a motion has no mixture
+            given = {"mixture": {}, **changes} if plain else changes
+            found.append(self._changed(f"human.others.{name}", given, COMMON))
         return found
+
+    @property
+    def motions(self) -> str:
+        """The motions of all people, as tables have them: `worker+patrol`."""
+        return "+".join(each.motion for each in self.everyone)
+
+    def _changed(self, key: str, changes: dict[str, Any], fixed: tuple[str, ...], **implied: Any) -> HumanConfig:
+        """Return this configuration of one person with `changes`, which `key` names, of none of the keys `fixed`.
+
+        Raises:
+          ConfigError: a key cannot be changed, or a value is not allowed.
+        """
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        among = "for a motion of a mixture" if implied else "for one of several people"
+        for name in changes:
+            if name not in own or name in fixed:
+                raise ConfigError(f"{key}.{name} cannot be changed {among}")
+        text = json.dumps({**own, "others": {}, **changes, **implied})
+        try:
+            return TypeAdapter(HumanConfig).validate_json(text, strict=True)
+        except ValidationError as error:
+            raise ConfigError(f"{key}: {first_error(error)}") from None

@@ -139,8 +139,11 @@ def check_overrides(root: str, overrides: Iterable[str], sweep: bool = False) ->
 
 
 def _replaced(line: str) -> list[str]:
-    """Return the overrides by which `cell.KEY={...}` sets a mapping: without the first, Hydra adds to its entries."""
-    match = re.match(r"(cell\.\w+)=\{", line)
+    """Return the overrides by which `cell.KEY={...}`, or one of `human`, sets a mapping.
+
+    Without the first of them, Hydra adds to its entries.
+    """
+    match = re.match(r"((?:cell|human)\.\w+)=\{", line)
     return [override(match[1], None), f"++{line}"] if match else [line]
 
 

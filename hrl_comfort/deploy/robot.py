@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
-from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, SafetyConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, HumanConfig, SafetyConfig
 from hrl_comfort.deploy.links import Link
 from hrl_comfort.deploy.predictor import SPLINE_S, Predictor
 from hrl_comfort.deploy.stops import StoppedError
@@ -57,8 +57,6 @@ class RobotEngine(Engine):
         self._repeat, self.link = config.task.action_repeat, link
         self._interrupted, self._endure = interrupted, endure
         config = replace(config, engine=replace(config.engine, substeps=1))
-        if config.human.motion == "live":
-            config = replace(config, human=replace(config.human, speed_m_s=AT_ONCE_M_S))
         # The streamer's spline follows the plan half a control step later.
         late = replace(config, safety=replace(config.safety, latency_s=config.safety.latency_s + SPLINE_S))
 
@@ -68,8 +66,8 @@ class RobotEngine(Engine):
 
         super().__init__(late, 1, 0, entries, measure_arm=True, physics=physics, steps=1, takes_back=False)
         self._entries = entries
-        source = pose_source(config.human.file) if config.human.motion == "live" else None
-        self._person = source if isinstance(source, CheckedPoses) else None
+        self.episodes.people.follow_at(AT_ONCE_M_S)
+        self._people = sources_of(config.human)
 
     def start(self, index: int) -> State:
         """Take the arm to the start of the episode `index` of the entries and begin it; return its first state.
@@ -112,9 +110,9 @@ class RobotEngine(Engine):
             raise StoppedError("interrupted", 130)
         if self._endure:
             return
-        if self._person is not None:
-            self._person()
-            age = time.monotonic() - self._person.arrived_s + CONTROL_STEP_S
+        for person in self._people:
+            person()
+            age = time.monotonic() - person.arrived_s + CONTROL_STEP_S
             if age > self.episodes.config.safety.delay_s:
                 raise StoppedError(f"stale person: position {age:.3g} s old, safety.delay_s is "
                                    f"{self.episodes.config.safety.delay_s:g}")  # fmt: skip
@@ -228,6 +226,12 @@ class RobotPhysics:
 
     def close(self) -> None:
         """See `Physics`; the link is its owner's."""
+
+
+def sources_of(human: HumanConfig) -> list[CheckedPoses]:
+    """Return the outside sources of the positions of live people."""
+    sources = [pose_source(each.file) for each in human.everyone if each.motion == "live"]
+    return [source for source in sources if isinstance(source, CheckedPoses)]
 
 
 def joined(results: list[StepResult], count: int) -> StepResult:

@@ -24,7 +24,7 @@ from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
-from hrl_comfort.deploy.robot import RobotEngine
+from hrl_comfort.deploy.robot import RobotEngine, sources_of
 from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm
@@ -34,10 +34,9 @@ from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
-from hrl_comfort.humans.motions.live import CheckedPoses, pose_source
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
-from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.scene.workcell import Scene, scene_of
 
 LOG = "setpoints.parquet"
 """Set-points that were sent, and the measured angles, in the output folder."""
@@ -62,7 +61,7 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
     torch.set_num_threads(1)
     output = Path(config.output)
     with output_folder(output, DeployConfig, "config.yaml"):
-        scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
+        scene = scene_of(config)
         limits = Limits.of(config, scene)
         simulated = partial(SimulatedArm, scene.model, scene.home)
         with interruption() as interrupted:
@@ -97,9 +96,8 @@ def refuse(config: DeployConfig) -> None:
 
 def settled(config: DeployConfig) -> DeployConfig:
     """Return `config` with places in the frame of the robot's base, and make live positions of people come in it."""
-    source = pose_source(config.human.file) if config.human.motion == "live" else None
     frame = Frame.taught(config.connection.frame_m) if config.connection.frame_m is not None else None
-    if isinstance(source, CheckedPoses):
+    for source in sources_of(config.human):
         source.moved = (lambda pose: pose) if frame is None else frame.pose
     return config if frame is None else frame.places(config)
 

@@ -87,7 +87,7 @@ class Cells:
         """
         result = self.engine.step(checked_action(action, shape).reshape(self.engine.num_envs, -1))
         columns = step_columns(result)
-        columns["human_distance"] = columns["human_distance"].where(present(result.state.human_pos), torch.nan)
+        columns["human_distance"] = columns["human_distance"].where(present(result.state.humans_pos), torch.nan)
         return result, self._seen(), {name: values.numpy().copy() for name, values in columns.items()}
 
     def restart(self, rows: NDArray[np.int64]) -> Array:

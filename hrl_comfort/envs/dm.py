@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed
 from hrl_comfort.scene.camera import PACKAGES, PicturesUnavailableError
-from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, build_scene
+from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.links import vary_links
@@ -162,7 +162,7 @@ def make_environment(config: EnvConfig, seed: int, flat_observation: bool = Fals
     Raises:
       ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
     """
-    scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
+    scene = scene_of(config)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
     task = CellTask(scene, config, seed)
     # dm_control reads the observation spec before the first reset, which needs a state.

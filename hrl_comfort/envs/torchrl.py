@@ -71,7 +71,7 @@ class CellEnv(EnvBase):
                 **{name: torch.zeros(self.rows, 1, dtype=torch.bool) for name in _FLAGS},
                 "steps": state.steps[:, None].clone(),
                 **{name: torch.zeros(self.rows, 1, dtype=torch.int64) for name in _COUNTS[1:]},
-                "human_distance": human_distance(state.tcp_pos, state.human_pos)[:, None].float(),
+                "human_distance": human_distance(state.tcp_pos, state.humans_pos)[:, None].float(),
                 "shield_share_mean": torch.ones(self.rows, 1),
                 "reward_terms": torch.zeros(self.rows, len(self.reward_names)),
             },

@@ -59,7 +59,7 @@ def open_split(config: EvaluateConfig, policy: Source | None = None) -> Look:
             "command": shlex.join(["hrl-comfort", *sys.argv[1:]]),
             "policy": " ".join(map(hash_of, sources)),
             "task": config.task.name,
-            "human": config.human.motion,
+            "human": config.human.motions,
             "episodes": config.episodes * max(1, len(config.levels)),
         }
         _append(line)

@@ -36,7 +36,7 @@ BATCH = 250
 """Episodes simulated side by side."""
 STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.mp4", "failure.mp4")
 """Files of an earlier evaluation, deleted when a new one is written."""
-SEEN = ("tcp_pos", "human_pos")
+SEEN = ("tcp_pos", "humans_pos")
 COURSE = (
     "joint_target", "arm_distance", "level", "stage", "touching", "unsafe_contact", "table_collision", "self_collision",
 )  # fmt: skip
@@ -184,11 +184,11 @@ class EpisodeRecorder:
         here, shielded = self.config.human.motion != "none", self.config.safety.kind != "none"
         found = []
         for row in range(rows):
-            tool, human, *course = (values[row][valid[row]] for values in columns.values())
+            tool, people, *course = (values[row][valid[row]] for values in columns.values())
             episode = self._found[row]
             stops = episode.protective_stops or 0
             kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
-            through = Course(tool=tool, human=human, **kept, protective_stops=stops)
+            through = Course(tool=tool, people=people, **kept, protective_stops=stops)
             values = metrics(through)
             values["discomfort_per_min"] = discomfort_per_min(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
@@ -201,11 +201,11 @@ class EpisodeRecorder:
     def _record(self, state: State, rows: torch.Tensor) -> None:
         """Append a line of paths.csv for each of the rows (N,) bool."""
         for row in torch.nonzero(rows).squeeze(-1).tolist():
-            tcp, human = state.tcp_pos[row].numpy(), state.human_pos[row].numpy()
-            distance = float(np.linalg.norm(tcp[:2] - human))
+            tcp, people = state.tcp_pos[row].numpy(), state.humans_pos[row].numpy()
+            distance = float(np.linalg.norm(tcp[:2] - people, axis=-1).min())
             level = float(state.level[row])
             instant = [int(each[row]) for each in (self.entries.episode, state.steps, state.stage)]
-            place = (*tcp, *human, state.human_yaw[row], distance, state.share[row])
+            place = (*tcp, *people[0], state.humans_yaw[row, 0], distance, state.share[row])
             numbers = map(rounded, (*state.joint_pos[row].tolist(), *place))
             stops = int(state.protective_stops[row])
             self.result.paths.append([*instant, None if np.isnan(level) else round(level), *numbers, stops])
@@ -229,7 +229,7 @@ class EpisodeRecorder:
             motion_id=int(episodes.draw.motion_id[row]),
             seen=None if entries.drawn else bool(entries.seen[row]),
             comfort_level=self._level(row, config),
-            human=config.human.motion,
+            human=config.human.motions,
             precision_m=config.task.precision.grasp_tolerance_m,
             success=success,
             steps=int(state.steps[row]),

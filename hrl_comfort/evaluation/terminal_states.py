@@ -22,7 +22,7 @@ from hrl_comfort.sim.starts import fingerprint
 def record_terminal_states(config: EvaluateConfig) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
-    A state holds the joints and, with a person, their position and the level in force. Episodes are drawn as
+    A state holds the joints and, with people, the first one's position and the level in force. Episodes are drawn as
     in training, from seeds of their own: what is recorded becomes training data.
 
     Raises:
@@ -61,7 +61,7 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
         state = executed.result.state
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
         if config.human.motion != "none":
-            parts += [state.human_pos, executed.result.level[:, None]]
+            parts += [state.humans_pos[:, 0], executed.result.level[:, None]]
         if config.cell.vary.layouts:
             nobody = config.human.motion == "none"
             parts += [torch.full((rows, 3), torch.nan)] * nobody + [torch.from_numpy(engine.episodes.draw.layout_id)]

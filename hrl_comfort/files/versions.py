@@ -27,7 +27,11 @@ COLUMNS = {
     "balls_per_min": "objects_per_min",
 }  # fmt: skip
 """Columns of episodes.csv that were renamed, and measures of a benchmark's entry."""
-INPUTS = {"ball_pos": "target_object", "drop_pos": "target_place", "colour": "target_kind"}
+ONE_PERSON = {
+    "human_pos": "humans_pos", "human_yaw": "humans_yaw", "human_seen": "humans_seen", "human_shown": "humans_shown",
+}  # fmt: skip
+"""Inputs of policies exported when a cell had one person, without an axis of people."""
+INPUTS = {"ball_pos": "target_object", "drop_pos": "target_place", "colour": "target_kind", **ONE_PERSON}
 """Inputs of exported policies that were renamed."""
 BALL_TABLES = {"ball_table": "ball_m", "orange_table": "orange_drop_m", "pink_table": "pink_drop_m"}
 """Places of a cell with the goals of its tables in keys of their own, which were the centres of balls on them."""

@@ -47,16 +47,16 @@ def nearest(decision: Decision) -> Tensor:
 
 
 def cautious(decision: Decision) -> Tensor:
-    """Choose the object farthest from the person, and wait, where that is allowed, for a person near the goal."""
+    """Choose the object farthest from people, and wait, where that is allowed, for a person near the goal."""
     state = decision.state
-    person = state.human_pos[:, None]
-    score = torch.minimum(human_distance(state.objects, person), human_distance(state.object_places, person))
+    people = state.humans_pos[:, None]
+    score = torch.minimum(human_distance(state.objects, people), human_distance(state.object_places, people))
     chosen = next_option(decision, score)
     objects, count = score.shape[1], decision.mask.shape[1]
     index = chosen.clamp(max=objects - 1)
     picked = state.objects[torch.arange(len(index)), index]
     goal = torch.where((chosen < objects)[:, None], picked, state.target_place)
-    near = human_distance(goal, state.human_pos) < NEAR_M
+    near = human_distance(goal, state.humans_pos) < NEAR_M
     waits = near & decision.mask[:, WAIT] & (chosen <= objects)
     return torch.where(waits, count + WAIT, chosen)
 

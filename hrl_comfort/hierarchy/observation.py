@@ -10,7 +10,7 @@ from hrl_comfort.config.checks import implemented
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, tool
+from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, seen_nearest, tool
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""
@@ -28,13 +28,13 @@ def observation_dim(layout: str, objects: int) -> int:
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
     """Return (N, observation_dim(layout, B)).
 
-    Person (2) and their facing direction (2, zero where their position is clipped or masked) or, with the layout
-    `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of the round (3), level and
-    whether there is one (2); of each object its position (3), where it belongs (2), the person's distance from both
-    (2), whether it is placed and whether it is the target (2).
+    The person seen nearest to the tool (2) and their facing direction (2, zero where their position is clipped or
+    masked) or, with the layout `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of
+    the round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the
+    person's distance from both (2), whether it is placed and whether it is the target (2).
     """
     place = state.object_places
-    person = human(state)[:, None]
+    person = human(state)[:, None, None]
     index = torch.arange(state.objects.shape[1])
     objects = torch.cat(
         [
@@ -57,5 +57,6 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
 
 def _position_and_facing(state: State) -> Tensor:
     """Return the person's position and facing direction (N, 4)."""
-    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1) * state.human_shown[:, None]
-    return torch.cat([human(state), facing], dim=-1)
+    yaw = state.humans_yaw
+    facing = torch.stack([yaw.cos(), yaw.sin()], dim=-1) * state.humans_shown[..., None]
+    return torch.cat([human(state), seen_nearest(state, facing)], dim=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -44,6 +45,11 @@ from hrl_comfort.humans.walk import (
 )
 
 MAX_SPAWN_DRAWS = 1000
+SPAWN_TRIES, SPAWN_ROUNDS = 50, 10
+"""Draws of the start of one of several people before all are drawn anew, and how often they are at each of APART_M."""
+APART_M = (0.6, 0.45, 0.3)
+"""Smallest distance between people where an episode begins; the next is for where there is no room for the one before.
+Nothing keeps people apart afterwards."""
 
 
 def begin(config: HumanConfig, spawn: Array, traits: Array | None = None) -> Walk:
@@ -216,6 +222,41 @@ def training_spawn(
     )
 
 
+def spawns_apart(
+    people: Sequence[HumanConfig],
+    spawns: Sequence[Array],
+    keep_out: KeepOut,
+    rngs: Sequence[np.random.Generator],
+    share: tuple[float, float],
+    first: Array,
+) -> Array:
+    """Draw training spawns of the others as `training_spawn` does, APART_M from the `first` (2,) m and each other.
+
+    `people` and their `spawns` (s, 2) m are those of everybody, `keep_out` says where the discs are, and `rngs` are
+    those of the others. Return the places (P, 2) m of everybody.
+
+    Raises:
+      ConfigError: no room was found for them.
+    """
+    others = [(person, KeepOut(keep_out.centres, person.keep_out_m)) for person in people[1:]]
+    for apart_m in np.repeat(APART_M, SPAWN_ROUNDS):
+        taken = [first]
+        for (person, discs), own, rng in zip(others, spawns[1:], rngs, strict=True):
+            for _ in range(SPAWN_TRIES):
+                _, place = training_spawn(person, own, discs, rng, share)
+                if all(length(place - each) >= apart_m for each in taken):
+                    taken.append(place)
+                    break
+            else:
+                break  # those before may stand in the way
+        if len(taken) == len(people):
+            return np.stack(taken)
+    raise ConfigError(
+        f"human.spawn_radius_m={list(people[0].spawn_radius_m)} has no room for {len(people)} people {APART_M[-1]} m "
+        "apart; widen it, or give fewer human.others"
+    )
+
+
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
     """Return the human position (n, 2) m in the observation for true positions (n, 2) m.
 
@@ -238,5 +279,6 @@ __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
     "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector",
     "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of",
+    "spawns_apart",
     "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ from pandas import DataFrame, Series
 from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M
 from hrl_comfort.files.tables import Floats, column
 from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, SPEED_SMOOTHING, STRIDE_M
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import ObjectAt, subtask
 
@@ -27,7 +27,7 @@ class Frame:
     joints: Array
     """(J,)"""
     limbs: Array
-    """(7, 7), as `scene.human.limb_poses`."""
+    """(L, 7), as `scene.human.limb_poses`, of one person after the other."""
     props: Array
     """(P, 3), positions of the points and objects by their order in `Scene.mocap`; NaN where one is not there."""
 
@@ -40,11 +40,16 @@ class Clip:
     """(T,) s, rising, from 0."""
     joints: Array
     """(T, J) rad."""
-    person: Array
-    """(T, 5 or 23) x, y (m), yaw (unwrapped), phase and swing of the gait (rad), and perhaps `Walk.limbs`."""
+    people: Array
+    """(T, P, 5 or 23) x, y (m), yaw (unwrapped), phase and swing of the gait (rad), and perhaps `Walk.limbs`."""
     props: Array
     """(T, P, 3) m; a prop is where it was at the last instant before the picture."""
     floor_z: float
+
+    @property
+    def person(self) -> Array:
+        """(T, 5 or 23), `people` of the first person."""
+        return self.people[:, 0]
 
     @property
     def duration_s(self) -> float:
@@ -58,11 +63,12 @@ class Clip:
         after = min(index + 1, last)
         span = self.time[after] - self.time[index]
         share = 0.0 if span <= 0 else float(np.clip((time_s - self.time[index]) / span, 0.0, 1.0))
-        joints, person = ((1 - share) * rows[index] + share * rows[after] for rows in (self.joints, self.person))
+        joints, people = ((1 - share) * rows[index] + share * rows[after] for rows in (self.joints, self.people))
         props = self.props[after if share >= 1.0 else index]
-        directions = person[5:].reshape(-1, 3) if len(person) > 5 else None
-        x, y, yaw, phase, swing = person[:5]
-        return Frame(joints, limb_poses(x, y, yaw, phase, swing, self.floor_z, directions), props)
+        directions = people[:, 5:].reshape(len(people), -1, 3) if people.shape[1] > 5 else None
+        x, y, yaw, phase, swing = people[:, :5].T
+        limbs = limb_poses(x, y, yaw, phase, swing, self.floor_z, directions)
+        return Frame(joints, limbs.reshape(-1, 7), props)
 
 
 def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -95,7 +101,7 @@ def path_clip(path: DataFrame, scene: Scene, task: str, kind: str | None) -> Cli
     return Clip(
         time=(steps - steps[0]) * CONTROL_STEP_S,
         joints=np.column_stack([column(path, f"q{joint}") for joint in range(len(scene.joints))]),
-        person=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)]),
+        people=np.column_stack([x, y, np.unwrap(yaw), *gait(x, y)])[:, None],
         props=props,
         floor_z=scene.floor_z,
     )
@@ -104,7 +110,8 @@ def path_clip(path: DataFrame, scene: Scene, task: str, kind: str | None) -> Cli
 def set_pose(data: mujoco.MjData, scene: Scene, frame: Frame) -> None:
     """Put every body of `data` where it is in a picture."""
     data.qpos[[scene.model.joint(joint).qposadr[0] for joint in scene.joints]] = frame.joints
-    data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = frame.limbs[:, :3], frame.limbs[:, 3:]
+    people = len(frame.limbs)
+    data.mocap_pos[:people], data.mocap_quat[:people] = frame.limbs[:, :3], frame.limbs[:, 3:]
     away = np.array([FAR_AWAY_M, 0.0, 0.0])
     data.mocap_pos[scene.first_prop :] = np.where(np.isnan(frame.props), away, frame.props)
     mujoco.mj_kinematics(scene.model, data)

@@ -2,8 +2,9 @@
 
 At every decision it weighs plans for every row: straight to one of the goal's postures, to one by way of an
 intermediate posture, or to wait in such a posture. A plan costs its control steps plus a price on the chance
-that the person, modelled as Brownian motion, reaches the arm. The expert follows the first leg of the
-cheapest plan without collision for one decision. It remembers nothing but postures.
+that the person, modelled as Brownian motion, reaches the arm; of several people it sees the one nearest to the tool.
+The expert follows the first leg of the cheapest plan without collision for one decision. It remembers nothing but
+postures.
 
 Where there is a comfort level, the person counts as wider at a low one (`comfort.alpha`), and joints move more slowly
 (`comfort.beta`).
@@ -23,7 +24,7 @@ from hrl_comfort.comfort.adapt import longest_max_episode_steps
 from hrl_comfort.comfort.terms import ease, present
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CLEARANCE_M, ArmSpheres, CollisionChecker
-from hrl_comfort.policies.scripted import StageGoals, comfortable_pace
+from hrl_comfort.policies.scripted import StageGoals, comfortable_pace, nearest_person
 from hrl_comfort.scene.human import ARM_RADIUS_M, SHOULDER_HALF_WIDTH_M, SHOULDER_M, TRUNK_RADIUS_M
 from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.scene.workcell import Scene
@@ -122,7 +123,7 @@ class Expert:
         points, homeward = self._goals(state)
         goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
         margin, pace = self._margin_and_pace(state)
-        people = np.column_stack([state.human_pos.numpy(), state.human_yaw.numpy(), margin, pace])
+        people = np.column_stack([*nearest_person(state), margin, pace])
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
 
         nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
@@ -138,7 +139,7 @@ class Expert:
 
     def _margin_and_pace(self, state: State) -> tuple[Array, Array]:
         """Return the width (N,) m added to the person, and the share (N,) of full speed; 0 and 1 without a person."""
-        margin, there = torch.zeros_like(state.level), present(state.human_pos)
+        margin, there = torch.zeros_like(state.level), present(state.humans_pos)
         if self._comfort.source != "none" and self._comfort.alpha:
             margin = MARGIN_M * (1 - ease(state.level, self._comfort))
         pace = comfortable_pace(state.level, self._comfort).clamp(min=SLOWEST)

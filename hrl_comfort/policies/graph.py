@@ -22,9 +22,10 @@ from torch import Tensor, nn
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.files.atomic import write_atomically
-from hrl_comfort.files.versions import INPUTS
+from hrl_comfort.files.versions import INPUTS, ONE_PERSON
 from hrl_comfort.policies.actor import ActorPolicy
 from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks.observations.standard import nearest_alone
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
@@ -84,7 +85,8 @@ def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
 
 def arguments(state: State, inputs: Sequence[str]) -> tuple[Tensor, ...]:
     """Return the inputs of a graph from a state, of this version's names or earlier ones: real numbers as float32."""
-    values = (getattr(state, INPUTS.get(name, name)) for name in inputs)
+    known = {name: getattr(state, INPUTS.get(name, name)) for name in inputs}
+    values = (value[:, 0] if name in ONE_PERSON else value for name, value in known.items())
     return tuple(value.float() if value.is_floating_point() else value for value in values)
 
 
@@ -143,14 +145,30 @@ def write_onnx(graph: PolicyGraph, example: State, inputs: Sequence[str], about:
 
 @dataclass(frozen=True, eq=False)
 class OnnxPolicy:
-    """A policy from a file that `write_onnx` wrote, run by ONNX Runtime on one thread."""
+    """A policy from a file that `write_onnx` wrote, run by ONNX Runtime on one thread.
+
+    One that was exported beside one person sees the nearest of several.
+    """
 
     session: Any
     about: dict[str, Any]
 
     def __call__(self, state: State) -> Tensor:
-        """Return actions (N, joints) in [-1, 1], float64."""
+        """Return actions (N, joints) in [-1, 1], float64.
+
+        Raises:
+          ConfigError: it sees several people, and there are others.
+        """
         names = tuple(self.about["inputs"])
+        counts = {each.name: each.shape[1:2] for each in self.session.get_inputs() if each.name.startswith("humans_")}
+        counts |= {ONE_PERSON[name]: [1] for name in names if name in ONE_PERSON}
+        for people in (state, nearest_alone(state)):
+            if all(list(getattr(people, name).shape[1:2]) == count for name, count in counts.items()):
+                break
+        else:
+            many = state.humans_pos.shape[1]
+            raise ConfigError(f"human.others makes {many} people; the policy was exported beside several others")
+        state = people
         given = {name: value.numpy() for name, value in zip(names, arguments(state, names), strict=True)}
         increment = torch.from_numpy(self.session.run([OUTPUT], given)[0]).double()
         return (increment / torch.deg2rad(torch.tensor(self.about["max_step_deg"]).double())).clamp(-1.0, 1.0)

@@ -1,8 +1,8 @@
 """A non-learning baseline: an artificial potential field that depends on the comfort level, followed by mink.
 
-The goal of the stage attracts the tool, and the person's axis repels it within a radius that the level sets
-(Khatib, Int. J. Robotics Research 5(1), 1986, 10.1177/027836498600500106). Three departures from the textbook
-avoid local minima: repulsion fades towards the goal, which may lie beside a person (Ge and Cui, IEEE Trans.
+The goal of the stage attracts the tool, and the axis of the person nearest to it repels it within a radius that the
+level sets (Khatib, Int. J. Robotics Research 5(1), 1986, 10.1177/027836498600500106). Three departures from the
+textbook avoid local minima: repulsion fades towards the goal, which may lie beside a person (Ge and Cui, IEEE Trans.
 Robotics and Automation 16(5), 2000, 10.1109/70.880813); attraction towards the person is deflected around
 them; and the path leads around the robot's base, retracted and raised, on the side with less repulsion. A
 quadratic program turns tool velocity into joint velocity and keeps the links off person, cell and each other.
@@ -21,8 +21,7 @@ from torch import Tensor
 
 from hrl_comfort.comfort.terms import SMALLEST_M, threshold_levels
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.policies.scripted import StageGoals, comfortable_pace
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.policies.scripted import StageGoals, comfortable_pace, nearest_person, standing_limbs
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, Subtask
 
@@ -73,7 +72,7 @@ class PotentialField:
         names = [model.geom(index).name for index in range(model.ngeom)]
         owners = {name: model.body(model.geom(name).bodyid[0]).name for name in names}
         arm = [name for name in names if name.startswith("robot/") and owners[name] != "robot/base"]
-        person = [name for name in names if owners[name] in LIMBS]
+        person = [name for name in names if owners[name] in scene.limbs]
         cell = [name for name in names if owners[name] in ("robot/base", *scene.still)]
         self._limits = [
             mink.ConfigurationLimit(model),
@@ -89,14 +88,13 @@ class PotentialField:
         level = state.level.nan_to_num(nan=(1 + self._comfort.levels) / 2)
         radius = threshold_levels(level, self._comfort).clamp(min=SMALLEST_M).numpy()
         pace = comfortable_pace(level, self._comfort).numpy()
-        people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
-        limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._floor_z)
+        (people, _), limbs = nearest_person(state), standing_limbs(state, self._floor_z)
         before, data = state.joint_target.numpy(), self._configuration.data
         joints, layout, home = before.copy(), state.layout.numpy(), state.joint_home.numpy()
         for row in range(len(joints)):
             data.mocap_pos[self._furniture], data.mocap_quat[self._furniture] = layout[row, :, :3], layout[row, :, 3:]
             self._posture.set_target(home[row])
-            data.mocap_pos[: len(LIMBS)], data.mocap_quat[: len(LIMBS)] = limbs[row, :, :3], limbs[row, :, 3:]
+            data.mocap_pos[: limbs.shape[1]], data.mocap_quat[: limbs.shape[1]] = limbs[row, :, :3], limbs[row, :, 3:]
             for _ in range(self._solves):
                 ahead = self._follow(
                     joints[row], goals[row], people[row], radius[row], home[row] if homeward[row] else None

@@ -21,10 +21,9 @@ from torch import Tensor
 from hrl_comfort.comfort.terms import discomfort, present
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.policies.collision_checker import CollisionChecker
-from hrl_comfort.policies.scripted import StageGoals
+from hrl_comfort.policies.scripted import StageGoals, standing_limbs
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.safety.separation import Separation
-from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
 from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.tasks import State, Subtask
@@ -109,8 +108,7 @@ class PredictiveSampling:
     def _cost(self, state: State, motions: Array, goals: Array) -> Array:
         """Return the cost (N, K), in control steps, of `motions` (N, K, HORIZON, J) on the way to `goals` (N, G, J)."""
         targets = self.targets(state, motions)
-        people, yaw = state.human_pos.numpy(), state.human_yaw.numpy()
-        limbs = limb_poses(people[:, 0], people[:, 1], yaw, 0.0, 0.0, self._scene.floor_z)
+        limbs = standing_limbs(state, self._scene.floor_z)
         reached, touching = self._rolled_out(state, targets, limbs)
         left = np.abs(reached[:, :, :, None] - goals[:, None, None]).max(axis=-1).min(axis=-1)
         arrived = left < ARRIVED_RAD
@@ -166,7 +164,7 @@ class PredictiveSampling:
         moved = np.degrees(np.abs(np.diff(reached, axis=2, prepend=begun)).max(axis=-1)) / self._repeat
         level = state.level[:, None, None].expand(n, count, ends)
         cost = discomfort(torch.from_numpy(distance), torch.from_numpy(moved), level, self._max_step_deg, self._comfort)
-        return np.asarray(torch.where(present(state.human_pos)[:, None, None], cost, 0.0).numpy())
+        return np.asarray(torch.where(present(state.humans_pos)[:, None, None], cost, 0.0).numpy())
 
     def _postures(self, goal: Array, back: bool, home: Array, layout: Array) -> Array:
         """Return postures (POSTURES, J) rad, some of them alike, with the tool at `goal` (3,) m, or `home` (J,) rad.

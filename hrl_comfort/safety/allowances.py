@@ -42,8 +42,8 @@ def check_allowances(config: EnvConfig) -> None:
 
 
 def people_of(human: HumanConfig) -> list[HumanConfig]:
-    """Return the configuration of each motion of a mixture, or `human` itself."""
-    return human.people if human.mixture else [human]
+    """Return the configuration of each motion of each person, of a mixture all of its motions."""
+    return [motion for person in human.everyone for motion in (person.people if person.mixture else [person])]
 
 
 def largest_lateness(config: EnvConfig) -> float:

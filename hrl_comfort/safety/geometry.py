@@ -8,6 +8,7 @@ asked most often has a compiled twin in `kernels`, for numpy's own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.safety import kernels
-from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -152,12 +152,13 @@ class ArmGeometry:
 
 
 class PersonGeometry:
-    """The P capsules of the person: their ends from the poses of the limbs."""
+    """The P capsules of people: their ends from the poses of their limbs, those of `names`, by default of everybody."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, names: Sequence[str] | None = None) -> None:
         model, data = scene.model, mujoco.MjData(scene.model)
         mujoco.mj_kinematics(model, data)
-        limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in LIMBS]
+        names = scene.limbs if names is None else names
+        limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in names]
         found = [part for part in _capsules(model, data) if part[0] in limbs]
         self._limb = np.array([limbs.index(part[0]) for part in found])
         self._local = np.stack([part[1] for part in found])
@@ -174,9 +175,9 @@ class PersonGeometry:
 
 
 def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> Array:
-    """Return the distance (C, N) m of each of the arm's capsules from the person, negative in overlap.
+    """Return the distance (C, N) m of each of the arm's capsules from the nearest person, negative in overlap.
 
-    `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and person.
+    `ends` (3, C, 2, N) and `limbs` (3, P, 2, N) are the ends of the capsules of arm and people.
     """
     if plain(ends, limbs):
         return kernels.gaps(*contiguous(ends, limbs), arm.radius, person.radius)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, dot, gaps, norm
+from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -26,9 +27,9 @@ class Encounter:
 
     pose: ArmPose
     person: Array
-    """(3, P, 2, N) m, ends of the axes of the person's capsules."""
+    """(3, P, 2, N) m, ends of the axes of the capsules of all people."""
     apart: Array
-    """(C, N) m, distance of each of the arm's capsules from the person, negative in overlap."""
+    """(C, N) m, distance of each of the arm's capsules from the nearest person, negative in overlap."""
 
 
 class Separation:
@@ -36,6 +37,9 @@ class Separation:
 
     def __init__(self, scene: Scene) -> None:
         self.arm, self.person = ArmGeometry(scene), PersonGeometry(scene)
+        bodies = [scene.limbs[at : at + len(LIMBS)] for at in range(0, len(scene.limbs), len(LIMBS))]
+        self.each = [PersonGeometry(scene, names) for names in bodies] if len(bodies) > 1 else [self.person]
+        """Each person by itself; `person` is the union of their capsules, in their order."""
 
     def encounter(self, angles: Array, limbs: Array) -> Encounter:
         """Return arms at `angles` (N, J) rad beside people at `limbs` (N, L, 7)."""

@@ -23,7 +23,7 @@ from hrl_comfort.scene import kernels
 LIMBS = (
     "trunk", "left_leg", "right_leg", "left_upper_arm", "right_upper_arm", "left_forearm", "right_forearm",
 )  # fmt: skip
-"""Names of the mocap bodies, in order of their mocap index."""
+"""Names of the mocap bodies of the first person, in order of their mocap index."""
 
 TRUNK_RADIUS_M = 0.13
 HEAD_RADIUS_M = 0.10
@@ -39,8 +39,13 @@ _TOP = np.array([HIP_M] * 3 + [SHOULDER_M] * 4)
 _SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
 
 
-def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
-    """Add the limbs to a worldbody at initial `poses` (7, 7), as of `limb_poses`.
+def limbs_of_person(index: int) -> tuple[str, ...]:
+    """Return the names of the limbs of a person, counted from 0: those of the second are `trunk_2` and so on."""
+    return LIMBS if index == 0 else tuple(f"{limb}_{index + 1}" for limb in LIMBS)
+
+
+def build_human(world: mjcf.Element, poses: NDArray[np.float64], index: int = 0) -> None:
+    """Add the limbs of a person, counted from 0, to a worldbody at initial `poses` (7, 7), as of `limb_poses`.
 
     A body's origin is the joint of its limb. Limbs collide with the robot, not with each other or the cell.
     """
@@ -51,14 +56,15 @@ def build_human(world: mjcf.Element, poses: NDArray[np.float64]) -> None:
         "arm": ((0, 0, 0, 0, 0, -UPPER_ARM_M), ARM_RADIUS_M, skin),
         "forearm": ((0, 0, 0, 0, 0, -FOREARM_M), ARM_RADIUS_M, skin),
     }
-    for limb, pose in zip(LIMBS, poses, strict=True):
-        body = world.add("body", name=limb, mocap=True, pos=pose[:3], quat=pose[3:])
+    for limb, name, pose in zip(LIMBS, limbs_of_person(index), poses, strict=True):
+        body = world.add("body", name=name, mocap=True, pos=pose[:3], quat=pose[3:])
         fromto, radius, colour = shapes[limb.split("_")[-1]]
         look = {"contype": 0, "conaffinity": 1, "condim": 1}
-        body.add("geom", name=limb, type="capsule", fromto=fromto, size=[radius], rgba=colour, **look)
+        body.add("geom", name=name, type="capsule", fromto=fromto, size=[radius], rgba=colour, **look)
         if limb == "trunk":
             centre = (0, 0, HEIGHT_M - HIP_M - HEAD_RADIUS_M)
-            body.add("geom", name="head", type="sphere", pos=centre, size=[HEAD_RADIUS_M], rgba=skin, **look)
+            head = name.replace("trunk", "head")
+            body.add("geom", name=head, type="sphere", pos=centre, size=[HEAD_RADIUS_M], rgba=skin, **look)
 
 
 def limb_poses(

@@ -12,7 +12,7 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import ArrayLike, NDArray
 
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, RobotConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, RobotConfig
 from hrl_comfort.scene.calibration import calibrated
 from hrl_comfort.scene.furniture import (
     POINTS,
@@ -24,7 +24,7 @@ from hrl_comfort.scene.furniture import (
     layout,
     object_names,
 )
-from hrl_comfort.scene.human import LIMBS, build_human, limb_poses
+from hrl_comfort.scene.human import build_human, limb_poses, limbs_of_person
 from hrl_comfort.scene.robots import Robot, robot_named
 from hrl_comfort.scene.ur import UrModel
 
@@ -46,7 +46,7 @@ class Scene:
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
     """Slices of sensordata: joint_pos (J) rad, joint_vel (J) rad/s, tcp_pos (3) m; numbers of contacts with
-    the robot: human (7, by LIMBS), table (F + 2, by `furniture`, then pedestal and floor), self (1)."""
+    the robot: human (L, by `limbs`), table (F + 2, by `furniture`, then pedestal and floor), self (1)."""
     home: NDArray[np.float64]
     """(J,) rad."""
     joint_range: NDArray[np.float64]
@@ -56,8 +56,10 @@ class Scene:
     ncontrol: int
     """Length of CONTROL_SPEC."""
     mocap: tuple[str, ...]
-    """Names of the mocap bodies by mocap index: LIMBS, `furniture`, then the props: POINTS, and for each object a body
-    of each kind."""
+    """Names of the mocap bodies by mocap index: `limbs`, `furniture`, then the props: POINTS, and for each object a
+    body of each kind."""
+    limbs: tuple[str, ...]
+    """Names of the L bodies of people: LIMBS of the first, then those of the others."""
     furniture: tuple[str, ...]
     """Names of the F bodies that the robot can touch beside people: the places, then the obstacles."""
     layout: NDArray[np.float64]
@@ -72,7 +74,7 @@ class Scene:
     @property
     def first_furniture(self) -> int:
         """Mocap index of the first of `furniture`."""
-        return len(LIMBS)
+        return len(self.limbs)
 
     @property
     def still(self) -> tuple[str, ...]:
@@ -88,8 +90,8 @@ DEEPEST_M = 0.05
 """Depth of an overlap with the first link up to which contacts are told and not resolved."""
 
 
-def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: int = 1) -> Scene:
-    """Compile the cell with `substeps` physics steps a control step of 20 ms.
+def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: int = 1, people: int = 1) -> Scene:
+    """Compile the cell with `substeps` physics steps a control step of 20 ms, for some `objects` and `people`.
 
     Raises:
       ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints, or
@@ -105,10 +107,11 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
         )
     names = tuple(f"robot/{name}" for name in arm.joints)
     describe = _described_once if isinstance(arm, UrModel) else _described  # others may come from a file that changes
-    xml, assets, sizes = describe(arm, cell, substeps, names, objects)
+    xml, assets, sizes = describe(arm, cell, substeps, names, objects, people)
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
+    limbs = limb_names(people)
     return Scene(
         robot=robot.name,
         cell=cell,
@@ -121,15 +124,22 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
-        mocap=(*LIMBS, *furniture(cell), *POINTS, *object_names(cell, objects)),
+        mocap=(*limbs, *furniture(cell), *POINTS, *object_names(cell, objects)),
+        limbs=limbs,
         furniture=furniture(cell),
         layout=layout(cell),
         floor_z=-cell.base_height_m,
     )
 
 
+def scene_of(config: EnvConfig) -> Scene:
+    """Return the scene of the cells of `config`; raise as `build_scene` does."""
+    people = len(config.human.everyone)
+    return build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects, people)
+
+
 def _described(
-    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], objects: int
+    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], objects: int, people: int
 ) -> tuple[str, Mapping[str, bytes], Mapping[str, int]]:
     """Return XML and assets of a cell, and the sizes of its sensors."""
     root = mjcf.RootElement(model="cell")
@@ -138,10 +148,11 @@ def _described(
     add_surroundings(root.worldbody, cell)
     frame = root.attach(arm.build())
     _hold_shoulder(frame.root.find("joint", joints[0]))
-    build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z))
+    for index in range(people):
+        build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z), index)
     add_furniture(root.worldbody, cell)
     add_props(root.worldbody, cell, objects)
-    sizes = _add_sensors(root, joints, (*furniture(cell), *STANDS))
+    sizes = _add_sensors(root, joints, limb_names(people), (*furniture(cell), *STANDS))
     return root.to_xml_string(), root.get_assets(), sizes
 
 
@@ -186,7 +197,14 @@ def _hold_shoulder(joint: mjcf.Element) -> None:
         geom.margin, geom.gap = -DEEPEST_M, DEEPEST_M
 
 
-def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...], still: tuple[str, ...]) -> dict[str, int]:
+def limb_names(people: int) -> tuple[str, ...]:
+    """Return the names of the bodies of some people."""
+    return tuple(limb for index in range(people) for limb in limbs_of_person(index))
+
+
+def _add_sensors(
+    root: mjcf.RootElement, joints: tuple[str, ...], limbs: tuple[str, ...], still: tuple[str, ...]
+) -> dict[str, int]:
     """Add the sensors; return their sizes in order of sensordata."""
     add = root.sensor.add
     for kind in ("pos", "vel"):
@@ -194,10 +212,10 @@ def _add_sensors(root: mjcf.RootElement, joints: tuple[str, ...], still: tuple[s
             add(f"joint{kind}", name=f"joint_{index}_{kind}", joint=joint)
     add("framepos", name="tcp_pos", objtype="site", objname="robot/tcp")
     found = {"subtree1": "robot/", "data": "found", "num": 1}
-    for name in (*LIMBS, *still[:-1]):
+    for name in (*limbs, *still[:-1]):
         add("contact", name=f"{name}_contact", body2=name, **found)
     add("contact", name="floor_contact", geom2="floor", **found)
     add("contact", name="self_contact", subtree2="robot/", **found)
     count = len(joints)
-    contacts = {"human": len(LIMBS), "table": len(still), "self": 1}
+    contacts = {"human": len(limbs), "table": len(still), "self": 1}
     return {"joint_pos": count, "joint_vel": count, "tcp_pos": 3, **contacts}

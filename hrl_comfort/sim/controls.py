@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.config import FAR_AWAY_M
-from hrl_comfort.scene.human import LIMBS, limb_poses
+from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
 
 
 def limbs_of(scene: Scene, walk: humans.Walk) -> Array:
-    """Return the limb poses (n, 7, 7) of n people."""
+    """Return the limb poses (n, 7, 7) of n people, each in a cell of their own."""
     phase, swing = humans.gait(walk)
     x, y = walk.position.T
     return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z, walk.limbs)
@@ -25,7 +25,7 @@ def pack_controls(
 ) -> Array:
     """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-    targets (n, K * s, J) rad, s to a control step; limbs (n * K, 7, 7) stay put over a control step; the layout
+    targets (n, K * s, J) rad, s to a control step; limbs (n * K, L, 7) stay put over a control step; the layout
     (n, F, 7) of places and obstacles, objects (n, B, 3) m, of kinds (n, B), and points (n, P, 3) m over all of them.
     Objects are absent if there are points.
     """
@@ -35,13 +35,13 @@ def pack_controls(
     control[..., :joints] = targets.reshape(*control.shape[:3], joints)
     # Whole runs of numbers at once: numpy is slow on many short ones.
     position, quaternion = control[..., joints:places], control[..., places:]
-    first, limbs = scene.first_prop, limbs.reshape(n, steps, 1, len(LIMBS), 7)
-    props = len(scene.mocap) - first
-    position[..., : 3 * len(LIMBS)] = limbs[..., :3].reshape(n, steps, 1, -1)
-    position[..., 3 * len(LIMBS) : 3 * first] = layout[..., :3].reshape(n, 1, 1, -1)
+    people, first = len(scene.limbs), scene.first_prop
+    limbs, props = limbs.reshape(n, steps, 1, people, 7), len(scene.mocap) - first
+    position[..., : 3 * people] = limbs[..., :3].reshape(n, steps, 1, -1)
+    position[..., 3 * people : 3 * first] = layout[..., :3].reshape(n, 1, 1, -1)
     position[..., 3 * first :] = _absent(props)[0]
-    quaternion[..., : 4 * len(LIMBS)] = limbs[..., 3:].reshape(n, steps, 1, -1)
-    quaternion[..., 4 * len(LIMBS) : 4 * first] = layout[..., 3:].reshape(n, 1, 1, -1)
+    quaternion[..., : 4 * people] = limbs[..., 3:].reshape(n, steps, 1, -1)
+    quaternion[..., 4 * people : 4 * first] = layout[..., 3:].reshape(n, 1, 1, -1)
     quaternion[..., 4 * first :] = _absent(props)[1]
     props_at = position[..., 3 * first :].reshape(*control.shape[:3], props, 3)
     if count := points.shape[1]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.humans import EvaluationSet
-from hrl_comfort.scene.workcell import Scene, build_scene
+from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.physics import Physics, Rollout
 from hrl_comfort.sim.step_result import StepResult
@@ -35,7 +35,7 @@ class Engine:
         physics: Callable[[Scene, EnvConfig, int], Physics] = Rollout,
         **planning: Any,
     ) -> None:
-        self.scene = build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects)
+        self.scene = scene_of(config)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance, **planning)
         self.physics = physics(self.scene, config, rows)
         self.num_envs = rows

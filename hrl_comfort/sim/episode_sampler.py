@@ -27,6 +27,8 @@ ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
+OTHERS_STREAM = 16
+"""First of the streams of further people, two for each: where and who they are, and how they walk."""
 LAYOUT_STREAM = 40
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
 randomisation and layouts: with or without any of them, the rest of an episode is the same."""
@@ -64,17 +66,17 @@ class Draw:
     arriving: NDArray[np.int64]
     """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
     noise: Array
-    """(horizon, NOISE) in [0, 1), for the walk at each control step."""
+    """(horizon, P, NOISE) in [0, 1), for the walks at each control step."""
     traits: Array
-    """(humans.TRAITS,) in [0, 1), of the human."""
+    """(P, humans.TRAITS) in [0, 1), of the people."""
     level: Array
     """(comfort.sources.DRAWS,) in [0, 1), for the source of comfort levels."""
     motion_id: NDArray[np.int64]
     """() of the evaluation set; -1 in training."""
     spawn_id: NDArray[np.int64]
-    """() index of the spawn point; -1 where the human begins anywhere."""
+    """() index of the first person's spawn point; -1 where they begin anywhere."""
     spawn: Array
-    """(2,) m."""
+    """(P, 2) m."""
     start: Array
     """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
     points: Array
@@ -105,7 +107,8 @@ class EpisodeSampler:
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
         self._layouts = Layouts(scene, config)
         given = self._layouts.given
-        self.spawns = humans.moved_spawns(config.human, given.goals[:, :2])
+        self.spawns = [humans.moved_spawns(each, given.goals[:, :2]) for each in config.human.everyone]
+        """(s, 2) m of each person, spawn points moved out of the keep-out discs."""
         self._plain_horizon = config.task.max_episode_steps + config.task.action_repeat
         longest = config.task.max_episode_steps
         longest = longest if task.repeats else longest_max_episode_steps(longest, config.comfort)
@@ -146,11 +149,14 @@ class EpisodeSampler:
             motion_id = int(self._evaluation.motion_id.take(row, mode="wrap"))
             stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
             noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
+        others = [self.generator(row, episode, stream) for stream in self._streams]
+        noise = np.stack([noise, *self._walks(row, episode, motion_id)], axis=1)
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
         low, high = share = self._share(row)
-        traits = self.generator(row, episode, TRAIT_STREAM).random(humans.TRAITS)
-        traits[1:] = low + (high - low) * traits[1:]
+        own = self.generator(row, episode, TRAIT_STREAM)
+        traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
+        traits[:, 1:] = low + (high - low) * traits[:, 1:]
         arriving = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
@@ -165,20 +171,35 @@ class EpisodeSampler:
             spawn_id, spawn, points = self._spawn_and_points(row, rng, share, layout)
             told = level.copy()
             person = start[None, self._arm : self._arm + 2]
+            discs = self.keep_out(points[None], layout.goals[None])
             given = kept and len(start) > self._arm and self._drawn and np.isfinite(person).all()
             if given and humans.in_sector(person, share)[0]:
-                discs = self.keep_out(points[None], layout.goals[None])
                 spawn_id, spawn = -1, humans.outside(person, discs)[0]
-                own = start[self._arm + WITH_HUMAN - 1]
-                if not np.isnan(own):  # the draw that gives this level
-                    told[0] = (own - 0.5) / self._config.comfort.levels
+                own_level = start[self._arm + WITH_HUMAN - 1]
+                if not np.isnan(own_level):  # the draw that gives this level
+                    told[0] = (own_level - 0.5) / self._config.comfort.levels
+            spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, share, spawn)
             ids = np.array(motion_id), np.array(spawn_id)
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
                 layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
                 *arriving[1:],
             )  # fmt: skip
-            yield Draw(*standing, noise, traits, told, *ids, spawn, start[: self._arm], points, *other)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, start[: self._arm], points, *other)
+
+    @property
+    def _streams(self) -> range:
+        """The streams of where and who further people are."""
+        return range(OTHERS_STREAM, OTHERS_STREAM + 2 * len(self._config.human.everyone) - 2, 2)
+
+    def _walks(self, row: int, episode: int, motion_id: int) -> Iterator[Array]:
+        """Yield the noise (horizon, NOISE) of each further person; `motion_id` is -1 in training."""
+        for index, stream in enumerate(self._streams, start=1):
+            rng = self.generator(row, episode, stream + 1)
+            if motion_id >= 0:
+                key = np.array([motion_id, humans.MOTION_STREAM + index], dtype=np.uint64)
+                rng = np.random.Generator(np.random.Philox(key=key))
+            yield rng.random((self.horizon, humans.NOISE))
 
     def _layout(self, row: int, rng: np.random.Generator) -> Layout:
         """Return the layout of an episode of `row`."""
@@ -210,7 +231,7 @@ class EpisodeSampler:
         if bank.shape[1] == self._arm:
             return bank
         human = self._config.human
-        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[list(human.held_out)]
+        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[0][list(human.held_out)]
         clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
         if not clear.any():
             raise ConfigError(
@@ -280,7 +301,7 @@ class EpisodeSampler:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
-            spawn_id, spawn = humans.training_spawn(human, self.spawns, discs, rng, share)
+            spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng, share)
         spawn = humans.outside(spawn[None], discs)[0]
         return spawn_id, spawn, self._random_points(spawn, layout.goals, rng) if drawn else points
 

@@ -25,6 +25,7 @@ from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import ATTEMPTS, DISTURBANCE_STREAM, EpisodeSampler
 from hrl_comfort.sim.objects import choose_target
+from hrl_comfort.sim.people import People
 from hrl_comfort.sim.plan import Joints, Plan
 from hrl_comfort.sim.referee import Referee
 from hrl_comfort.sim.step_result import StepResult
@@ -94,19 +95,19 @@ class Episodes:
         return self.plan.drive
 
     @property
-    def walk(self) -> humans.Walk:
-        """People (N) as they are now."""
-        return self.plan.walk
+    def people(self) -> People:
+        """The people, as they are now and as they were in the last decision."""
+        return self.plan.people
 
     @property
-    def walks(self) -> list[humans.Walk]:
-        """People (N) after each of the K control steps of the last decision."""
-        return self.plan.walks
+    def walk(self) -> humans.Walk:
+        """The first person (N) as they are now."""
+        return self.people.now.walks[0]
 
     @property
     def human(self) -> HumanConfig:
-        """How people move now."""
-        return self.plan.human
+        """How the first person moves now."""
+        return self.people.everyone[0]
 
     @property
     def source(self) -> Source:
@@ -137,7 +138,7 @@ class Episodes:
                 drop = self.draw.kind_places[row, self.draw.kinds[row, 0]]
                 place = self._disturbance.begin(row, drop, self.config.human.keep_out_m, rng)
                 if place is not None:
-                    self.draw.spawn_id[row], self.draw.spawn[row] = -1, place
+                    self.draw.spawn_id[row], self.draw.spawn[row, 0] = -1, place
             self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
             planned, control = self.plan.begin(pending, self.draw, self.values(pending))
@@ -146,7 +147,7 @@ class Episodes:
             if self.state is None and len(pending) < self.rows:
                 raise ConfigError("the first reset must reset every row")
             self.state = state if self.state is None else self.state.put(torch.from_numpy(pending), state)
-            self.plan.accepted(pending, planned)
+            self.plan.accepted(pending, planned.limbs[:, 0])
             solved = self.subtask.next_stage(state) > 0
             bad = (solved | state.touching | self.subtask.failure(state)).numpy()
             pending = pending[bad]
@@ -219,7 +220,7 @@ class Episodes:
         """
         assert self.state is not None
         readings = sensed.reshape(len(sensed), -1, self.config.engine.substeps, sensed.shape[-1])
-        limbs = self.plan.limbs
+        limbs = self.people.now.limbs
         result = self.referee.judge(self.state, self.draw, self.plan.planned, limbs, readings, rows)
         self.plan.end(result.decision_steps.numpy() - 1)
         self.state = result.state
@@ -263,12 +264,12 @@ class Episodes:
         self.referee.source = source
 
     def stand(self, walk: humans.Walk) -> None:
-        """Let the episodes that have just begun, of all rows, begin with the people of `walk` (N) instead."""
+        """Let the episodes that have just begun, of all rows, begin with the first person as `walk` (N) instead."""
         self.measured(**self.plan.stand(walk, self.draw, self.values()))
 
     def go_on_as(self, human: HumanConfig) -> None:
-        """Let people go on from where they are as `human` says; beside nobody they come in where they would begin."""
-        self.plan.go_on_as(human)
+        """Let the first person go on from where they are as `human` says; see `People.go_on_as`."""
+        self.people.go_on_as(human)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, as tensors and plain numbers."""

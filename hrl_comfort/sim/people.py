@@ -1,28 +1,175 @@
-"""People stop where they touch the arm, and step back.
+"""The people of N cells, one control step at a time.
 
-One who walks on pushes without limit, and the physics goes unstable; one who stays stands in the arm's way for ever.
+People stop where they touch the arm, and step back: one who walks on pushes without limit, and the physics goes
+unstable; one who stays stands in the arm's way for ever.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.retreat import begin_retreat
-from hrl_comfort.safety.geometry import farthest, gaps
+from hrl_comfort.safety.geometry import PersonGeometry, farthest, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
+from hrl_comfort.sim.variation.disturbance import Disturbance
 
+Array = NDArray[np.float64]
 OVERLAP_M = 1e-5
 """Depth to which somebody walks into the arm, so that the touch is sensed. People are moved, and push without limit:
 from a depth of 1 mm they flung parts that cannot give way at 5 m/s."""
 
 
-def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray[np.float64]:
+@dataclass(frozen=True)
+class Crowd:
+    """The P people of N cells at one instant."""
+
+    walks: tuple[humans.Walk, ...]
+    """The walk (N) of each person."""
+    limbs: Array
+    """(N, L, 7) poses of the limbs of all of them, m and quaternion, by `Scene.limbs`."""
+
+    @property
+    def places(self) -> Array:
+        """(N, P, 2) m, axes of the people."""
+        return together([walk.position for walk in self.walks])
+
+    @property
+    def yaw(self) -> Array:
+        """(N, P) rad."""
+        return together([walk.yaw for walk in self.walks])
+
+    @property
+    def velocity(self) -> Array:
+        """(N, P, 2) m/s, with which their axes moved in the last control step."""
+        return together([walk.velocity[:, :2] for walk in self.walks])
+
+    def put(self, rows: NDArray[np.int64], other: Crowd) -> Crowd:
+        """Return a copy whose `rows` (r,) are those of `other` (r)."""
+        limbs = self.limbs.copy()
+        limbs[rows] = other.limbs
+        walks = zip(self.walks, other.walks, strict=True)
+        return Crowd(tuple(mine.put(rows, its) for mine, its in walks), limbs)
+
+    @classmethod
+    def chosen(cls, crowds: Sequence[Crowd], index: NDArray[np.int64]) -> Crowd:
+        """Return the people of N cells of whom those of each are as in the one of `crowds` that `index` (N,) names."""
+        if (index == index[0]).all():
+            return crowds[index[0]]
+        walks = [humans.Walk.chosen(walks, index) for walks in zip(*(each.walks for each in crowds), strict=True)]
+        return cls(tuple(walks), np.stack([each.limbs for each in crowds])[index, np.arange(len(index))])
+
+
+class People:
+    """The people of N cells.
+
+    Args:
+      scene: with their bodies.
+      separation: of arm and people.
+      config: of all of them.
+      disturbance: which may hold the first where they are.
+      rows: number N of cells.
+    """
+
+    def __init__(
+        self, scene: Scene, separation: Separation, config: HumanConfig, disturbance: Disturbance, rows: int
+    ) -> None:
+        self._scene, self._separation, self._disturbance = scene, separation, disturbance
+        self.everyone = list(config.everyone)
+        """How each person moves now."""
+        self.now = self.crowd([humans.begin(each, np.zeros((rows, 2))) for each in self.everyone])
+        """People as the decision begins."""
+        self.course: list[Crowd] = []
+        """People as the decision begins and after each of its control steps."""
+        self._around: list[humans.Surroundings] = []
+        """What each person sees while a decision lasts: the robot as at its beginning."""
+
+    def crowd(self, walks: Sequence[humans.Walk]) -> Crowd:
+        """Return people who walk as `walks`, one of each person, say."""
+        limbs = [limbs_of(self._scene, walk) for walk in walks]
+        return Crowd(tuple(walks), limbs[0] if len(limbs) == 1 else np.concatenate(limbs, axis=1))
+
+    def begin(self, rows: NDArray[np.int64], spawns: Array, traits: Array) -> Crowd:
+        """Begin episodes in `rows` (r,), at `spawns` (r, P, 2) m, with `traits` (r, P, TRAITS); return their people."""
+        each = enumerate(self.everyone)
+        fresh = self.crowd([humans.begin(human, spawns[:, index], traits[:, index]) for index, human in each])
+        self.now = self.now.put(rows, fresh)
+        return fresh
+
+    def begin_decision(self, around: humans.Surroundings) -> None:
+        """Begin a decision beside what the first sees; the discs of others are as wide as they are configured."""
+        discs = [humans.KeepOut(around.keep_out.centres, each.keep_out_m) for each in self.everyone[1:]]
+        self._around = [around, *(replace(around, keep_out=own) for own in discs)]
+        self.course = [self.now]
+
+    def step(self, noise: Array, times: NDArray[np.int64], now: Encounter | None) -> Crowd:
+        """Return the people after another control step, of index `times` (N,) in their episodes.
+
+        `noise` (N, P, NOISE) in [0, 1) moves them. Those who would walk into the arms of `now`, which are beside the
+        people before it, stop at them; without it nobody stops.
+        """
+        before = self.course[-1]
+        walks = [
+            humans.advance(human, walk, noise[:, index], self._around[index])
+            for index, (human, walk) in enumerate(zip(self.everyone, before.walks, strict=True))
+        ]
+        walks[0] = self._disturbance.walked(before.walks[0], walks[0], times)
+        if now is None:
+            self.course.append(self.crowd(walks))
+        else:
+            self.course.append(stop_at_contact(self._scene, self._separation, now, before, walks))
+        return self.course[-1]
+
+    def end_decision(self, last: NDArray[np.int64]) -> None:
+        """End a decision whose last valid control step is `last` (N,), counted from 0."""
+        self.now = Crowd.chosen(self.course[1:], last)
+
+    def stand(self, walk: humans.Walk) -> Crowd:
+        """Let the first be as `walk` (N) says; return the people."""
+        self.now = self.crowd([walk, *self.now.walks[1:]])
+        return self.now
+
+    def follow_at(self, speed_m_s: float) -> None:
+        """Let people of `live` walk to where their source says at up to `speed_m_s`, whatever they are configured."""
+        live = [each.motion == "live" for each in self.everyone]
+        hurried = zip(self.everyone, live, strict=True)
+        self.everyone = [replace(each, speed_m_s=speed_m_s) if follows else each for each, follows in hurried]
+
+    def go_on_as(self, human: HumanConfig) -> None:
+        """Let the first go on from where they are as `human` says; who was nobody comes in where they would begin."""
+        first, (walk, *others) = self.everyone[0], self.now.walks
+        if first.motion == "none":
+            walk = humans.begin(human, walk.spawn)
+        elif human.motion != "none":
+            walk = replace(walk, spawn=walk.position.copy())
+        self.everyone[0], self.now = human.everyone[0], self.crowd([walk, *others])
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """Return what an exact continuation needs, of each person."""
+        return [{name: torch.from_numpy(value.copy()) for name, value in vars(walk).items()} for walk in self.now.walks]
+
+    def load_state_dict(self, saved: list[dict[str, Any]]) -> None:
+        """Continue from `state_dict`."""
+        self.now = self.crowd([
+            humans.Walk(**{name: value.numpy().copy() for name, value in walk.items()}) for walk in saved
+        ])  # fmt: skip
+
+
+def together(each: Sequence[Array]) -> Array:
+    """Return values (N, P, ...) of those (N, ...) of each person; of one person without a copy."""
+    return each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
+
+
+def share_walked(room: Array, gap: Array) -> Array:
     """Return the share (n,) of a step that ends at OVERLAP_M, 1 if it is free.
 
     It begins at `room` (n,) m from the arm and would end at `gap` (n,) m from it.
@@ -32,24 +179,36 @@ def share_walked(room: NDArray[np.float64], gap: NDArray[np.float64]) -> NDArray
 
 
 def stop_at_contact(
-    scene: Scene, separation: Separation, now: Encounter, before: humans.Walk, walk: humans.Walk
-) -> tuple[humans.Walk, NDArray[np.float64]]:
-    """Return `walk` with those who would walk into the arms held at OVERLAP_M, who will leave.
+    scene: Scene, separation: Separation, now: Encounter, before: Crowd, walks: Sequence[humans.Walk]
+) -> Crowd:
+    """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M, who will leave.
 
-    Return their limbs (n, L, 7), too. `before` and `walk` are the n people before and after a control step, `now` the
-    arms beside the people before it.
+    `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Each
+    person is looked at alone.
     """
-    limbs = limbs_of(scene, walk)
-    person = separation.person.ends(limbs)
-    room, moved = now.apart.min(axis=0), farthest(person, now.person)
-    near = np.flatnonzero(room <= moved)
-    gap = gaps(separation.arm, now.pose.ends[..., near], separation.person, person[..., near]).min(axis=0)
+    found, begin = [], 0
+    for person, stood, walk in zip(separation.each, before.walks, walks, strict=True):
+        part = slice(begin, begin + len(person.radius))
+        found.append(_stopped(scene, separation, person, replace(now, person=now.person[:, part]), stood, walk))
+        begin = part.stop
+    limbs = [poses for _, poses in found]
+    return Crowd(tuple(walk for walk, _ in found), limbs[0] if len(limbs) == 1 else np.concatenate(limbs, axis=1))
+
+
+def _stopped(
+    scene: Scene, separation: Separation, person: PersonGeometry, now: Encounter, before: humans.Walk, walk: humans.Walk
+) -> tuple[humans.Walk, Array]:
+    """Return the walk and the limbs (n, 7, 7) of one `person`, whose capsules are those of `now`."""
+    arm, limbs = separation.arm, limbs_of(scene, walk)
+    ends, room = person.ends(limbs), now.apart.min(axis=0)  # somebody else may be nearer than this person
+    near = np.flatnonzero(room <= farthest(ends, now.person))
+    gap = gaps(arm, now.pose.ends[..., near], person, ends[..., near]).min(axis=0)
     touched, gap = near[gap <= 0.0], gap[gap <= 0.0]
     if not len(touched):
         return walk, limbs
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
-    share = share_walked(room[touched], gap)
+    share = share_walked(gaps(arm, now.pose.ends[..., touched], person, now.person[..., touched]).min(axis=0), gap)
     stops = np.flatnonzero(share < 1.0)
     at, stood = touched[stops], stood.rows(stops)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)

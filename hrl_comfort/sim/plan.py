@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import Any
 
@@ -12,15 +12,15 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
-from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, HumanConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
-from hrl_comfort.sim.controls import limbs_of, pack_controls
+from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
 from hrl_comfort.sim.objects import rendered_positions
-from hrl_comfort.sim.people import stop_at_contact
+from hrl_comfort.sim.people import Crowd, People
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Servos, Values
 from hrl_comfort.sim.variation.tracker import Tracker
@@ -71,8 +71,7 @@ class Plan:
         takes_back: bool,
     ) -> None:
         self._scene, self._separation, self._task, self._subtask = scene, separation, config.task, subtask
-        self._sampler, self._disturbance, self._rows, self.steps = sampler, disturbance, rows, steps
-        self._substeps, self.human = config.engine.substeps, config.human
+        self._sampler, self._rows, self.steps, self._substeps = sampler, rows, steps, config.engine.substeps
         self.action_dim = action_dim(scene, config.task)
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
@@ -80,13 +79,10 @@ class Plan:
         self.people_stop = config.task.terminate_on == "unsafe_contact"
         """Whether people stop where they touch an arm without a drive; beside one with a drive they always do."""
         self._servos = Servos(config.randomise, rows, len(scene.joints), self._substeps)
-        self.tracker = Tracker(config.randomise, rows)
+        self.people = People(scene, separation, config.human, disturbance, rows)
+        self.tracker = Tracker(config.randomise, rows, len(self.people.everyone))
         parts = (self._servos, self.tracker, self.drive)
         self._parts: list[Servos | Tracker | Drive] = [part for part in parts if part is not None]
-        self.walk = humans.begin(config.human, np.zeros((rows, 2)))
-        """People (N) as the decision begins."""
-        self.walks: list[humans.Walk] = []
-        """People (N) after each of the K control steps of the decision."""
         self._ends = np.zeros((3, len(separation.person.radius), 2, rows))
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
@@ -99,24 +95,21 @@ class Plan:
 
         Return what is known of their first instant, and the control (r, ncontrol) that holds arm and people there.
         """
-        fresh = humans.begin(self.human, draw.spawn[rows], draw.traits[rows])
-        self.walk = self.walk.put(rows, fresh)
+        fresh = self.people.begin(rows, draw.spawn[rows], draw.traits[rows])
         _, velocity, targets = np.split(draw.start[rows], 3, axis=1)
         still = np.zeros_like(targets) if self.drive is None else self.drive.rated(velocity)
-        steps, limbs = np.zeros((len(rows), 1), dtype=np.int64), limbs_of(self._scene, fresh)
+        steps, objects = np.zeros((len(rows), 1), dtype=np.int64), draw.objects(rows)
         self._servos.begin(rows, values, targets)
-        measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.position, limbs)
+        measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.places, fresh.limbs)
         self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
-        planned = self._planned(
-            fresh.position[:, None], fresh.yaw[:, None], measured[:, None], limbs[:, None], points, steps
-        )
-        return planned, self._controls(draw, targets[:, None], limbs, draw.objects(rows), draw.kinds[rows], rows)[:, 0]
+        planned = self._planned([fresh], measured[:, None], points, steps)
+        return planned, self._controls(draw, targets[:, None], fresh.limbs, objects, draw.kinds[rows], rows)[:, 0]
 
-    def accepted(self, rows: NDArray[np.int64], planned: Planned) -> None:
-        """Begin the drive of `rows` (r,), whose episodes began as `planned`."""
+    def accepted(self, rows: NDArray[np.int64], limbs: Array) -> None:
+        """Begin the drive of `rows` (r,), whose episodes begin beside people with `limbs` (r, L, 7)."""
         if self.drive is not None:
-            self.drive.begin(rows, planned.limbs[:, 0])
+            self.drive.begin(rows, limbs)
 
     def controls(self, state: State, draw: Draw, action: Array, joints: Joints) -> Iterator[Array]:
         """Yield the controls (N, T, ncontrol) of the next T physics steps of a decision; action (N, A) in [-1, 1].
@@ -133,51 +126,39 @@ class Plan:
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
         discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
-        around = humans.Surroundings(tool, discs, arm, draw.stations)
+        self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations))
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:
             part.begin_decision()
-        points, walks, limbs = [set_points(state)], [self.walk], [limbs_of(self._scene, self.walk)]
-        waiting: list[Array] = []
+        points, crowd, waiting = [set_points(state)], self.people.now, list[Array]()
         for k in range(self.steps):
             now = None
             if self.drive is None:
                 targets, point = self._ramp(joint_target, increment, k, times[:, k] + 1)
                 if self.people_stop:
-                    now = self._separation.encounter(point.angles, limbs[-1])
+                    now = self._separation.encounter(point.angles, crowd.limbs)
             else:
                 moving = joints()
-                now = self._separation.encounter(moving[:, : joint_target.shape[1]], limbs[-1])
+                now = self._separation.encounter(moving[:, : joint_target.shape[1]], crowd.limbs)
                 asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
                 begin, point = self.drive.step(points[-1], asked, moving, now, seen)
                 targets = point.ramp(begin, self._substeps)
-            walk = humans.advance(self.human, walks[-1], noise[:, k], around)
-            walk = self._disturbance.walked(walks[-1], walk, times[:, k])
-            if now is None:
-                poses = limbs_of(self._scene, walk)
-            else:
-                walk, poses = stop_at_contact(self._scene, self._separation, now, walks[-1], walk)
+            crowd = self.people.step(noise[:, k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
-                point = self.drive.beside(point, now, poses)
+                point = self.drive.beside(point, now, crowd.limbs)
             points.append(point)
-            walks.append(walk)
-            limbs.append(poses)
-            self.tracker.see(times[:, k] + 1, draw.frames, walk.position, poses)
-            waiting.append(self._controls(draw, self._servos.follow(targets), poses, objects, kinds))
+            self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
+            waiting.append(self._controls(draw, self._servos.follow(targets), crowd.limbs, objects, kinds))
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
-        self.walks = walks[1:]
-        place, yaw = (np.stack([getattr(walk, name) for walk in self.walks], axis=1) for name in ("position", "yaw"))
-        self.planned = self._planned(
-            place, yaw, self.tracker.seen(place), np.stack(limbs[1:], axis=1), points[1:], times + 1
-        )
+        self.planned = self._planned(self.people.course[1:], self.tracker.seen(), points[1:], times + 1)
 
     def end(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
-        self.walk = humans.Walk.chosen(self.walks, last)
+        self.people.end_decision(last)
         for part in self._parts:
             part.end_decision(last)
         ends = self._seen_ends()
@@ -186,64 +167,67 @@ class Plan:
     def _seen_ends(self) -> Array:
         """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
         shown = self.tracker.shown
-        return self._separation.person.ends(self.limbs if shown is None else shown)
+        return self._separation.person.ends(self.people.now.limbs if shown is None else shown)
 
     def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
         """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""
-        arm, person = self._separation.arm, self._separation.person
+        arm = self._separation.arm
         return {
             "arm_body": capsules(arm.pose(joints).ends, arm.radius),
-            "humans_body": capsules(self._ends[..., rows], person.radius),
-            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(person.radius), 6),
+            **self.people_bodies(rows),
         }
 
-    @property
-    def limbs(self) -> Array:
-        """(N, L, 7) poses of the people's limbs as the decision begins."""
-        return limbs_of(self._scene, self.walk)
+    def people_bodies(self, rows: Any = slice(None)) -> dict[str, Array]:
+        """Return the fields of State about the bodies of people in `rows`."""
+        radius = self._separation.person.radius
+        return {
+            "humans_body": capsules(self._ends[..., rows], radius),
+            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(radius), 6),
+        }
 
     def shown(self, places: Array) -> Array:
-        """Return where policies see people (..., 2) m who are measured at `places` (..., 2) m."""
-        return humans.seen_position(self.human, places.reshape(-1, 2), self._sampler.spawns).reshape(places.shape)
+        """Return where policies see people (..., P, 2) m who are measured at `places` (..., P, 2) m."""
+        seen = [
+            humans.seen_position(human, places[..., index, :].reshape(-1, 2), spawns).reshape(*places.shape[:-2], 2)
+            for index, (human, spawns) in enumerate(zip(self.people.everyone, self._sampler.spawns, strict=True))
+        ]
+        return seen[0][..., None, :] if len(seen) == 1 else np.stack(seen, axis=-2)
 
-    def people_fields(self, places: Array, yaw: Array, measured: Array) -> dict[str, NDArray[Any]]:
-        """Return the fields of State of people at `places` (..., 2) m, `yaw` (...) rad, `measured` at (..., 2) m."""
+    def people_fields(self, crowds: Sequence[Crowd], measured: Array | None) -> dict[str, NDArray[Any]]:
+        """Return the fields (N, K, ...) of State of the people of K instants.
+
+        They are `measured` at (N, K, P, 2) m, by default where they are.
+        """
+        places, yaw, velocity = (
+            np.stack([getattr(crowd, name) for crowd in crowds], axis=1) for name in ("places", "yaw", "velocity")
+        )
+        measured = places if measured is None else measured
         seen = self.shown(measured)
         whole = (seen == measured).all(axis=-1)
-        return {"human_pos": places, "human_yaw": yaw, "human_seen": seen, "human_shown": whole}
+        return {
+            "humans_pos": places, "humans_yaw": yaw, "humans_vel": velocity, "humans_seen": seen, "humans_shown": whole,
+        }  # fmt: skip
 
     def stand(self, walk: humans.Walk, draw: Draw, values: Values) -> dict[str, NDArray[Any]]:
-        """Begin the episodes of all rows with the people of `walk` (N) instead; return their fields of State."""
-        self.walk, rows = walk, np.arange(self._rows)
-        measured = self.tracker.begin(rows, values, draw.frames, walk.position, self.limbs)
-        if self.drive is not None:
-            self.drive.begin(rows, self.limbs)
-        return self.people_fields(walk.position, walk.yaw, measured)
-
-    def go_on_as(self, human: HumanConfig) -> None:
-        """Let people go on from where they are as `human` says; beside nobody they come in where they would begin."""
-        if self.human.motion == "none":
-            self.walk = humans.begin(human, self.walk.spawn)
-        elif human.motion != "none":
-            self.walk = replace(self.walk, spawn=self.walk.position.copy())
-        self.human = human
+        """Begin the episodes of all rows with the first person as `walk` (N); return the people's fields of State."""
+        crowd, rows = self.people.stand(walk), np.arange(self._rows)
+        measured = self.tracker.begin(rows, values, draw.frames, crowd.places, crowd.limbs)
+        self.accepted(rows, crowd.limbs)
+        self._ends, self._pace[:] = self._seen_ends(), 0.0
+        fields = self.people_fields([crowd], measured[:, None])
+        return {name: value[:, 0] for name, value in fields.items()} | self.people_bodies()
 
     def _planned(
-        self,
-        place: Array,
-        yaw: Array,
-        measured: Array,
-        limbs: Array,
-        points: Sequence[SetPoints],
-        steps: NDArray[np.int64],
+        self, crowds: Sequence[Crowd], measured: Array | None, points: Sequence[SetPoints], steps: NDArray[np.int64]
     ) -> Planned:
-        """Return what is known: people at `place` (N, K, 2) m, `yaw` (N, K) rad, with `limbs`, measured at (N, K, 2) m.
+        """Return what is known of the people of K instants, `measured` as of `people_fields`, and of the K set-points.
 
-        `points` are the K set-points (N), `steps` (N, K) the control steps of the episodes.
+        `steps` (N, K) are the control steps of the episodes.
         """
         moving = {name: np.stack([getattr(each, name) for each in points], axis=1) for name in vars(points[0])}
         named = {SET_POINTS.get(name, name): value for name, value in moving.items()}
-        return Planned({**named, **self.people_fields(place, yaw, measured), "steps": steps}, limbs)
+        limbs = np.stack([crowd.limbs for crowd in crowds], axis=1)
+        return Planned({**named, **self.people_fields(crowds, measured), "steps": steps}, limbs)
 
     def _ramp(self, before: Array, increment: Array, k: int, steps: NDArray[np.int64]) -> tuple[Array, SetPoints]:
         """Return the targets (N, substeps, J) rad of control step `k` of an arm without a drive, and its set-points.
@@ -270,13 +254,13 @@ class Plan:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
-        walk = {name: torch.from_numpy(value.copy()) for name, value in vars(self.walk).items()}
         seen = {"ends": torch.from_numpy(self._ends.copy()), "pace": torch.from_numpy(self._pace.copy())}
-        return {"walk": walk, "seen": seen, "parts": [part.state_dict() for part in self._parts]}
+        parts = [part.state_dict() for part in self._parts]
+        return {"people": self.people.state_dict(), "seen": seen, "parts": parts}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
-        self.walk = humans.Walk(**{name: value.numpy().copy() for name, value in saved["walk"].items()})
+        self.people.load_state_dict(saved["people"])
         self._ends, self._pace = (saved["seen"][name].numpy().copy() for name in ("ends", "pace"))
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)

@@ -58,8 +58,8 @@ class StepResult:
 
     @property
     def human_distance(self) -> Tensor:
-        """(N, K) m, horizontal, tool to the human's axis."""
-        return human_distance(self.instants.tcp_pos, self.instants.human_pos)
+        """(N, K) m, horizontal, tool to the axis of the nearest human."""
+        return human_distance(self.instants.tcp_pos, self.instants.humans_pos)
 
     @property
     def steps(self) -> list[State]:
@@ -122,7 +122,7 @@ def source_input(before: State, result: StepResult) -> SourceInput:
     return SourceInput(
         time_s=result.state.steps.numpy() * CONTROL_STEP_S,
         passed_s=taken.numpy() * CONTROL_STEP_S,
-        distance_m=human_distance(result.state.tcp_pos, result.state.human_pos).numpy(),
+        distance_m=human_distance(result.state.tcp_pos, result.state.humans_pos).numpy(),
         speed_m_s=(travelled / (taken * CONTROL_STEP_S)).numpy(),
         arm_distance_m=result.state.arm_distance.numpy(),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hrl_comfort.scene.camera import Camera, PicturesUnavailableError
 from hrl_comfort.scene.looks import dressed
 from hrl_comfort.scene.workcell import CONTROL_SPEC
-from hrl_comfort.sim.controls import limbs_of, pack_controls
+from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import rendered_positions
 
@@ -93,7 +93,7 @@ class View:
         control = pack_controls(
             engine.scene,
             episodes.state.joint_target.numpy()[at, None],
-            limbs_of(engine.scene, episodes.walk.rows(at)),
+            episodes.people.now.limbs[at],
             episodes.draw.layout(at),
             rendered_positions(episodes.state, episodes.subtask)[at],
             episodes.state.kinds.numpy()[at],

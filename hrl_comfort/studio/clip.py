@@ -5,43 +5,45 @@ from __future__ import annotations
 import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.humans import Walk, gait
+from hrl_comfort.humans import gait
 from hrl_comfort.plots.clip import Array, Clip
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.objects import rendered_positions
+from hrl_comfort.sim.people import Crowd
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, Subtask
 
 
-def decision_clip(
-    scene: Scene, task: Subtask, before: State, walk: Walk, result: StepResult, walks: list[Walk]
-) -> Clip:
+def decision_clip(scene: Scene, task: Subtask, before: State, result: StepResult, course: list[Crowd]) -> Clip:
     """Return the clip of a decision in one cell.
 
-    It goes from the state and walk before it to those after its last valid control step. `walks` are those after
-    each of its K control steps.
+    It goes from the state before it to that after its last valid control step. `course` are the people before it and
+    after each of its K control steps.
     """
     kept = np.flatnonzero(result.valid[0].numpy())
     steps = result.steps
     states = [before, *(steps[k] for k in kept)]
-    x_y = np.concatenate([state.human_pos.numpy() for state in states])
-    yaw = np.unwrap(np.concatenate([state.human_yaw.numpy() for state in states]))
-    walked = [walk, *(walks[k] for k in kept)]
-    gaits = [np.column_stack([*gait(each), each.limbs.reshape(len(each.limbs), -1)]) for each in walked]
+    people = np.stack([people_of(crowd) for crowd in (course[0], *(course[k + 1] for k in kept))])
+    people[..., 2] = np.unwrap(people[..., 2], axis=0)
     return Clip(
         time=np.arange(len(states), dtype=np.float64) * CONTROL_STEP_S,
         joints=np.concatenate([state.joint_pos.numpy() for state in states]),
-        person=np.column_stack([x_y, yaw, np.concatenate(gaits)]),
+        people=people,
         props=np.stack([props_of(scene, task, state) for state in states]),
         floor_z=scene.floor_z,
     )
 
 
-def still_clip(scene: Scene, task: Subtask, state: State, walk: Walk) -> Clip:
+def still_clip(scene: Scene, task: Subtask, state: State, crowd: Crowd) -> Clip:
     """Return the clip of one instant."""
-    person = np.column_stack([state.human_pos.numpy(), state.human_yaw.numpy(), *gait(walk), walk.limbs.reshape(1, -1)])
     props = props_of(scene, task, state)[None]
-    return Clip(np.zeros(1), state.joint_pos.numpy().copy(), person, props, scene.floor_z)
+    return Clip(np.zeros(1), state.joint_pos.numpy().copy(), people_of(crowd)[None], props, scene.floor_z)
+
+
+def people_of(crowd: Crowd) -> Array:
+    """Return the people (P, 23) of one cell as `Clip.people` has them."""
+    rows = [[*walk.position.T, walk.yaw, *gait(walk), *walk.limbs.reshape(1, -1).T] for walk in crowd.walks]
+    return np.array(rows)[..., 0]
 
 
 def props_of(scene: Scene, task: Subtask, state: State) -> Array:

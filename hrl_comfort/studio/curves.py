@@ -9,7 +9,7 @@ import viser
 import viser.uplot
 from numpy.typing import NDArray
 
-from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.comfort.terms import present
 from hrl_comfort.studio.play import Watcher
 from hrl_comfort.studio.session import Session, Step
 
@@ -91,7 +91,7 @@ class Curves(Watcher):
         result = step.result
         last = int(result.decision_steps) - 1
         tool = float(np.linalg.norm((result.state.tcp_pos - step.before.tcp_pos).numpy())) / step.clip.duration_s
-        there = bool(result.state.human_pos[0, 0] < FAR_AWAY_M / 2)
+        there = bool(present(result.state.humans_pos))
         distance = [float(result.human_distance[0, last]), float(result.state.arm_distance)]
         self._latest[cell] = {
             "distance": np.array(distance if there else [np.nan, np.nan]),

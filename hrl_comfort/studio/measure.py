@@ -95,7 +95,7 @@ class Seen(Watcher):
         """See `play.Watcher`; the policy has acted on the state by now."""
         if self.from_m is not None and self.at_s is None:
             self.decisions += 1
-            if np.abs(session.state.human_pos[0].numpy() - self.from_m).max() > MOVED_M:
+            if np.abs(session.state.humans_pos[0, 0].numpy() - self.from_m).max() > MOVED_M:
                 self.at_s = time.monotonic()
 
 
@@ -184,7 +184,7 @@ def latency(studio: LiveStudio) -> list[tuple[str, str, str]]:
     studio.play.watchers.insert(0, seen)  # the page is told afterwards
     for turn in range(PRESSES):
         time.sleep(rng.uniform(0.5, 1.0))
-        place = studio.sessions[0].state.human_pos[0].numpy().copy()
+        place = studio.sessions[0].state.humans_pos[0, 0].numpy().copy()
         seen.from_m, seen.at_s, seen.decisions = place, None, 0
         began = time.monotonic()
         while seen.at_s is None and time.monotonic() - began < PATIENCE_S:

@@ -10,14 +10,14 @@ from torch import Tensor
 
 from hrl_comfort import humans
 from hrl_comfort.comfort.sources import Floats, Source
-from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ComfortConfig, ConfigError, HumanConfig, StudioConfig
+from hrl_comfort.comfort.terms import human_distance, present
+from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
 from hrl_comfort.plots.clip import Array, Clip
 from hrl_comfort.policies.graph import inputs_of
-from hrl_comfort.safety.separation import Separation
+from hrl_comfort.safety.geometry import gaps
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
@@ -101,7 +101,7 @@ class Session:
         if env.comfort.source == "fixed":
             self.engine.episodes.take_levels(self.slider)
         self.keep_person = False
-        """A new episode begins with the person where they are."""
+        """A new episode begins with the first person where they are."""
         self.seconds, self.decisions, self.contacts, self.unsafe_contacts = 0.0, 0, 0, 0
         """Simulated time, decisions, contacts with the person and unsafe ones since the session began."""
         self.successes, self.failures = 0, 0
@@ -117,7 +117,7 @@ class Session:
 
     @property
     def walk(self) -> humans.Walk:
-        """The person's walk."""
+        """The walk of the first person, whom a hand may move."""
         return self.engine.episodes.walk
 
     @property
@@ -131,14 +131,14 @@ class Session:
         drive, state = self.engine.episodes.drive, self.state
         if drive is None:
             return 0.0
-        limbs = limbs_of(self.engine.scene, self.walk)
+        limbs = self.engine.episodes.people.now.limbs
         return float(drive.reach(state.joint_target.numpy(), state.target_vel.numpy(), limbs)[0])
 
     @property
     def distance_m(self) -> float | None:
-        """Horizontal distance from the tool to the person's axis, m; None without a person."""
-        there = float(self.state.human_pos[0, 0]) < FAR_AWAY_M / 2
-        return float(human_distance(self.state.tcp_pos, self.state.human_pos)) if there else None
+        """Horizontal distance from the tool to the nearest person's axis, m; None without a person."""
+        state = self.state
+        return float(human_distance(state.tcp_pos, state.humans_pos)) if bool(present(state.humans_pos)) else None
 
     @property
     def stage(self) -> str:
@@ -195,7 +195,9 @@ class Session:
         limbs = np.repeat(limbs_of(self.engine.scene, walk), len(OUT_M), axis=0)
         limbs[:, :, :2] += (OUT_M[:, None] * outward)[:, None]
         angles = np.repeat(self.state.joint_pos.numpy(), len(OUT_M), axis=0)
-        free = Separation(self.engine.scene).gap(angles, limbs) >= APART_M
+        separation = self.engine.episodes.separation
+        arm, person = separation.arm, separation.each[0]
+        free = gaps(arm, arm.pose(angles).ends, person, person.ends(limbs)).min(axis=0) >= APART_M
         return replace(walk, position=walk.position + OUT_M[free.argmax()] * outward)
 
     def step(self) -> Step:
@@ -206,7 +208,7 @@ class Session:
         """
         if self.over:
             self.reset()
-        episodes, before, walk = self.engine.episodes, self.state, self.walk
+        episodes, before = self.engine.episodes, self.state
         result = self.engine.step(self.action.numpy())
         options = self.executor.ended(result)
         runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
@@ -216,7 +218,7 @@ class Session:
         self.failures += int(self.over and not bool(result.success[0]))
         self.contacts += int(result.state.touching & ~before.touching)
         self.unsafe_contacts += int(result.state.unsafe_contact & ~before.unsafe_contact)
-        clip = decision_clip(self.engine.scene, episodes.subtask, before, walk, result, episodes.walks)
+        clip = decision_clip(self.engine.scene, episodes.subtask, before, result, episodes.people.course)
         self.seconds += clip.duration_s
         if not self.over:
             if runs:
@@ -227,7 +229,8 @@ class Session:
 
     def still(self) -> Clip:
         """Return the picture of the state in which the next decision is made."""
-        return still_clip(self.engine.scene, self.engine.episodes.subtask, self.state, self.walk)
+        episodes = self.engine.episodes
+        return still_clip(self.engine.scene, episodes.subtask, self.state, episodes.people.now)
 
     def force(self, name: str) -> None:
         """Start the option `name` now.
@@ -262,7 +265,7 @@ class Session:
         return self.engine.episodes.source is self.slider
 
     def set_motion(self, human: HumanConfig) -> None:
-        """Let the person go on from where they are as `human` says."""
+        """Let the first person go on from where they are as `human` says."""
         self.engine.episodes.go_on_as(human)
 
     def close(self) -> None:

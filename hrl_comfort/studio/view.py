@@ -115,10 +115,11 @@ class CellView:
         self._root = server.scene.add_frame(f"/{name}", show_axes=False, position=offset_m)
         self._handles: list[viser.TransformControlsHandle] = []
         self.person: list[viser.MeshHandle] = []
-        """Meshes of the person."""
+        """Meshes of the first person, whom a hand may move."""
+        people: list[viser.MeshHandle] = []
         self._shapes: dict[bool, list[viser.MeshHandle]] = {False: [], True: []}
         """The looks, and what collides in their place."""
-        limbs = {scene.model.body(limb).id for limb in LIMBS}
+        limbs = [scene.model.body(limb).id for limb in scene.limbs]
         self._frames = {
             body: server.scene.add_frame(f"/{name}/body_{body}", show_axes=False) for body in range(scene.model.nbody)
         }
@@ -140,6 +141,8 @@ class CellView:
                     if collision or body in collide:
                         self._shapes[collision].append(handle)
                     if body in limbs:
+                        people.append(handle)
+                    if body in limbs[: len(LIMBS)]:
                         self.person.append(handle)
         server.scene.add_grid(
             f"/{name}/grid", infinite_grid=True, fade_distance=12.0, cell_size=0.5, cell_color=GRID_RGB,
@@ -159,7 +162,7 @@ class CellView:
             f"/{name}/trail", np.zeros((0, 2, 3), dtype=np.float32), colors=TRAIL_RGB, line_width=2.5
         )
         self._label: viser.LabelHandle | None = None
-        self._colours = [handle.color for handle in self.person]
+        self._people = [(handle, handle.color) for handle in people]
         self._shown: dict[int, Array] = {}
 
     def show(self, frame: Frame) -> None:
@@ -250,8 +253,8 @@ class CellView:
                 handle.visible = collision == shown
 
     def flash(self, contact: bool) -> None:
-        """Paint the person red while a contact is shown."""
-        for handle, colour in zip(self.person, self._colours, strict=True):
+        """Paint people red while a contact is shown."""
+        for handle, colour in self._people:
             wanted = CONTACT_RGB if contact else colour
             if handle.color != wanted:
                 handle.color = wanted

@@ -50,14 +50,16 @@ class State:
     """(N, 3) m, tool centre point with every joint at home."""
     joint_home: Tensor
     """(N, J) rad."""
-    human_pos: Tensor
-    """(N, 2) m, the human's vertical axis. Without a human: far away (`config.FAR_AWAY_M`)."""
-    human_yaw: Tensor
-    """(N,) rad."""
-    human_seen: Tensor
-    """(N, 2) m, the human's position as the policy observes it (tracker, clipping, masking)."""
-    human_shown: Tensor
-    """(N,) bool, `human_seen` is where the human was measured, neither clipped nor masked."""
+    humans_pos: Tensor
+    """(N, P, 2) m, vertical axes of the people. Without a human: one far away (`config.FAR_AWAY_M`)."""
+    humans_yaw: Tensor
+    """(N, P) rad."""
+    humans_vel: Tensor
+    """(N, P, 2) m/s, with which their axes moved in the last control step."""
+    humans_seen: Tensor
+    """(N, P, 2) m, their positions as the policy observes them (tracker, clipping, masking)."""
+    humans_shown: Tensor
+    """(N, P) bool, `humans_seen` is where they were measured, neither clipped nor masked."""
     layout: Tensor
     """(N, F, 7) m and quaternion, poses of the cell's places (the middle of their tops), then of its obstacles."""
     tops: Tensor

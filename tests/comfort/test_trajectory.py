@@ -28,7 +28,7 @@ def episode(tool: Floats, human: tuple[float, float] = (FAR_M, 0.0)) -> Trajecto
     instants = len(tool)
     return Trajectory(
         tool=tool,
-        human=np.tile(np.asarray(human, dtype=np.float64), (instants, 1)),
+        people=np.tile(np.asarray(human, dtype=np.float64), (instants, 1, 1)),
         joint_target=np.zeros((instants, 6)),
         arm_distance=np.full(instants, FAR_M),
         human_here=True,
@@ -121,7 +121,7 @@ def test_a_jolt_of_one_step_counts_a_tenth_of_its_speed() -> None:
     found = metrics(replace(straight(), arm_distance=arm))
     assert found["time_to_contact_min_s"] == pytest.approx(0.5 / 0.1)
     jolted = straight()
-    jolted.human[25:, 0] += 0.02
+    jolted.people[25:, :, 0] += 0.02
     still = metrics(replace(straight(), arm_distance=np.full(51, 1.0)))["separation_margin_observed_min_m"]
     moved = metrics(replace(jolted, arm_distance=np.full(51, 1.0)))["separation_margin_observed_min_m"]
     assert still is not None and moved == pytest.approx(still - 0.1 * 0.2)
@@ -144,14 +144,14 @@ def test_separation_margin_takes_the_worst_and_the_observed_walker() -> None:
     # v_r = 0.5 m/s stops in 0.1 s over 0.025 m; the person walks at 1 m/s.
     walker = np.stack([FAR_M + 0.02 * np.arange(51), np.zeros(51)], axis=-1)
     arm = np.where(np.arange(51) == 20, 0.6, 2.0)
-    found = metrics(replace(straight(), human=walker, arm_distance=arm))
+    found = metrics(replace(straight(), people=walker[:, None], arm_distance=arm))
     robot = 0.5 * 0.1 + 0.025
     assert found["separation_margin_min_m"] == pytest.approx(0.6 - 1.6 * 0.2 - robot)
     assert found["separation_margin_observed_min_m"] == pytest.approx(0.6 - 1.0 * 0.2 - robot)
     assert found["separation_margin_negative"] == found["separation_margin_observed_negative"] == 0
     # S_p is 0.395 m beside a person at 1.6 m/s, 0.275 m beside this one.
     near = np.select([np.arange(51) % 5 == 0, np.arange(51) % 5 == 1], [0.2, 0.3], 2.0)
-    shares = metrics(replace(straight(), human=walker, arm_distance=near))
+    shares = metrics(replace(straight(), people=walker[:, None], arm_distance=near))
     assert shares["separation_margin_negative"] == pytest.approx(0.4)
     assert shares["separation_margin_observed_negative"] == pytest.approx(0.2)
     assert found["arm_distance_min_m"] == pytest.approx(0.6)
@@ -208,7 +208,7 @@ def test_without_motion_or_jerk_there_is_no_smoothness(tool: Floats) -> None:
 
 def test_without_a_human_the_metrics_of_the_human_are_none() -> None:
     instants = len(straight().tool)
-    alone = replace(straight(), human=np.full((instants, 2), FAR_AWAY_M), human_here=False)
+    alone = replace(straight(), people=np.full((instants, 1, 2), FAR_AWAY_M), human_here=False)
     found = metrics(alone)
     of_motion = ("tool_path_m", "waiting_share", "joint_increment_mean_deg", "joint_increment_max_deg")
     assert all(found[name] is not None for name in of_motion)

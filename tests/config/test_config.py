@@ -56,6 +56,8 @@ def test_every_choice_composes(root, group, name):
     if name == "servo" and group == "curriculum":
         assert (config.curriculum.kind, config.agent.policy_steps) == ("adaptive", 96000)
         assert [stage.name for stage in config.curriculum.stages] == ["model", "late"]
+    elif name == "pair":
+        assert config.human.motions == "worker+patrol"
     elif group in own:
         assert getattr(getattr(config, group), own[group]) == name
 

@@ -67,7 +67,7 @@ def test_a_registry_has_a_part_for_every_name_that_the_configuration_allows() ->
 
 
 def test_every_choice_of_a_group_of_parts_exists() -> None:
-    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture"}, "robot": ROBOTS}.items():
+    for group, registry in {"task": SUBTASKS, "human": {*MOTIONS, "mixture", "pair"}, "robot": ROBOTS}.items():
         assert set(choices(group)) == set(registry), group
 
 
@@ -93,9 +93,9 @@ def test_parts_of_another_package_make_an_environment(task: str, human: str, for
     np.testing.assert_allclose(distance_term(near, torch.ones(2), config.comfort), [0.3 + theta.item(), 0.0])
 
     engine = Engine(config, 2, seed=0)
-    before = engine.reset().human_pos.numpy().copy()
+    before = engine.reset().humans_pos[:, 0].numpy().copy()
     after = engine.step(np.zeros((2, 6))).state
-    np.testing.assert_allclose(after.human_pos.numpy() - before, [[0.0, 0.01 * 5]] * 2, atol=1e-9)
+    np.testing.assert_allclose(after.humans_pos[:, 0].numpy() - before, [[0.0, 0.01 * 5]] * 2, atol=1e-9)
     engine.close()
 
 

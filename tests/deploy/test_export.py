@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+import torch
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, ExportConfig
 from hrl_comfort.deploy.export import export
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.actor import load_policy
-from hrl_comfort.policies.graph import arguments, field_meanings
+from hrl_comfort.policies.graph import arguments, field_meanings, read_onnx
 from hrl_comfort.policies.load import observed_by
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
@@ -84,13 +85,30 @@ def test_episodes_are_the_same_one_by_one(folder: Path) -> None:
 def test_the_archive_beside_it_needs_torch_alone(folder: Path) -> None:
     code = (
         "import sys, torch; program = torch.export.load(sys.argv[1]).module();"
-        "rows = [torch.zeros(3, n) for n in (6, 6, 3, 6, 2, 3)]; print(tuple(program(*rows).shape));"
+        "rows = [torch.zeros(3, *n) for n in ((6,), (6,), (3,), (6,), (1, 2), (3,))];"
+        "print(tuple(program(*rows).shape));"
         "assert not any(name.startswith('hrl_comfort') for name in sys.modules)"
     )
     shown = subprocess.run(
         [sys.executable, "-c", code, folder / "pick.pt2"], capture_output=True, text=True, cwd=folder
     )
     assert shown.stdout.strip() == "(3, 6)", shown.stderr
+
+
+def test_an_export_beside_one_person_sees_the_nearest_of_several(folder: Path) -> None:
+    engine = Engine(evaluated("task=pick", "human=pair", f"policy={REFERENCE / 'pick'}"), 20, 0)
+    state, policy = engine.reset(), read_onnx(f"onnx:{folder / 'pick.onnx'}")
+    nearest = (state.humans_pos - state.tcp_pos[:, None, :2]).norm(dim=-1).argmin(dim=1)
+    assert set(nearest.tolist()) == {0, 1}
+    trained = load_policy(REFERENCE / "pick")
+    expected = trained(engine.episodes.subtask.observe(state)).double()
+    np.testing.assert_allclose(policy(state).numpy(), expected.numpy(), atol=1e-4)
+
+
+def test_inputs_of_earlier_exports_are_those_of_one_person(folder: Path) -> None:
+    state = Engine(evaluated("task=pick", f"policy={REFERENCE / 'pick'}"), 3, 0).reset()
+    seen, shown, yaw = arguments(state, ["human_seen", "human_shown", "human_yaw"])
+    assert torch.equal(seen, state.humans_seen[:, 0].float()) and yaw.shape == shown.shape == (3,)
 
 
 def test_a_policy_of_levels_says_so(tmp_path: Path) -> None:

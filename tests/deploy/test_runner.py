@@ -93,25 +93,33 @@ def test_a_person_who_could_reach_a_fast_arm_stops_it(tmp_path: Path) -> None:
         deploy(config(tmp_path / "out", "human=random_walk", "episodes=4"))
 
 
-def test_a_person_who_is_no_longer_seen_stops_the_arm(tmp_path: Path) -> None:
+def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+        return int(free.getsockname()[1])
+
+
+@pytest.mark.parametrize("people", [1, 2])
+def test_a_person_who_is_no_longer_seen_stops_the_arm(people: int, tmp_path: Path) -> None:
+    """Whoever it is: of two, the first is still seen."""
+    ports = [free_port() for _ in range(people)]
     over = threading.Event()
 
     def tell() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             while not over.is_set():
-                if under_way(tmp_path / "out"):
-                    return
-                sender.sendto(b"0.5 0.6 0", ("127.0.0.1", port))
+                for index, port in enumerate(ports):
+                    if index < people - 1 or not under_way(tmp_path / "out"):
+                        sender.sendto(b"0.5 0.6 0" if index == 0 else b"-0.9 0.6 0", ("127.0.0.1", port))
                 time.sleep(0.02)
 
+    first, *others = (f"udp://127.0.0.1:{port}" for port in ports)
+    more = [f"+human.others.second={{file: '{file}'}}" for file in others]
     thread = threading.Thread(target=tell, daemon=True)
     thread.start()
     try:
         with pytest.raises(StoppedError, match=r"stale person: position 0\.\d+ s old"):
-            deploy(config(tmp_path / "out", "human=live", f"human.file='udp://127.0.0.1:{port}'", "episodes=2"))
+            deploy(config(tmp_path / "out", "human=live", f"human.file='{first}'", *more, "episodes=2"))
     finally:
         over.set()
         thread.join()

@@ -58,7 +58,7 @@ def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:
         banks = [file[kind].astype(np.float64) for kind in ("orange", "pink")]
     state = Engine(placing(path, *walking), 16, 0).reset()
     for row, kind in enumerate(state.target_kind.tolist()):
-        here = torch.cat([state.joint_target[row], state.human_pos[row], state.level[row, None]]).numpy()
+        here = torch.cat([state.joint_target[row], state.humans_pos[row, 0], state.level[row, None]]).numpy()
         apart = np.abs(banks[kind][:, 12:] - here)
         assert (apart.max(axis=1) < 1e-6).any(), "all of one ending"
     assert len(set(state.level.tolist())) > 2

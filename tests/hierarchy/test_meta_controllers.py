@@ -38,11 +38,18 @@ def test_nearest_takes_the_nearest_object(asked: Decision) -> None:
 
 
 def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decision) -> None:
-    here = asked.state.with_(human_pos=asked.state.objects[:, 0, :2])
+    here = asked.state.with_(humans_pos=asked.state.objects[:, :1, :2])
     wait, patient = asked.mask.shape[1] + WAIT, asked.mask.clone()
     assert (cautious(replace(asked, state=here)) == wait).all()
     patient[:, WAIT] = False
     assert (cautious(replace(asked, state=here, mask=patient)) != wait).all()
+
+
+def test_cautious_waits_for_whoever_is_at_the_goal(asked: Decision) -> None:
+    goal = asked.state.objects[:, 0, :2]
+    for people in ([goal, goal + 9.0], [goal + 9.0, goal]):
+        here = asked.state.with_(humans_pos=torch.stack(people, dim=1))
+        assert (cautious(replace(asked, state=here)) == asked.mask.shape[1] + WAIT).all()
 
 
 def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
@@ -53,7 +60,7 @@ def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
     options = sorting_options(chosen.meta_controller, STILL, engine.scene, engine.episodes.config, 0)
     executor, waits = OptionExecutor(options, 500, engine.episodes), []
     for count in range(8):
-        beside = state.with_(human_pos=state.objects[:, 0, :2], steps=torch.full((2,), 25 * count))
+        beside = state.with_(humans_pos=state.objects[:, :1, :2], steps=torch.full((2,), 25 * count))
         engine.episodes.state = beside
         option = cautious(executor.decision(beside))
         executor.begin(everyone, option)
@@ -75,7 +82,7 @@ def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_m
         executor, choose = make_executor(compose("evaluate", words), None, engine, 0)
         asked = executor.decision(engine.episodes.state)
         if near:
-            asked = replace(asked, state=asked.state.with_(human_pos=asked.state.objects[:, 0, :2]))
+            asked = replace(asked, state=asked.state.with_(humans_pos=asked.state.objects[:, :1, :2]))
         found.append([executor.options[each].name for each in choose(asked).tolist()])
     plain, told = found
     assert told == [each if each in ("wait", "retreat") else f"{each}_as_6" for each in plain]

@@ -24,8 +24,8 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
 def test_proximity_is_nearness_to_the_tool_in_the_place_of_position_and_facing() -> None:
     engine = Engine(config("human=patrol"), 8, 0)
     state = engine.reset()
-    mirrored = 2 * state.tcp_pos[:, :2] - state.human_seen
-    there = state.with_(human_seen=mirrored, human_yaw=state.human_yaw + 1.0)
+    mirrored = 2 * state.tcp_pos[:, None, :2] - state.humans_seen
+    there = state.with_(humans_seen=mirrored, humans_yaw=state.humans_yaw + 1.0)
     first_object = observation_dim("proximity", 0)
     seen, other = (meta_observation(each, 10, "proximity")[:, :first_object] for each in (state, there))
     torch.testing.assert_close(seen, other)
@@ -45,5 +45,5 @@ def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped_o
     engine = Engine(config("human=patrol", *overrides), 8, 0)
     engine.reset()
     state = engine.step(np.zeros((8, 6))).state
-    facing = torch.stack([state.human_yaw.cos(), state.human_yaw.sin()], dim=-1).float() * shown
+    facing = torch.cat([state.humans_yaw.cos(), state.humans_yaw.sin()], dim=-1).float() * shown
     assert torch.equal(meta_observation(state, 10)[:, 2:4], facing)

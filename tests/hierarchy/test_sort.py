@@ -44,7 +44,7 @@ def test_objects_lie_on_their_place_and_never_overlap(objects: int) -> None:
 
 def test_more_objects_leave_the_rest_of_an_episode_as_it_is() -> None:
     few, many = (Engine(config(f"task.objects={n}"), 8, 0).reset() for n in (2, 4))
-    for name in ("human_pos", "joint_pos"):
+    for name in ("humans_pos", "joint_pos"):
         assert torch.equal(getattr(few, name), getattr(many, name))
     assert torch.equal(few.kinds[:, 0], many.kinds[:, 0])
 

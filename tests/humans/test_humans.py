@@ -27,8 +27,8 @@ HUMAN = HumanConfig(
     motion="random_walk", spawns_m=SPAWNS, held_out=[3, 5, 7, 10, 11, 14, 16, 17], spawn="points",
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
-    acceleration_m_s2=None, curiosity=0.5, mixture={}, partitioned=False, file=None, clipping="off", masked=False,
-    stations_m=None, stay_s=4.0,
+    acceleration_m_s2=None, curiosity=0.5, mixture={}, others={}, partitioned=False, file=None, clipping="off",
+    masked=False, stations_m=None, stay_s=4.0,
 )  # fmt: skip
 PAPER = ("still", "random_walk", "arc", "approach", "patrol")
 """Motions that jump: they stay within `bound_m` of the spawn and are cut at keep-out discs."""

@@ -219,7 +219,7 @@ def test_a_mixture_runs_in_the_engine_and_goes_on_bit_for_bit() -> None:
     engines[1].load_state_dict(engines[0].state_dict())
     for action in actions[6:]:
         results = [engine.step(action) for engine in engines]
-        assert (results[0].state.human_pos == results[1].state.human_pos).all()
+        assert (results[0].state.humans_pos == results[1].state.humans_pos).all()
     for engine in engines:
         engine.close()
 

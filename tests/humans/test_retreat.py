@@ -14,10 +14,10 @@ from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import body
 from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
-from hrl_comfort.safety.separation import Separation
+from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.people import stop_at_contact
+from hrl_comfort.sim.people import Crowd, stop_at_contact
 from tests.humans.around import around
 
 SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
@@ -67,17 +67,20 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     offset = points[0][..., :2] - walk.position[:, None]
     towards = offset[np.arange(len(near)), np.linalg.norm(offset, axis=-1).argmin(axis=1)]
     now = separation.encounter(angles, limbs_of(scene, walk))
+
+    def stopped(ahead: humans.Walk) -> tuple[humans.Walk, Encounter]:
+        crowd = stop_at_contact(scene, separation, now, Crowd((walk,), limbs_of(scene, walk)), [ahead])
+        return crowd.walks[0], separation.encounter(angles, crowd.limbs)
+
     for _ in range(50):
         pressing = replace(walk, position=walk.position + 0.01 * towards)
-        walk, limbs = stop_at_contact(scene, separation, now, walk, pressing)
-        now = separation.encounter(angles, limbs)
+        walk, now = stopped(pressing)
     touching = now.apart.min(axis=0) <= 0.0
     assert touching.sum() > 20
     noise, nowhere = np.full((len(near), humans.NOISE), 0.5), humans.around(np.zeros((0, 2)), 0.35, len(near))
     for _ in range(RETREAT_STEPS):
         ahead = humans.advance(env.human, walk, noise, around(np.zeros((len(near), 2)), nowhere, lambda: points))
-        walk, limbs = stop_at_contact(scene, separation, now, walk, ahead)
-        now = separation.encounter(angles, limbs)
+        walk, now = stopped(ahead)
     assert (now.apart.min(axis=0)[touching] > 0.0).all()
 
 

@@ -53,8 +53,8 @@ def test_sectors_cover_the_turn_and_do_not_overlap() -> None:
 def test_the_parts_share_no_sector_trait_start_or_seed() -> None:
     seen = {name: draws(name) for name in PARTS}
     for name, found in seen.items():
-        assert humans.in_sector(np.stack([draw.spawn for draw in found]), SHARES[name]).all()
-        traits = np.stack([draw.traits for draw in found])
+        assert humans.in_sector(np.concatenate([draw.spawn for draw in found]), SHARES[name]).all()
+        traits = np.concatenate([draw.traits for draw in found])
         low, high = SHARES[name]
         assert ((traits[:, 1:] >= low) & (traits[:, 1:] < high)).all()
         assert np.ptp(traits[:, 0]) > 0.9, "each part has every motion"
@@ -66,16 +66,16 @@ def test_the_parts_share_no_sector_trait_start_or_seed() -> None:
 
 
 def test_training_draws_from_the_part_of_train() -> None:
-    spawns = np.stack([draw.spawn for draw in draws(None)])
+    spawns = np.concatenate([draw.spawn for draw in draws(None)])
     assert humans.in_sector(spawns, SHARES["train"]).all()
 
 
 def test_without_partition_all_but_test_draw_everywhere() -> None:
     whole = ["human.partitioned=false"]
     for name in (None, "train", "validation", "paper"):
-        spawns = np.stack([draw.spawn for draw in draws(name, *whole)])
+        spawns = np.concatenate([draw.spawn for draw in draws(name, *whole)])
         assert all(humans.in_sector(spawns, SHARES[part]).any() for part in PARTS)
-    assert humans.in_sector(np.stack([draw.spawn for draw in draws("test", *whole)]), SHARES["test"]).all()
+    assert humans.in_sector(np.concatenate([draw.spawn for draw in draws("test", *whole)]), SHARES["test"]).all()
 
 
 def test_recordings_are_split_whole(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_weighing_ways_best_first_finds_a_cheapest_one(margin: float, pace: floa
     state, expert = engine.reset(), Expert(engine.scene, config, engine.episodes.subtask)
     for row in range(12):
         joints, goal = state.joint_pos[row].numpy(), tuple(state.target_place[row].numpy().round(6))
-        person = np.array([*state.human_pos[row], state.human_yaw[row], margin, pace])
+        person = np.array([*state.humans_pos[row, 0], state.humans_yaw[row, 0], margin, pace])
         chosen = expert._deliberate(joints, person, goal, 1500.0)
         ends, cost = exhaustive(expert, joints, person, goal, 1500.0)
         free = np.array([expert._cell.free(joints, end) for end in ends])

@@ -82,7 +82,7 @@ def test_without_a_level_field_acts_as_at_the_middle_of_the_range() -> None:
     state = engine.reset()
     field = PotentialField(engine.scene, config, engine.episodes.subtask)
     # Beside the tool, so that the radius tells.
-    state = state.with_(human_pos=state.tcp_pos[:, :2] + torch.tensor([-0.4, 0.3]))
+    state = state.with_(humans_pos=state.tcp_pos[:, None, :2] + torch.tensor([-0.4, 0.3]))
     assert state.level.isnan().all()
     levels = {
         level: field.act(state.with_(level=torch.full((4,), level, dtype=torch.float64))) for level in (1.0, 5.5, 10.0)

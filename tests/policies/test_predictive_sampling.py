@@ -76,11 +76,11 @@ def test_it_leaves_a_person_whom_it_touches() -> None:
     state = engine.reset()
     beside = state.tcp_pos[:, :2] + 0.1
     policy = PredictiveSampling(engine.scene, config, engine.episodes.subtask)
-    action = policy.act(state.with_(human_pos=beside))
+    action = policy.act(state.with_(humans_pos=beside[:, None]))
     gaps = []
     for moved in (torch.zeros_like(action), action):
         joints = state.joint_pos + moved * np.radians(config.task.max_step_deg) * config.task.action_repeat
-        limbs = limb_poses(*beside.T.numpy(), state.human_yaw.numpy(), 0.0, 0.0, engine.scene.floor_z)
+        limbs = limb_poses(*beside.T.numpy(), state.humans_yaw[:, 0].numpy(), 0.0, 0.0, engine.scene.floor_z)
         gaps.append(Separation(engine.scene).gap(joints.numpy(), limbs))
     assert (gaps[0] < 0).all()
     assert (gaps[1] > gaps[0]).all()

@@ -1,7 +1,8 @@
-"""Unsafe contacts under policies that persist: `python -m tests.safety.persistent CSV STEPS [POLICY …]`.
+"""Unsafe contacts under policies that persist: `python -m tests.safety.persistent CSV STEPS [people=2] [POLICY …]`.
 
 The table has a row a task, motion of people, bound and policy, each of STEPS control steps behind the shield; rows that
-are there are left alone, so that the command goes on where it was stopped.
+are there are left alone, so that the command goes on where it was stopped. With `people=2` the rows are those of two
+people in the cell.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-ROWS = 1024
+ROWS, STEPS_A_ROW = 1024, 200
+"""Most cells at once, and control steps (4 s) that each of them gets at least, as people come to the arm first."""
 TASKS, PEOPLE, BOUNDS = ("shift", "sort", "cycle"), ("mixture", "adversary"), ("observed", "worst")
+PAIRS = {"pair": ("human=pair",), "adversaries": ("human=adversary", "+human.others.second={}")}
+"""Two people, by the name that the table has for them."""
 WORLD = ("safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
 CELL = ["task", "human", "bound", "policy"]
 
@@ -122,7 +126,7 @@ def watched(engine: Engine, found: Count) -> list[Array]:
 
 def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, rows: int, *more: str) -> Count:
     """Run at least `steps` control steps and return what happened."""
-    said = [f"task={task}", f"human={human}", f"safety.bound={bound}", *WORLD, *more]
+    said = [f"task={task}", *PAIRS.get(human, (f"human={human}",)), f"safety.bound={bound}", *WORLD, *more]
     engine, found = Engine(environment(compose("train", said)), rows, seed), Count()
     errors, drive = watched(engine, found), engine.episodes.drive
     assert drive is not None
@@ -149,15 +153,15 @@ def run(task: str, human: str, bound: str, policy: str, steps: int, seed: int, r
     return found
 
 
-def main(path: Path, steps: int, policies: list[str]) -> None:
-    """Add the rows that the table has not got, of some policies."""
+def main(path: Path, steps: int, people: tuple[str, ...], policies: list[str]) -> None:
+    """Add the rows that the table has not got, of some people and policies."""
     columns = [*CELL, *(name for name in vars(Count()) if name != "unsafe")]
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
     there = {tuple(row[name] for name in CELL) for row in rows}
-    for cell in product(TASKS, PEOPLE, BOUNDS, policies):
+    for cell in product(TASKS, people, BOUNDS, policies):
         if cell in there:
             continue
-        found = run(*cell, steps, 0, ROWS)
+        found = run(*cell, steps, 0, min(ROWS, max(steps // STEPS_A_ROW, 1)))
         rows.append({**dict(zip(CELL, cell, strict=True)), **vars(found)})
         write_table(path, columns, ([row[name] for name in columns] for row in rows))
         print(*cell, found, flush=True)
@@ -165,4 +169,6 @@ def main(path: Path, steps: int, policies: list[str]) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:] or list(POLICIES))
+    given = [word for word in sys.argv[3:] if word != "people=2"]
+    chosen = tuple(PAIRS) if "people=2" in sys.argv else PEOPLE
+    main(Path(sys.argv[1]), int(sys.argv[2]), chosen, given or list(POLICIES))

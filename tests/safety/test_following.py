@@ -21,7 +21,7 @@ from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from tests.safety.persistent import POLICIES, run
+from tests.safety.persistent import PAIRS, POLICIES, run
 
 SHIELDED = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact")
 
@@ -32,6 +32,14 @@ def test_policies_that_persist_provoke_no_unsafe_contact(human: str, policy: str
     found = run("shift", human, "observed", policy, 5000, 0, 48)
     assert found.unsafe == [] and found.fastest_m_s < 0.25
     assert found.excess_rad <= 0.0 and found.contacts > 0
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("people", PAIRS)
+def test_neither_do_they_beside_two_people(people: str, policy: str) -> None:
+    found = run("shift", people, "observed", policy, 5000, 0, 32)
+    assert found.unsafe == [] and found.fastest_m_s < 0.25
+    assert found.excess_rad <= 0.0 and (found.contacts > 0 or people == "pair")
 
 
 @pytest.mark.parametrize(

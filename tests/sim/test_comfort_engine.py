@@ -92,7 +92,7 @@ def test_comfort_changes_nothing_else_of_an_episode() -> None:
     variants = [(), ("comfort=conditioned",), CHANGING] + [
         ("comfort=conditioned", "comfort.source=fixed", f"comfort.level={level}") for level in (1, 5, 10)
     ]
-    fields = ("human_pos", "human_yaw", "target_kind", "joint_pos", "tcp_pos", "steps")
+    fields = ("humans_pos", "humans_yaw", "target_kind", "joint_pos", "tcp_pos", "steps")
     first: list[list[Tensor]] = []
     for variant in variants:
         engine, told = begun(*variant, "task.max_episode_steps=40"), []
@@ -113,7 +113,7 @@ def test_a_time_limit_that_grows_where_speed_counts_changes_nothing_else_either(
     assert slow.episodes.draw.noise.shape[1] > plain.episodes.draw.noise.shape[1]
     for action in actions(6, 7):
         ours, theirs = plain.step(action), slow.step(action)
-        for name in ("human_pos", "target_kind", "tcp_pos"):
+        for name in ("humans_pos", "target_kind", "tcp_pos"):
             assert torch.equal(getattr(ours.state, name), getattr(theirs.state, name))
     for action in actions(6, 3, seed=1):
         plain.step(action)
@@ -180,7 +180,7 @@ def bounded(engine: Engine, outcome: StepResult, arm: bool = False) -> Tensor:
     """Return F_conf1 (N, K) of `form=target_distance` and `threshold=levels`, by hand."""
     config, ease = engine.episodes.config.comfort, (by_row(outcome, "level") - 1) / 9
     span = config.max_m - config.min_m
-    tool = (by_row(outcome, "tcp_pos")[..., :2] - by_row(outcome, "human_pos")).norm(dim=-1)
+    tool = (by_row(outcome, "tcp_pos")[..., :2] - by_row(outcome, "humans_pos")[..., 0, :]).norm(dim=-1)
     distance = by_row(outcome, "arm_distance") if arm else tool
     off = ((distance - (config.max_m - span * ease)).abs() / span).clamp(max=1)
     return -off.pow(config.power) - config.time_penalty * ease

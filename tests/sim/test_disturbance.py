@@ -47,14 +47,14 @@ def test_a_person_blocks_the_place_of_the_first_object_and_then_wanders() -> Non
     config = environment(compose("train", ["task=cycle", "human=random_walk"]))
     engine = Engine(config, 6, 0, disturbance="block")
     state = engine.reset()
-    apart = (state.human_pos - state.target_place[:, :2]).norm(dim=-1)
+    apart = (state.humans_pos[:, 0] - state.target_place[:, :2]).norm(dim=-1)
     torch.testing.assert_close(apart, torch.full_like(apart, config.human.keep_out_m), atol=1e-4, rtol=0)
     stand = torch.zeros_like(state.joint_pos).numpy()
-    here, left = state.human_pos, torch.zeros(6, dtype=torch.bool)
+    here, left = state.humans_pos[:, 0], torch.zeros(6, dtype=torch.bool)
     for _ in range(BLOCK_STEPS // 5 + 4):
         outcome = engine.step(stand)
         standing = outcome.state.steps <= BLOCK_STEPS
-        moved = (outcome.state.human_pos - here).norm(dim=-1) > 1e-9
+        moved = (outcome.state.humans_pos[:, 0] - here).norm(dim=-1) > 1e-9
         assert not (moved & standing).any()
         left |= moved
     assert left.all()

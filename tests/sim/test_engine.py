@@ -23,7 +23,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS, State
 
 TASKS = sorted(SUBTASKS)
-FIELDS = ("joint_pos", "joint_vel", "joint_target", "tcp_pos", "human_pos", "human_yaw", "human_seen")
+FIELDS = ("joint_pos", "joint_vel", "joint_target", "tcp_pos", "humans_pos", "humans_yaw", "humans_seen")
 
 
 def configured(*overrides: str) -> EnvConfig:
@@ -210,8 +210,8 @@ def test_a_touch_is_paid_once_though_the_episode_goes_on() -> None:
 def test_masked_human_is_hidden_from_the_policy_but_still_there() -> None:
     engine = Engine(configured("task=pick", "human.masked=true"), 8, 0)
     state = engine.reset()
-    assert (state.human_seen[:, 0] > 10).all()
-    assert (state.human_pos.norm(dim=-1) < 3).all()
+    assert (state.humans_seen[..., 0] > 10).all()
+    assert (state.humans_pos.norm(dim=-1) < 3).all()
 
 
 def test_evaluation_rows_take_spawn_and_motion_from_the_set_whatever_the_task() -> None:
@@ -220,8 +220,8 @@ def test_evaluation_rows_take_spawn_and_motion_from_the_set_whatever_the_task() 
     for task in ("pick", "return"):
         engine = Engine(configured(f"task={task}"), 6, 0, entries)
         state = engine.reset()
-        np.testing.assert_allclose(state.human_pos.numpy(), entries.position, atol=1e-5)
-        starts.append(engine.step(np.zeros((6, 6))).state.human_pos)
+        np.testing.assert_allclose(state.humans_pos[:, 0].numpy(), entries.position, atol=1e-5)
+        starts.append(engine.step(np.zeros((6, 6))).state.humans_pos)
     torch.testing.assert_close(starts[0], starts[1], rtol=0, atol=0)
 
 
@@ -229,18 +229,20 @@ def test_training_spawns_stay_clear_of_the_held_out_ones() -> None:
     config = configured("task=pick")
     engine = Engine(config, 256, 0)
     state = engine.reset()
-    held_out = torch.from_numpy(engine.episodes.sampler.spawns[list(config.human.held_out)])
-    assert torch.cdist(state.human_pos, held_out).min() >= config.human.spawn_margin_m
+    held_out = torch.from_numpy(engine.episodes.sampler.spawns[0][list(config.human.held_out)])
+    assert torch.cdist(state.humans_pos[:, 0], held_out).min() >= config.human.spawn_margin_m
 
 
 @pytest.mark.parametrize("task", ["pick", "place", "point_to_point", "cycle"])
 def test_human_never_within_35_cm_of_a_goal(task: str) -> None:
     engine = Engine(configured(f"task={task}", "human.jitter_m=0.05"), 16, 0)
     engine.reset()
-    centres = torch.from_numpy(engine.episodes.sampler.keep_out(engine.episodes.draw.points).centres)
+    centres = torch.from_numpy(
+        engine.episodes.sampler.keep_out(engine.episodes.draw.points, engine.episodes.draw.goals).centres
+    )
     for _ in range(30):
         outcome = engine.step(np.zeros((16, 6)))
-        gaps = (torch.stack([s.human_pos for s in outcome.steps], 1)[:, :, None] - centres[:, None]).norm(dim=-1)
+        gaps = (outcome.instants.humans_pos - centres[:, None]).norm(dim=-1)
         assert gaps.min() >= 0.35 - 1e-6
 
 

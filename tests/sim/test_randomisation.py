@@ -56,7 +56,7 @@ def test_an_episode_does_not_depend_on_its_batch() -> None:
     beside.reset()
     for action in actions(5, 3):
         one, many = alone.step(action[:1]).state, beside.step(action).state
-        assert torch.equal(one.joint_pos[0], many.joint_pos[0]) and torch.equal(one.human_seen[0], many.human_seen[0])
+        assert torch.equal(one.joint_pos[0], many.joint_pos[0]) and torch.equal(one.humans_seen[0], many.humans_seen[0])
 
 
 @pytest.mark.parametrize("world", [(), SHIELDED])
@@ -80,7 +80,7 @@ def test_a_loaded_engine_goes_on_bit_for_bit(world: tuple[str, ...]) -> None:
 def test_episodes_draw_different_cells_and_nothing_else_changes() -> None:
     plain, other = Engine(config(), 8, 0), Engine(config(ALL), 8, 0)
     first, second = plain.reset(), other.reset()
-    for name in ("joint_pos", "human_pos", "objects", "kinds"):
+    for name in ("joint_pos", "humans_pos", "objects", "kinds"):
         assert torch.equal(getattr(first, name), getattr(second, name))
     lags = other.episodes.values().of("servo_lag_s")
     assert len(set(lags.tolist())) == 8 and (lags >= 0).all() and (lags <= 0.2).all()
@@ -144,15 +144,15 @@ def test_the_tracker_holds_its_frames_and_loses_two_in_a_row_at_most() -> None:
     asked = config("randomise.person_rate_hz=[20,20]", "randomise.person_dropout=[0.9,0.9]").randomise
     rng = np.random.default_rng(0)
     world, _, frames = draws(asked, 6, rng)
-    tracker, place, limbs = Tracker(asked, 1), np.zeros((1, 2)), np.zeros((1, 7, 7))
+    tracker, place, limbs = Tracker(asked, 1), np.zeros((1, 1, 2)), np.zeros((1, 7, 7))
     tracker.begin(np.zeros(1, dtype=np.int64), Values(asked, world[None]), frames[None], place, limbs)
     tracker.begin_decision()
     ages = []
     for step in range(1, 500):
-        here = np.full((1, 2), float(step))
+        here = np.full((1, 1, 2), float(step))
         tracker.see(np.array([step]), frames[None], here, np.full((1, 7, 7), float(step)))
-        ages.append(step - tracker.seen(here)[0, -1, 0])
-        assert tracker.shown[0, 0, 0] == tracker.seen(here)[0, -1, 0]
+        ages.append(step - tracker.seen()[0, -1, 0, 0])
+        assert tracker.shown[0, 0, 0] == tracker.seen()[0, -1, 0, 0]
     assert 5 <= max(ages) <= (1 + MOST_LOST) / 20 / 0.02
     assert ages.count(0) > 50
 
@@ -163,7 +163,7 @@ def test_the_persons_position_is_noisy_up_to_three_deviations() -> None:
     error = []
     for action in actions(6, 32):
         state = engine.step(0.1 * action).state
-        error.append((state.human_seen - state.human_pos).numpy())
+        error.append((state.humans_seen - state.humans_pos).numpy())
     length = np.linalg.norm(error, axis=-1)
     assert 0.04 < np.std(error) < 0.06 and length.max() <= 0.15 + 1e-9 and len(np.unique(length)) > 150
 

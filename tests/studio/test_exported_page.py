@@ -132,7 +132,8 @@ def test_the_page_acts_as_python_does_in_states_of_real_episodes(tab: Any, optio
     engine.close()
     given = tab.evaluate(
         """([option, states]) => states.map((state) => {
-             const row = (value) => ({ shape: value.length ? [1, value.length] : [1], data: [value].flat() });
+             const shape = (value) => Array.isArray(value) ? [value.length, ...shape(value[0])] : [];
+             const row = (value) => ({ shape: [1, ...shape(value)], data: [value].flat(2) });
              const fields = Object.fromEntries(Object.entries(state).map(([name, value]) => [name, row(value)]));
              return Array.from(player.cell.options.find(({ name }) => name === option).act(fields).made);
            })""",
@@ -232,7 +233,7 @@ def test_a_person_dragged_to_the_arm_is_nearer_and_the_arm_responds(tab: Any) ->
 def test_the_person_is_in_the_next_observation(tab: Any) -> None:
     tab.evaluate("() => player.decide()")
     walk(tab, [-0.5, -0.5])
-    assert tab.evaluate("player.cell.fields(0, 5).human_seen.data") == place(tab)
+    assert tab.evaluate("player.cell.fields(0, 5).humans_seen.data") == place(tab)
     assert tab.evaluate("player.cell.decision") is None  # the next step asks the policy
 
 
@@ -318,6 +319,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     ("words", "message"),
     [
         (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
+        (["human=pair"], r"human.others=passer_by: a page of export= has human.others=\{\} alone"),
         (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
         (["task=shift"], r"task=shift: a page of export= shows one policy"),
         (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),

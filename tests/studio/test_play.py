@@ -45,7 +45,7 @@ def test_two_policies_meet_the_same_person_and_begin_together() -> None:
     while not ended or not all(session.over for session in sessions):
         one, two = (session.state for session in sessions)
         if int(one.steps) == int(two.steps):
-            assert np.allclose(one.human_pos, two.human_pos)
+            assert np.allclose(one.humans_pos, two.humans_pos)
         if sessions[0].over or sessions[1].over:
             ended.append(play.now_s)
         lasts = play.advance()

@@ -25,7 +25,7 @@ LIVE = motion_config("live")
 
 def watching(state):
     """Stand still, and note what each decision sees: level, and the person's x and y."""
-    SEEN.append(torch.cat([state.level[:, None], state.human_seen], dim=-1)[0])
+    SEEN.append(torch.cat([state.level[:, None], state.humans_seen[:, 0]], dim=-1)[0])
     return torch.zeros_like(state.joint_target)
 
 
@@ -61,6 +61,25 @@ def test_a_step_is_one_decision_whose_pictures_last_as_long(session: Session) ->
     assert np.allclose(first.joints, step.before.joint_pos[0]) and np.allclose(last.joints, session.state.joint_pos[0])
     middle = step.clip.frame(0.05)
     assert np.isfinite(middle.limbs).all() and np.isfinite(middle.props).all(axis=1).sum() == 1
+
+
+def test_the_hand_is_on_the_first_of_two_and_pictures_show_both() -> None:
+    session = Session(studio_config("human=pair", "policy=random"))
+    person = Person([session], LIVE, session.config.human)
+    clip = session.step().clip
+    assert clip.people.shape == (6, 2, 23) and clip.frame(0.05).limbs.shape == (14, 7)
+    assert np.allclose(clip.people[-1, :, :2], session.state.humans_pos[0])
+    second = session.engine.episodes.people.everyone[1]
+    start, beside = session.state.humans_pos[0].numpy().copy()
+    person.drag(-1.5, -1.5)
+    for _ in range(20):
+        session.step()
+    first, other = session.state.humans_pos[0].numpy()
+    assert np.linalg.norm(first - [-1.5, -1.5]) < np.linalg.norm(start - [-1.5, -1.5]) - 0.2
+    assert session.engine.episodes.people.everyone[1] is second and np.linalg.norm(other - beside) > 0.01
+    session.reset()
+    assert np.allclose(session.walk.position[0], first), "who is held stays"
+    session.close()
 
 
 def test_the_level_of_the_slider_is_what_the_next_decision_sees(session: Session) -> None:
@@ -125,12 +144,12 @@ def test_a_person_by_hand_is_hidden_from_the_policy_as_in_the_run(session: Sessi
 
     def nobody_is_seen() -> bool:
         session.step()
-        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.human_shown)
+        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.humans_shown)
 
     assert nobody_is_seen()
     person.press(frozenset("d"))
     person.update(0.1)
-    assert nobody_is_seen() and float(session.state.human_pos[0, 0]) < FAR_AWAY_M / 2
+    assert nobody_is_seen() and float(session.state.humans_pos[0, 0, 0]) < FAR_AWAY_M / 2
     person.speed_m_s = 0.5
     session.reset()
     assert nobody_is_seen()

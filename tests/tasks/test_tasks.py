@@ -59,7 +59,8 @@ def test_set_points_tell_a_late_arm_what_it_is_still_to_do() -> None:
 def test_nearness_tells_how_near_the_person_is_not_where() -> None:
     state = beginning("pick", 1)
     seen = subtask("pick", "proximity")
-    places = [state.with_(human_seen=state.tcp_pos[:, :2] + torch.tensor([xy])) for xy in ([0.3, 0.0], [0.0, -0.3])]
+    there = [state.tcp_pos[:, None, :2] + torch.tensor(xy) for xy in ([0.3, 0.0], [0.0, -0.3])]
+    places = [state.with_(humans_seen=each) for each in there]
     left, right = (seen.observe(place) for place in places)
     torch.testing.assert_close(left, right)
     torch.testing.assert_close(left[:, -1], torch.full((1,), 1 - 0.3 / 1.2).double())

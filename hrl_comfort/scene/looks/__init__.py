@@ -39,7 +39,8 @@ def parts(scene: Scene) -> Iterator[Part]:
     yield from arm_parts(scene.robot)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "robot/gripper") >= 0:
         yield from gripper_parts()
-    yield from person_parts()
+    for index in range(len(scene.limbs) // len(LIMBS)):
+        yield from person_parts(index)
 
 
 def dressed(scene: Scene) -> Scene:
@@ -60,7 +61,7 @@ def dressed(scene: Scene) -> Scene:
         )
         geom.contype = geom.conaffinity = 0
         geom.mass = 0.0
-        if part.body in LIMBS:
+        if part.body in scene.limbs:
             geom.material = "cloth"
     _light(spec)
     return replace(scene, model=spec.compile())

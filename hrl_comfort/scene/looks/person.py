@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from hrl_comfort.humans.body import FOREARM_M, HEIGHT_M, HIP_M, SHOULDER_M, UPPER_ARM_M
+from hrl_comfort.scene.human import LIMBS, limbs_of_person
 from hrl_comfort.scene.looks.shapes import Colour, Part, hull, loft
 
 SKIN: Colour = (0.80, 0.60, 0.48, 1.0)
 SHIRT: Colour = (0.22, 0.37, 0.56, 1.0)
+OTHER_SHIRTS: tuple[Colour, ...] = ((0.62, 0.34, 0.20, 1.0), (0.28, 0.47, 0.34, 1.0))
+"""Of the second and the third person."""
 TROUSERS: Colour = (0.20, 0.22, 0.27, 1.0)
 SHOES: Colour = (0.10, 0.10, 0.11, 1.0)
 HAIR: Colour = (0.20, 0.14, 0.10, 1.0)
@@ -19,8 +22,21 @@ HAIRLINE_RAD = 0.55
 """Angle of the hair's edge with the floor, down to the back."""
 
 
-def person_parts() -> Iterator[Part]:
-    """Yield the parts of the person; the shapes that collide are narrower across the shoulders and the hips."""
+def person_parts(index: int = 0) -> Iterator[Part]:
+    """Yield the parts of a person, counted from 0.
+
+    The shapes that collide are narrower across the shoulders and the hips.
+    """
+    if index == 0:
+        yield from _first_parts()
+        return
+    bodies = dict(zip(LIMBS, limbs_of_person(index), strict=True))
+    for part in _first_parts():
+        colour = OTHER_SHIRTS[index - 1] if part.colour == SHIRT else part.colour
+        yield replace(part, body=bodies[part.body], colour=colour)
+
+
+def _first_parts() -> Iterator[Part]:
     yield from _trunk()
     for side, mirrored in (("left", False), ("right", True)):
         for limb, parts in (("leg", _leg()), ("upper_arm", _upper_arm()), ("forearm", _forearm())):

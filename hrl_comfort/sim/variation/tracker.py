@@ -1,4 +1,4 @@
-"""The person as a tracker reports them: at a rate of its own, with noise, and with frames that are lost."""
+"""People as a tracker reports them: at a rate of its own, with noise, and with frames that are lost."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Array = NDArray[np.float64]
 
 
 class Tracker:
-    """The newest frame of the person of N cells, which holds until the next one."""
+    """The newest frame of the `people` of N cells, which holds until the next one."""
 
-    def __init__(self, config: RandomiseConfig, rows: int) -> None:
+    def __init__(self, config: RandomiseConfig, rows: int, people: int = 1) -> None:
         self.active = config.tracker
-        self._place, self._limbs = np.zeros((rows, 2)), np.zeros((rows, len(LIMBS), 7))
-        """m: the axis (N, 2) and the limbs (N, L, 7) of the person in that frame."""
+        self._place, self._limbs = np.zeros((rows, people, 2)), np.zeros((rows, people * len(LIMBS), 7))
+        """m: the axes (N, P, 2) and the limbs (N, L, 7) of the people in that frame."""
         self._missed = np.zeros(rows, dtype=np.int64)
         self._rate_hz, self._phase = np.ones(rows), np.zeros(rows)
         self._noise_m, self._dropout = np.zeros(rows), np.zeros(rows)
         self._decision: list[tuple[Array, Array, NDArray[np.int64]]] = []
 
     def begin(self, rows: NDArray[np.int64], values: Values, frames: Array, place: Array, limbs: Array) -> Array:
-        """Begin an episode in `rows` (r,) with a frame of people at `place` (r, 2) m, `limbs` (r, L, 7).
+        """Begin an episode in `rows` (r,) with a frame of people at `place` (r, P, 2) m, `limbs` (r, L, 7).
 
-        Return where they are seen (r, 2) m.
+        Return where they are seen (r, P, 2) m.
         """
         if not self.active:
             return place
@@ -51,7 +51,7 @@ class Tracker:
         self._decision = []
 
     def see(self, steps: NDArray[np.int64], frames: Array, place: Array, limbs: Array) -> None:
-        """Take the frames (N, FRAMES, 3) due at control step `steps` (N,): people at `place` (N, 2), `limbs` (N, L, 7).
+        """Take the frames (N, FRAMES, 3) due at control step `steps` (N,), of `place` (N, P, 2), `limbs` (N, L, 7).
 
         Two at most are lost in a row.
         """
@@ -64,15 +64,15 @@ class Tracker:
         lost = due & (frame[:, 0] < self._dropout) & (self._missed < MOST_LOST)
         taken = (due & ~lost)[:, None]
         seen, parts = _shifted(place, limbs, self._noise_m[:, None] * frame[:, 1:])
-        self._place = np.where(taken, seen, self._place)
+        self._place = np.where(taken[..., None], seen, self._place)
         self._limbs = np.where(taken[..., None], parts, self._limbs)
         self._missed = np.where(due, np.where(lost, self._missed + 1, 0), self._missed)
         self._decision.append((self._place, self._limbs, self._missed))
 
-    def seen(self, true: Array) -> Array:
-        """Return where people are seen (N, K, 2) m over a decision; `true` (N, K, 2) m without a tracker."""
+    def seen(self) -> Array | None:
+        """Return where people are seen (N, K, P, 2) m over a decision; None without a tracker."""
         if not self.active:
-            return true
+            return None
         return np.stack([place for place, *_ in self._decision], axis=1)
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
@@ -96,7 +96,7 @@ class Tracker:
 
 
 def _shifted(place: Array, limbs: Array, offset: Array) -> tuple[Array, Array]:
-    """Return `place` (n, 2) m and `limbs` (n, L, 7) moved by `offset` (n, 2) m."""
+    """Return `place` (n, P, 2) m and `limbs` (n, L, 7), all of a frame, moved by its `offset` (n, 2) m."""
     moved = limbs.copy()
     moved[..., :2] += offset[:, None]
-    return place + offset, moved
+    return place + offset[:, None], moved

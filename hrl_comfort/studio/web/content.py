@@ -40,8 +40,8 @@ ENTRANCE_M = [-0.9, -0.9]
 LOOK_UNIT_M = 1e-4
 """Unit of the vertices of the looks."""
 FIELDS = {
-    "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "human_pos", "human_yaw",
-    "human_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
+    "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "humans_pos", "humans_yaw",
+    "humans_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
     "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share",
 }  # fmt: skip
 """What the page has of a State."""
@@ -127,6 +127,7 @@ def refuse(config: StudioConfig) -> None:
     allowed: tuple[tuple[str, Any, Any], ...] = (
         ("task.action", config.task.action, "joint"),
         ("human.clipping", config.human.clipping, "off"),
+        ("human.others", ",".join(config.human.others) or "{}", "{}"),
         ("disturbance", config.disturbance, "none"),
         ("randomise", "given" if config.randomise.differs else "none", "none"),
         ("beside", config.beside, None),
@@ -174,9 +175,9 @@ def _episode(session: Session) -> dict[str, Any]:
     }
     while recorded * CONTROL_STEP_S < RECORDED_S:
         if session.over:  # the person goes on, beside an arm that stands
-            before, gone = session.state, session.walk
+            before = session.state
             result = engine.step(np.zeros((1, len(engine.scene.joints))))
-            clip = decision_clip(engine.scene, engine.episodes.subtask, before, gone, result, engine.episodes.walks)
+            clip = decision_clip(engine.scene, engine.episodes.subtask, before, result, engine.episodes.people.course)
         else:
             clip = session.step().clip
         parts.append(clip.person[1:])

@@ -48,8 +48,30 @@ def tool(state: State) -> Tensor:
 
 
 def human(state: State) -> Tensor:
-    """Return (N, 2): m, the human as seen, from the robot's base."""
-    return state.human_seen.clamp(-HORIZON_M, HORIZON_M)
+    """Return (N, 2): m, the human as seen nearest to the tool, from the robot's base."""
+    return seen_nearest(state, state.humans_seen).clamp(-HORIZON_M, HORIZON_M)
+
+
+def seen_nearest(state: State, values: Tensor) -> Tensor:
+    """Return (N, n) of `values` (N, P, n): those of the human who is seen nearest to the tool."""
+    if values.shape[1] == 1:
+        return values[:, 0]
+    return torch.take_along_dim(values, _nearest(state)[:, None, None], dim=1)[:, 0]
+
+
+def nearest_alone(state: State) -> State:
+    """Return the state with one human: the one who is seen nearest to the tool."""
+    if state.humans_seen.shape[1] == 1:
+        return state
+    count = state.humans_seen.shape[1]
+    index = torch.arange(len(state.humans_seen)), _nearest(state)
+    people = {name: value for name, value in state.fields().items() if name.startswith("humans_")}
+    return state.with_(**{name: value.unflatten(1, (count, -1))[index] for name, value in people.items()})
+
+
+def _nearest(state: State) -> Tensor:
+    """Return which human (N,) is seen nearest to the tool."""
+    return (state.humans_seen - state.tcp_pos[:, None, :2]).norm(dim=-1).argmin(dim=1)
 
 
 def human_from_tool(state: State) -> Tensor:
