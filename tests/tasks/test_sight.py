@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.composition.compose import compose_environment
+from hrl_comfort.policies.graph import inputs_of, state_of
 from hrl_comfort.safety.geometry import segment_distance
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State, Subtask
@@ -89,6 +90,21 @@ def test_distances_are_those_of_the_shields_geometry() -> None:
     others = [np.moveaxis(each, -1, 0) for each in (person[:, None, :, :3], person[:, None, :, 3:6])]
     apart = segment_distance(*ends, *others) - arm[:, :, None, 6] - person[:, None, :, 6]
     assert np.abs(apart.min(axis=-1) - gap.numpy()).max() < 1e-9
+
+
+def test_sight_is_exported_for_any_number_of_cells() -> None:
+    task, state = seen()
+    inputs = inputs_of(task.observe, state)
+
+    class Graph(torch.nn.Module):
+        def forward(self, *values: Tensor) -> Tensor:
+            return task.observe(state_of(inputs, values))
+
+    rows, (two, five) = torch.export.Dim("rows", min=1), (state.rows(torch.arange(count)) for count in (2, 5))
+    given = tuple(getattr(two, name) for name in inputs)
+    program = torch.export.export(Graph(), given, dynamic_shapes=(tuple({0: rows} for _ in given),))
+    made = program.module()(*(getattr(five, name) for name in inputs))
+    torch.testing.assert_close(made, task.observe(five), rtol=0, atol=1e-12)
 
 
 def test_the_nearest_surface_is_the_nearest_point_of_a_top() -> None:

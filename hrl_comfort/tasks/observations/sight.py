@@ -73,7 +73,7 @@ def surfaces(state: State) -> Tensor:
     )
     nearest = torch.stack([cos * u - sin * v, sin * u + cos * v, torch.zeros_like(u)], dim=-1) - away
     order = vector_norm(nearest, dim=-1).argsort(dim=1)[:, :SURFACES]
-    seen = torch.take_along_dim(turned(state, nearest), order[..., None], dim=1).clamp(-FARTHEST_M, FARTHEST_M)
+    seen = turned(state, nearest).gather(1, order[..., None].expand(-1, -1, 3)).clamp(-FARTHEST_M, FARTHEST_M)
     missing = SURFACES - seen.shape[1]
     if missing > 0:
         seen = torch.cat([seen, torch.full_like(seen[:, :1], FARTHEST_M).expand(-1, missing, -1)], dim=1)
@@ -127,10 +127,11 @@ def closest(bodies: Tensor, others: Tensor, moving: Tensor) -> tuple[Tensor, Ten
     vector = q + e * t[..., None] - p - d * s[..., None]
     gap = vector_norm(vector, dim=-1) - bodies[:, :, None, 6] - others[:, None, :, 6]
     nearest = gap.argmin(dim=-1, keepdim=True)
-    picked = torch.take_along_dim(vector, nearest[..., None], dim=2)[:, :, 0]
+    each = nearest[..., None].expand(-1, -1, -1, 3)
+    picked = vector.gather(2, each)[:, :, 0]
     ends = moving[:, None].expand(-1, bodies.shape[1], -1, -1)
     speeds = ends[..., :3] + (ends[..., 3:] - ends[..., :3]) * t[..., None]
-    speed = torch.take_along_dim(speeds, nearest[..., None], dim=2)[:, :, 0]
+    speed = speeds.gather(2, each)[:, :, 0]
     towards = -(speed * picked).sum(-1) / vector_norm(picked, dim=-1).clamp(min=1e-6)
     return gap.gather(2, nearest)[..., 0], picked, towards
 
