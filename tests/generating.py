@@ -119,7 +119,8 @@ SIZES = {
     "humans_pos": (1, 2), "humans_seen": (1, 2), "humans_vel": (1, 2), "humans_yaw": (1,), "grasp_tolerance": (),
     "place_tolerance": (), "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (),
     "human_beyond_bound": (), "arm_distance": (),
-    "level": (), "objects": (1, 3), "places": (3, 3), "kind_places": (2, 3),
+    "level": (), "objects": (1, 3), "layout": (3, 7), "tops": (3, 6),
+    "kind_places": (2, 3), "arm_body": (4, 7), "humans_body": (5, 7), "humans_body_vel": (5, 6),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
 FLAGS = ("braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")

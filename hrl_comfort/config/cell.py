@@ -154,10 +154,10 @@ class CellConfig:
     """Surfaces on which objects lie, by name."""
     objects: Annotated[dict[Name, ObjectConfig], Field(min_length=1)]
     """Kinds of objects, by name."""
-    obstacles: dict[Name, ObstacleConfig]
-    """What else the arm must not touch, by name."""
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
+    obstacles: dict[Name, ObstacleConfig] = field(default_factory=dict)
+    """What else the arm must not touch, by name."""
     stations_m: list[XY] | None = None
     """Where people work who live there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
     vary: VaryConfig = field(default_factory=VaryConfig)

@@ -100,6 +100,7 @@ class Expert:
         self._body = ArmSpheres(scene)
         self._library = self._seeds(scene.home)
         self._layouts: dict[bytes, _Known] = {}
+        self._here = _Known(scene.home)
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:

@@ -16,6 +16,7 @@ from hrl_comfort.comfort.sources import make_source
 from hrl_comfort.comfort.streams import Signal
 from hrl_comfort.config import ComfortConfig
 from tests.generating import COMFORT, TRAINED, inputs, tried
+from tests.humans.around import around
 
 CELLS = st.one_of(
     st.floats().map(str),
@@ -62,7 +63,7 @@ def stroll(file: Path) -> list[np.ndarray]:
     walk, places = humans.begin(config, np.zeros((2, 2))), []
     discs = humans.around(np.zeros((1, 2)), 0.1, 2)
     for _ in range(3):
-        walk = humans.advance(config, walk, np.full((2, humans.NOISE), 0.5), np.zeros((2, 2)), discs)
+        walk = humans.advance(config, walk, np.full((2, humans.NOISE), 0.5), around(np.zeros((2, 2)), discs))
         places += [walk.position, walk.yaw, walk.speed_m_s, walk.walked_m]
     return places
 

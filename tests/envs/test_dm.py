@@ -119,7 +119,7 @@ def test_a_viewer_can_read_and_reset_the_physics() -> None:
     env.step(np.zeros(6))
     with env.physics.reset_context():
         pass
-    assert env.physics.model.nmocap == 11
+    assert env.physics.model.nmocap == 14  # limbs, places, marks of points, an object of each kind
     assert env.reset().first()
 
 

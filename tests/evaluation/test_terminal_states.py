@@ -87,7 +87,7 @@ def test_no_training_begins_with_a_person_at_a_held_out_spawn_point(tmp_path: Pa
     starts[:, 18:20], starts[:, 20] = [[1.2, 0.9], unseen, unseen + 0.01], [1.0, 2.0, 3.0]
     np.savez(tmp_path / "starts.npz", orange=starts, pink=starts)
     kept = Engine(config, 2, 0).episodes.sampler
-    assert [bank[:, 20].tolist() for bank in kept._starts] == [[1.0], [1.0]]
+    assert [bank[:, 20].tolist() for bank in kept._recorded] == [[1.0], [1.0]]
     np.savez(tmp_path / "starts.npz", orange=starts[1:], pink=starts[1:])
     with pytest.raises(ConfigError, match=r"human\.spawn_margin_m=0\.1 of a held-out spawn point"):
         Engine(config, 2, 0)

@@ -33,6 +33,7 @@ from hrl_comfort.report.videos import videos
 from hrl_comfort.scene.camera import PicturesUnavailableError
 from hrl_comfort.scene.workcell import build_scene
 from tests.cells import SECTION
+from tests.humans.around import around
 
 CONFIG = f"""\
 robot: {{name: ur3e, home_deg: [0, -90, 0, 0, 90, 0], rating: paper}}
@@ -307,7 +308,7 @@ def test_the_gait_is_the_one_that_was_simulated():
     nobody = humans.around(np.zeros((0, 2)), 0.0, 1)
     walks = [walk]
     for _ in range(200):
-        walk = humans.advance(config, walk, rng.random((1, humans.NOISE)), np.zeros((1, 2)), nobody)
+        walk = humans.advance(config, walk, rng.random((1, humans.NOISE)), around(np.zeros((1, 2)), nobody))
         walks.append(walk)
     phase, swing = gait(*np.concatenate([each.position for each in walks]).T)
     simulated = [humans.gait(each) for each in walks]
