@@ -115,11 +115,13 @@ class Surroundings:
     arm: ArmSource
     stations: Array
     """(n, S, 2) m, where those who live there work."""
+    held: NDArray[np.int64]
+    """(n,) index in `cell.objects` of the kind of object that the robot holds, -1 if none."""
 
     def part(self, at: slice | NDArray[np.int64]) -> Surroundings:
         """Return the surroundings of the rows `at`."""
         discs = KeepOut(self.keep_out.centres[at], self.keep_out.radius_m)
-        return Surroundings(self.tcp[at], discs, lambda: _rows_of(self.arm(), at), self.stations[at])
+        return Surroundings(self.tcp[at], discs, lambda: _rows_of(self.arm(), at), self.stations[at], self.held[at])
 
 
 def _rows_of(arm: tuple[Array, Array], at: slice | NDArray[np.int64]) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import CellConfig, EnvConfig, HierarchyTrainConfig, HumanConfig
 from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.scene.furniture import PEDESTAL_M, THICKNESS_M
-from hrl_comfort.scene.robots import robot_named
+from hrl_comfort.scene.robots import robot_named, with_end_effector
 
 Array = NDArray[np.float64]
 ENDS = {
@@ -32,7 +32,7 @@ ANGLES, ROUNDS = 72, 4
 
 def layout_warnings(config: EnvConfig) -> Iterator[str]:
     """Yield what is likely wrong with the layout of a cell, a line each."""
-    shoulder, most = reach(config.robot.name)
+    shoulder, most = reach(config.robot.name, config.robot.end_effector)
     for key, point, near in _goals(config):
         away = float(np.linalg.norm(np.array(point) - shoulder))
         if away > most + near:
@@ -126,12 +126,13 @@ def _crowded(human: HumanConfig, cell: CellConfig) -> Iterator[str]:
 
 
 @lru_cache(maxsize=8)
-def reach(robot: str) -> tuple[NDArray[np.float64], float]:
+def reach(robot: str, end_effector: str | None = None) -> tuple[NDArray[np.float64], float]:
     """Return an arm's shoulder (3,) m, the anchor of its second joint, and the tool's largest distance from it, m.
 
     The distance is found by turning one joint after the other to the best of ANGLES angles within its limits.
     """
-    model = mujoco.MjModel.from_xml_string((root := robot_named(robot).build()).to_xml_string(), root.get_assets())
+    root = with_end_effector(robot_named(robot), end_effector).build()
+    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
     data = mujoco.MjData(model)
     shoulder, best = np.zeros(3), 0.0
     for _ in range(ROUNDS):

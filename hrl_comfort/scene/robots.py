@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 from dm_control import mjcf
@@ -10,7 +11,7 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import part
 from hrl_comfort.scene.franka import FRANKA
 from hrl_comfort.scene.jaco import JACO
-from hrl_comfort.scene.ur import UR_ARMS
+from hrl_comfort.scene.ur import UR_ARMS, EndEffector, TwoFingers, UrModel
 
 
 class Robot(Protocol):
@@ -42,6 +43,7 @@ class Robot(Protocol):
         """
 
 
+END_EFFECTORS: dict[str, EndEffector] = {each.name: each for each in (TwoFingers(),)}
 ROBOTS: dict[str, Robot] = {**UR_ARMS, JACO.name: JACO, FRANKA.name: FRANKA}
 
 
@@ -55,3 +57,23 @@ def robot_named(name: str) -> Robot:
     if not (hasattr(found, "build") and hasattr(found, "joints")):
         raise ConfigError(f"robot.name={name!r} is of type {type(found).__name__}; it must be a Robot, such as MjcfArm")
     return found
+
+
+def with_end_effector(arm: Robot, name: str | None) -> Robot:
+    """Return an arm with the end effector `name`: one of END_EFFECTORS, an entry point or `package.module:name`.
+
+    None is the arm's own: `rg2` of Universal Robots' arms, what the file holds of others.
+
+    Raises:
+      ConfigError: there is none, or the arm has one of its own.
+    """
+    if name is None:
+        return arm
+    found = part("robot.end_effector", name, END_EFFECTORS)
+    if not hasattr(found, "attach"):
+        raise ConfigError(f"robot.end_effector={name!r} is of type {type(found).__name__}; it must be an EndEffector")
+    if not isinstance(arm, UrModel):
+        raise ConfigError(
+            f"robot.end_effector={name}: robot.name={arm.name} has its own; leave it null, or choose a UR arm"
+        )
+    return replace(arm, end_effector=found)

@@ -6,7 +6,7 @@ The numbers are hardware facts with their sources; experiment choices are in `co
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 from dm_control import mjcf
@@ -29,6 +29,39 @@ PARALLEL = (1, 2)
 """Joints whose axis is parallel to the next one's."""
 FINGER_SPREAD_M = 0.042
 """Half the distance between the axes of the open fingers; an RG2 opens to 0.11 m."""
+
+
+class EndEffector(Protocol):
+    """What is at the flange of an arm."""
+
+    @property
+    def name(self) -> str:
+        """Value of `robot.end_effector`."""
+
+    def attach(self, flange: mjcf.Element) -> None:
+        """Add bodies to the last link, whose frame is the flange's with z outwards, and the site `tcp` at the tool.
+
+        Their capsules and spheres collide, and count for the shield; other shapes are for the eye alone.
+        """
+
+
+@dataclass(frozen=True)
+class TwoFingers:
+    """A gripper of the size of an OnRobot RG2, open fingers on both sides of the tool."""
+
+    name: str = "rg2"
+
+    def attach(self, flange: mjcf.Element) -> None:
+        """See `EndEffector`."""
+        gripper = flange.add("body", name="gripper", gravcomp=1)
+        radius = 0.030
+        inertia = _cylinder_inertia(GRIPPER_MASS_KG, radius, np.array([0.0, 0.0, 0.14]))
+        gripper.add("inertial", mass=GRIPPER_MASS_KG, pos=(0, 0, 0.07), diaginertia=inertia)
+        dark = (0.2, 0.2, 0.22, 1)
+        gripper.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, 0.09), size=[radius], rgba=dark)
+        for name, side in (("left_finger", FINGER_SPREAD_M), ("right_finger", -FINGER_SPREAD_M)):
+            gripper.add("geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark)
+        gripper.add("site", name="tcp", pos=(0, 0, TOOL_LENGTH_M), size=[0.005], group=4)
 
 
 NONE: Six = (0.0,) * 6
@@ -76,11 +109,12 @@ class UrModel:
     """That of the authors' scene."""
     deltas: Deltas = Deltas()
     """Of the arm's calibration."""
+    end_effector: EndEffector = TwoFingers()
 
     joints: ClassVar[tuple[str, ...]] = JOINTS
 
     def build(self) -> mjcf.RootElement:
-        """Return the arm with servos and gripper."""
+        """Return the arm with servos and end effector."""
         return build_robot(self)
 
 
@@ -188,7 +222,7 @@ def _about_z(angle: float) -> NDArray[np.float64]:
 
 
 def build_robot(model: UrModel) -> mjcf.RootElement:
-    """Return the arm with servos and gripper: bodies `base`, LINKS, `gripper`; sites `flange`, `tcp`.
+    """Return the arm with servos and end effector: bodies `base`, LINKS and those of it; sites `flange`, `tcp`.
 
     The body frame of a link is its DH frame, as for the published centres of mass; site `flange` has the pose
     of DH table and calibration. Actuators take joint angles in rad.
@@ -237,7 +271,7 @@ def build_robot(model: UrModel) -> mjcf.RootElement:
             housing = (0, 0, model.com_m[1][2], 0, 0, side)
             body.add("geom", name="elbow", fromto=housing, size=[model.elbow_radius_m])
     body.add("site", name="flange", size=[0.005], group=4)
-    _add_gripper(body)
+    model.end_effector.attach(body)
     # MuJoCo does not exclude neighbours of the base, which is welded to the world. The wrist capsules are wider
     # than the housings and touch where the hardware does not.
     for pair in ("base shoulder", "base upper_arm", "forearm wrist_2_link", "wrist_1_link wrist_3_link"):
@@ -273,16 +307,3 @@ def _cylinder_inertia(mass: float, radius: float, axis: NDArray[np.float64]) -> 
     length = np.linalg.norm(axis)
     across, along = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
     return np.where(np.abs(axis) > 0.5 * length, along, across)
-
-
-def _add_gripper(flange: mjcf.Element) -> None:
-    """Add a two-finger gripper to the flange, open fingers on both sides of site `tcp`."""
-    gripper = flange.add("body", name="gripper", gravcomp=1)
-    radius = 0.030
-    inertia = _cylinder_inertia(GRIPPER_MASS_KG, radius, np.array([0.0, 0.0, 0.14]))
-    gripper.add("inertial", mass=GRIPPER_MASS_KG, pos=(0, 0, 0.07), diaginertia=inertia)
-    dark = (0.2, 0.2, 0.22, 1)
-    gripper.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, 0.09), size=[radius], rgba=dark)
-    for name, side in (("left_finger", FINGER_SPREAD_M), ("right_finger", -FINGER_SPREAD_M)):
-        gripper.add("geom", name=name, fromto=(side, 0, 0.10, side, 0, TOOL_LENGTH_M), size=[0.007], rgba=dark)
-    gripper.add("site", name="tcp", pos=(0, 0, TOOL_LENGTH_M), size=[0.005], group=4)

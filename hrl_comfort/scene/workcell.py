@@ -25,7 +25,7 @@ from hrl_comfort.scene.furniture import (
     object_names,
 )
 from hrl_comfort.scene.human import build_human, limb_poses, limbs_of_person
-from hrl_comfort.scene.robots import Robot, robot_named
+from hrl_comfort.scene.robots import Robot, robot_named, with_end_effector
 from hrl_comfort.scene.ur import UrModel
 
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
@@ -97,7 +97,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
       ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints, or
         `robot.calibration` does not fit the robot.
     """
-    arm = robot_named(robot.name)
+    arm = with_end_effector(robot_named(robot.name), robot.end_effector)
     if robot.calibration is not None:
         arm = calibrated(arm, robot.name, robot.calibration)
     home = arm.home_deg if robot.home_deg is None else robot.home_deg

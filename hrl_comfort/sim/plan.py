@@ -24,7 +24,7 @@ from hrl_comfort.sim.people import Crowd, People
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Servos, Values
 from hrl_comfort.sim.variation.tracker import Tracker
-from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks import ObjectAt, State, Subtask
 
 Array = NDArray[np.float64]
 Joints = Callable[[], Array]
@@ -126,7 +126,9 @@ class Plan:
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
         discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
-        self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations))
+        holds = self._subtask.object_at(ObjectAt.TOOL, state.stage).numpy()
+        held = np.where(holds, state.target_kind.numpy(), -1)
+        self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations, held))
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         for part in self._parts:

@@ -17,4 +17,5 @@ def around(
     point = np.concatenate([tcp, np.zeros((len(tcp), 1))], axis=1)[:, None]
     given = np.array(STATIONS if stations is None else stations)
     still = lambda: (point, np.zeros_like(point))  # noqa: E731
-    return humans.Surroundings(tcp, keep_out, arm or still, np.broadcast_to(given, (len(tcp), *given.shape)))
+    stations, nothing = np.broadcast_to(given, (len(tcp), *given.shape)), np.full(len(tcp), -1)
+    return humans.Surroundings(tcp, keep_out, arm or still, stations, nothing)

@@ -45,7 +45,7 @@ def test_steps_and_turns(rows: int) -> None:
     for scale in (0.0, 0.5, 3.0):
         walk, discs = people(rng, rows)
         wanted = rng.normal(0, scale, (rows, 2))
-        for around in (None, Surroundings(wanted, discs, no_arm, discs.centres)):
+        for around in (None, Surroundings(wanted, discs, no_arm, discs.centres, np.full(rows, -1))):
             same(*(steering.step(walk, each, config, around) for each in (wanted, wanted.view(Numpy))))
         for heading in (rng.uniform(-20, 20, rows), walk.yaw, walk.yaw + np.pi):
             same(*(steering.turn(walk, each) for each in (heading, heading.view(Numpy))))

@@ -67,7 +67,7 @@ class Layouts:
 
     def __init__(self, scene: Scene, config: EnvConfig) -> None:
         self._scene, self._cell, self._precision = scene, config.cell, config.task.precision
-        self._shoulder, self._reach = reach(config.robot.name)
+        self._shoulder, self._reach = reach(config.robot.name, config.robot.end_effector)
         self._solver = Postures(scene.xml, scene.home)
         self._known: dict[tuple[str, int], Layout] = {}
 
