@@ -40,12 +40,12 @@ class RobotConfig:
     (estimated from the stopping times in UR's manuals), the fastest point up to 1.5 m/s. `collaborative`: half that
     acceleration, the fastest point up to 1 m/s. `full` and `collaborative` exist for UR arms alone. `paper`: no limit
     but `task.max_step_deg`."""
-    end_effector: str | None = None
-    """What is at the flange of a Universal Robots arm: `rg2`, one that an installed package offers as an entry point,
-    or `package.module:name`; null: `rg2`. Other arms have that of their file."""
     calibration: str | None = None
     """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
     model."""
+    end_effector: str | None = None
+    """What is at the flange of a Universal Robots arm: `rg2`, one that an installed package offers as an entry point,
+    or `package.module:name`; null: `rg2`. Other arms have that of their file."""
 
 
 def half_height(shape: str, size_m: list[float]) -> float:
