@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import hashlib
 import os
 import random
 import re
@@ -126,12 +127,18 @@ class Adversary:
 
 
 def snapshot(may_change: re.Pattern[str]) -> dict[str, object]:
-    """Return kind and content of every file in the working directory that must not change."""
+    """Return kind and digest of every file in the working directory that must not change.
+
+    Content that is kept would count for the memory of the process that is forked next.
+    """
     found: dict[str, object] = {}
     for path in Path().rglob("*"):
         if not may_change.match(str(path)) and (path.is_symlink() or not path.is_dir()):
             about = path.lstat()
-            content = path.read_bytes() if stat.S_ISREG(about.st_mode) else path.is_symlink() and os.readlink(path)
+            content: object = path.is_symlink() and os.readlink(path)
+            if stat.S_ISREG(about.st_mode):
+                with path.open("rb") as file:
+                    content = hashlib.file_digest(file, "sha256").hexdigest()
             found[str(path)] = (about.st_mode, about.st_rdev, content)
     return found
 

@@ -23,6 +23,8 @@ SURFACES = 3
 """Number of surfaces that are seen, the nearest to the tool."""
 FARTHEST_M = 1.0
 """Largest coordinate of a surface that is seen."""
+AWAY_M = 100.0
+"""Largest coordinate, m, and speed, m/s, that is reckoned with; nobody is farther away."""
 
 
 def turned(state: State, vectors: Tensor) -> Tensor:
@@ -89,13 +91,15 @@ def people(stages: tuple[Stage, ...]) -> StateFunction:
     where = by_stage(stages, lambda stage: stage.goal)
 
     def term(state: State) -> Tensor:
-        there, hand = where(state), state.tcp_pos
+        there, hand = (point.clamp(-AWAY_M, AWAY_M) for point in (where(state), state.tcp_pos))
         points = torch.stack([torch.cat([hand, hand], dim=-1), torch.cat([there, there], dim=-1)], dim=1)
         way = torch.cat([hand, there], dim=-1)[:, None]
         bare = torch.cat([points, way], dim=1)
         bare = torch.cat([bare, torch.zeros_like(bare[..., :1])], dim=-1)
-        arm = state.arm_body
-        gap, vector, speed = closest(torch.cat([bare, arm], dim=1), state.humans_body, state.humans_body_vel)
+        arm, people, moving = (
+            each.clamp(-AWAY_M, AWAY_M) for each in (state.arm_body, state.humans_body, state.humans_body_vel)
+        )
+        gap, vector, speed = closest(torch.cat([bare, arm], dim=1), people, moving)
         of_arm = gap[:, 3:].min(dim=1)
         apart = torch.stack([gap[:, 0], of_arm.values, gap[:, 2], gap[:, 1]], dim=1)
         closing = torch.stack([speed[:, 0], speed[:, 3:].gather(1, of_arm.indices[:, None])[:, 0], speed[:, 1]], dim=1)
