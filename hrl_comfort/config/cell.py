@@ -44,7 +44,7 @@ class RobotConfig:
     """The file calibration.conf from the controller of a Universal Robots arm; null takes the nominal arm of the
     model."""
     end_effector: str | None = None
-    """What is at the flange of a Universal Robots arm: `rg2`, one that an installed package offers as an entry point,
+    """End effector of a Universal Robots arm: `rg2`, one that an installed package offers as an entry point,
     or `package.module:name`; null: `rg2`. Other arms have that of their file."""
 
 
@@ -64,7 +64,7 @@ class PlaceConfig:
     yaw_deg: Coordinate = 0.0
     """Turn of the surface about the vertical, degrees."""
     slots_m: Annotated[list[XY], Field(min_length=1)] = field(default_factory=lambda: [[0.0, 0.0]])
-    """Where objects lie if there are several: (x, y) from the middle, in the surface's frame, m. One object alone lies
+    """Positions of several objects: (x, y) from the middle, in the surface's frame, m. One object alone lies
     in the middle."""
     legs: Annotated[int, choice_of(0, 1, 4)] = 1
     """Legs down to the floor: one in the middle, four at the corners, or none for a place that something else
@@ -160,11 +160,11 @@ class CellConfig:
     base_height_m: Annotated[float, within(0.0, 2.0)]
     """Height of the robot's base above the floor, m."""
     obstacles: dict[Name, ObstacleConfig] = field(default_factory=dict)
-    """What else the arm must not touch, by name."""
+    """Further solids that the arm must not touch, by name."""
     stations_m: list[XY] | None = None
-    """Where people work who live there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
+    """Stations of people who work there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
     vary: VaryConfig = field(default_factory=VaryConfig)
-    """How the layout differs from one episode to another."""
+    """Differences of the layout from one episode to another."""
 
     def __post_init__(self) -> None:
         for section in ("objects", "obstacles"):

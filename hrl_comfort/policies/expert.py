@@ -64,7 +64,7 @@ NEGLIGIBLE = 2e-3
 
 
 class _Known:
-    """What the expert knows of a layout whose home posture is `home` (6,) rad."""
+    """Knowledge of the expert about a layout whose home posture is `home` (6,) rad."""
 
     def __init__(self, home: Array) -> None:
         self.home = home

@@ -38,14 +38,14 @@ def furniture(cell: CellConfig) -> tuple[str, ...]:
 
 def layout(cell: CellConfig) -> NDArray[np.float64]:
     """Return the poses (F, 7) of `furniture`: m and quaternion, of a place the middle of its top."""
-    poses = [(*each.top_m, *_turn(each.yaw_deg)) for each in cell.places.values()]
-    poses += [(*each.position_m, *_turn(each.yaw_deg)) for each in cell.obstacles.values()]
+    poses = [(*each.top_m, *turn(math.radians(each.yaw_deg))) for each in cell.places.values()]
+    poses += [(*each.position_m, *turn(math.radians(each.yaw_deg))) for each in cell.obstacles.values()]
     return np.array(poses, dtype=np.float64)
 
 
-def _turn(yaw_deg: float) -> tuple[float, float, float, float]:
-    half = math.radians(yaw_deg) / 2
-    return math.cos(half), 0.0, 0.0, math.sin(half)
+def turn(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion, w first, of a turn about the vertical by `yaw` rad."""
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
 
 
 def object_names(cell: CellConfig, objects: int) -> list[str]:

@@ -32,7 +32,7 @@ FINGER_SPREAD_M = 0.042
 
 
 class EndEffector(Protocol):
-    """What is at the flange of an arm."""
+    """A part at the flange of an arm."""
 
     @property
     def name(self) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, VaryConfig
 from hrl_comfort.config.cell import DIGITS
+from hrl_comfort.scene.furniture import turn
 from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.workcell import Scene, tool_at
 from hrl_comfort.sim.variation.postures import Postures
@@ -121,7 +122,7 @@ class Layouts:
         places[:, :2], places[:, 2] = ground[:count], height
         obstacles[:, :2] = np.where(there[:, None], ground[count:], [FAR_AWAY_M, 0.0])
         for pose, place in zip(places, self._cell.places.values(), strict=True):
-            pose[3:] = turn(np.arctan2(pose[1], pose[0]) + np.radians(place.yaw_deg))
+            pose[3:] = turn(float(np.arctan2(pose[1], pose[0]) + np.radians(place.yaw_deg)))
         found = self._layout(number, places, obstacles, home)
         ends = [*found.arrives, *found.belongs]
         if max(np.linalg.norm(end - self._shoulder) for end in ends) > REACHED * self._reach:
@@ -164,7 +165,7 @@ class Layouts:
             return np.array([[*pose[:2], round(pose[2] + up, DIGITS)] for pose, up in tops])
 
         stations = np.array(cell.stations_m) if cell.stations_m is not None else behind(places[:, :2])
-        if self.varies and number == number:
+        if self.varies and np.isfinite(number):
             stations = behind(places[:, :2])
         ends = centres("arrives_at"), centres("belongs_at")
         surfaces, tcp_home = tops(cell, places, obstacles), tool_at(self._scene, home)
@@ -207,8 +208,3 @@ def behind(places: Array) -> Array:
     """Return the stations (M, 2) m behind `places` (M, 2) m, as seen from the robot."""
     distance = np.linalg.norm(places, axis=1, keepdims=True)
     return np.asarray(places * (1 + BEHIND_M / np.maximum(distance, 1e-6)))
-
-
-def turn(yaw: float) -> tuple[float, float, float, float]:
-    """Return the quaternion of a turn about the vertical by `yaw` rad."""
-    return float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from hrl_comfort.tasks.observations.standard import SERVO_SPEED, goal_offset, joint_error, stage_in_force
+from hrl_comfort.tasks.observations.standard import goal_offset, joint_error, joint_velocity, stage_in_force
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, StateFunction, by_stage
 
@@ -37,11 +37,6 @@ def turned(state: State, vectors: Tensor) -> Tensor:
 def joints(state: State) -> Tensor:
     """Return (N, 2 (J - 1)): sine and cosine of all joints but the first."""
     return torch.cat([state.joint_pos[:, 1:].sin(), state.joint_pos[:, 1:].cos()], dim=-1)
-
-
-def joint_velocity(state: State) -> Tensor:
-    """Return (N, J): joint velocity over the servo's speed."""
-    return state.joint_vel / SERVO_SPEED
 
 
 def tool(state: State) -> Tensor:
