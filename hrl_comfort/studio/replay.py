@@ -59,7 +59,7 @@ class ReplayStudio:
         self._status = Text(gui, "readout")
         self._run = gui.add_button("Pause")
         ask, set_speed = self.loop.ask, self.loop.set_speed
-        self._time = add_slider(gui, "time (s)", (0.0, 1.0), 0.02, 0.0, lambda at: ask(lambda: self._scrub(at)))
+        self.time_line = add_slider(gui, "time (s)", (0.0, 1.0), 0.02, 0.0, lambda at: ask(lambda: self.scrub(at)))
         add_slider(gui, "speed (×)", (0.1, 4.0), 0.1, config.speed, lambda at: ask(lambda: set_speed(at)))
         chosen = gui.add_dropdown("episode", tuple(self._titles), initial_value=next(iter(self._titles)))
         self._run.on_click(lambda _: self.loop.ask(self._toggle))
@@ -79,7 +79,7 @@ class ReplayStudio:
     def play(self, recording: Recording) -> None:
         """Play an episode from its beginning."""
         self.recording = recording
-        self._time.max = max(0.02, round(recording.duration_s, 2))
+        self.time_line.max = max(0.02, round(recording.duration_s, 2))
         for trail in self._trails:
             trail.remove()
         self._trails = []
@@ -131,8 +131,11 @@ class ReplayStudio:
         self.loop.set_running(not self.loop.running)
         self._refresh()
 
-    def _scrub(self, time_s: float) -> None:
-        self.loop.set_running(False)
+    def scrub(self, time_s: float) -> None:
+        """Pause at a time of the episode, s."""
+        if self.loop.running:
+            self.loop.set_running(False)
+            self.time_line.value = time_s  # which the play may have moved after the viewer did
         self.seek(time_s)
 
     def _refresh(self) -> None:
@@ -146,4 +149,4 @@ class ReplayStudio:
         self._status.show(columns([(name, [value]) for name, value in rows.items()], 1))
         self._run.label = "Pause" if self.loop.running else "Run"
         if self.loop.running:  # else the slider leads
-            self._time.value = round(self.position_s, 2)
+            self.time_line.value = round(self.position_s, 2)

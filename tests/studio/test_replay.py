@@ -65,6 +65,19 @@ def test_a_folder_without_paths_is_refused(name: str, tmp_path: Path) -> None:
         tape(tmp_path / name)
 
 
+def test_a_pause_by_the_time_line_holds_against_the_play(evaluation: Path) -> None:
+    config = compose("studio", [f"replay={evaluation}", "port=0"])
+    assert isinstance(config, StudioConfig)
+    studio = ReplayStudio(config)  # its loop does not run: this test says in which order things happen
+    try:
+        end_s = studio.recording.duration_s
+        studio.seek(0.0)  # the play wraps around between the viewer's move and its request
+        studio.scrub(end_s)
+        assert (studio.loop.running, studio.position_s, studio.time_line.value) == (False, end_s, end_s)
+    finally:
+        studio.page.stop()
+
+
 def test_the_time_line_scrubs(browser: Any, evaluation: Path) -> None:
     config = compose("studio", [f"replay={evaluation}", "port=0", "frames_per_s=10"])
     assert isinstance(config, StudioConfig)
