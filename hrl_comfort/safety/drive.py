@@ -8,18 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
+from hrl_comfort.safety import drive_kernels
 from hrl_comfort.safety.allowances import check_allowances, largest_lateness
 from hrl_comfort.safety.geometry import ArmPose, gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
-from hrl_comfort.safety.shield import Motion, Shield
+from hrl_comfort.safety.shield import Memory, Motion, Shield
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
+NO_SHIELD = drive_kernels.Limits(np.zeros(0), *[0.0] * 9)
 TRANSIENT_RAD = 0.05
 """Following error that the rated accelerations may add to what the servos' lateness makes of the rated speeds."""
 
@@ -91,6 +94,12 @@ class Drive:
         self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
         """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
         self._takes_back = takes_back
+        self._constants = drive_kernels.Arm(
+            self.arm.compiled, self.arm.link, self.arm.radius, self.arm.lever, self._rating.speed_rad_s,
+            self._rating.acceleration_rad_s2, float(self._rating.tool_speed_m_s),
+            *contiguous(self._low, self._high, self.following_rad), float(self._late_s), takes_back,
+            separation.person.radius,
+        )  # fmt: skip
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
@@ -130,6 +139,8 @@ class Drive:
         velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
         instead, if given.
         """
+        if plain(joints, now.apart):
+            return self._stepped(before, asked, joints, now, now if limbs is None else self._seen(now, limbs))
         measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
         error = before.angles - measured
         held = (np.abs(error) / self.following_rad).max(axis=1) > 1.0
@@ -158,6 +169,22 @@ class Drive:
         angles = np.clip(begin + wanted * CONTROL_STEP_S, self._low, self._high)
         share_sum, beyond = before.share_sum + share, before.human_beyond_bound
         return begin, SetPoints(angles, wanted, share, share_sum, braking, stops, beyond)
+
+    def _stepped(
+        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, seen: Encounter
+    ) -> tuple[Array, SetPoints]:
+        """Return what `step` does, by its kernel; `seen` are the arms beside the people whom the shield sees."""
+        shield, points, pose = self.shield, before, now.pose
+        memory = Memory(now.person, np.zeros((len(self.arm.radius), 1, 1))) if shield is None else shield.memory
+        begin, angles, velocity, share, share_sum, braking, stops, trail = drive_kernels.drive(
+            *contiguous(points.angles, points.velocity, points.share_sum, points.braking, points.protective_stops),
+            *contiguous(asked, joints, pose.axis, pose.anchor, pose.ends, now.person, now.apart),
+            shield is not None, *contiguous(seen.person, seen.apart, memory.seen, memory.trail),
+            self._constants, NO_SHIELD if shield is None else shield.limits,
+        )  # fmt: skip
+        if shield is not None:
+            shield.remember(seen.person, trail)
+        return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
 
     def beside(self, points: SetPoints, now: Encounter, limbs: Array) -> SetPoints:
         """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
