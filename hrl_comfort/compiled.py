@@ -41,6 +41,6 @@ def plain(*arrays: Any) -> bool:
     return all([type(array) is np.ndarray and array.dtype == FLOAT for array in arrays])  # noqa: C419, faster
 
 
-def contiguous(*arrays: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def contiguous(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
     """Return `arrays` in C order, for which alone kernels are compiled; without a copy where they are."""
     return [array if array.flags.c_contiguous else np.ascontiguousarray(array) for array in arrays]

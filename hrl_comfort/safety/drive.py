@@ -22,7 +22,6 @@ from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
-NO_SHIELD = drive_kernels.Limits(np.zeros(0), *[0.0] * 9)
 TRANSIENT_RAD = 0.05
 """Following error that the rated accelerations may add to what the servos' lateness makes of the rated speeds."""
 
@@ -94,15 +93,18 @@ class Drive:
         self.error_rad = self.following_rad + self._rating.speed_rad_s * CONTROL_STEP_S
         """(J,) rad, the same at any time: within a control step it grows by the joint's rated way at most."""
         self._takes_back = takes_back
-        self._constants = drive_kernels.Arm(
-            self.arm.compiled, self.arm.link, self.arm.radius, self.arm.lever, self._rating.speed_rad_s,
-            self._rating.acceleration_rad_s2, float(self._rating.tool_speed_m_s),
-            *contiguous(self._low, self._high, self.following_rad), float(self._late_s), takes_back,
-            separation.person.radius,
-        )  # fmt: skip
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
+        limits = (0.0,) * 9 if self.shield is None else self.shield.limits
+        self._constants = [
+            *self.arm.compiled, self.arm.radius, self.arm.lever, separation.person.radius,
+            np.stack([
+                self._rating.speed_rad_s, self._rating.acceleration_rad_s2, self._low, self._high, self.following_rad
+            ]),
+            np.array([self._rating.tool_speed_m_s, self._late_s, takes_back, self.shield is not None, *limits]),
+        ]  # fmt: skip
+        """The fields of `drive_kernels.Arm` and `Limits`, as the kernel takes them."""
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
@@ -174,14 +176,13 @@ class Drive:
         self, before: SetPoints, asked: Array, joints: Array, now: Encounter, seen: Encounter
     ) -> tuple[Array, SetPoints]:
         """Return what `step` does, by its kernel; `seen` are the arms beside the people whom the shield sees."""
-        shield, points, pose = self.shield, before, now.pose
+        shield, pose = self.shield, now.pose
         memory = Memory(now.person, np.zeros((len(self.arm.radius), 1, 1))) if shield is None else shield.memory
-        begin, angles, velocity, share, share_sum, braking, stops, trail = drive_kernels.drive(
-            *contiguous(points.angles, points.velocity, points.share_sum, points.braking, points.protective_stops),
-            *contiguous(asked, joints, pose.axis, pose.anchor, pose.ends, now.person, now.apart),
-            shield is not None, *contiguous(seen.person, seen.apart, memory.seen, memory.trail),
-            self._constants, NO_SHIELD if shield is None else shield.limits,
+        given = contiguous(
+            before.angles, before.velocity, before.share_sum, before.braking, before.protective_stops, asked, joints,
+            pose.axis, pose.anchor, pose.ends, now.person, now.apart, seen.person, seen.apart, *vars(memory).values(),
         )  # fmt: skip
+        begin, angles, velocity, share, share_sum, braking, stops, trail = drive_kernels.drive(*given, *self._constants)
         if shield is not None:
             shield.remember(seen.person, trail)
         return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
@@ -190,7 +191,7 @@ class Drive:
         """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
         if self.shield is None:
             return points
-        beyond = self.shield.beyond_bound(now, self._separation.person.ends(limbs))
+        beyond = self.shield.beyond_bound(now, limbs)
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:

@@ -19,31 +19,20 @@ from hrl_comfort.scene.servos import SERVO_LAG_S
 Array = NDArray[np.float64]
 
 
-class Arm(NamedTuple):
-    """What is constant of an arm: see `ArmGeometry`, `Rating` and `Drive`."""
-
-    geometry: Geometry
-    link: NDArray[np.int64]
-    radius: Array
-    lever: Array
-    speed_rad_s: Array
-    acceleration_rad_s2: Array
-    tool_speed_m_s: float
-    low: Array
-    high: Array
-    following_rad: Array
-    late_s: float
-    takes_back: bool
-    person_radius: Array
+SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
+"""Shares that are tried where all is not safe; nothing else than the brake is share 0."""
 
 
 class Limits(NamedTuple):
-    """What is constant of a shield: see `Shield` and `SafetyConfig`.
+    """What else is constant of a drive and its shield: see `Drive`, `Shield` and `SafetyConfig`.
 
-    `human_acceleration` is infinite where the bound does not depend on the measured speed.
+    `human_acceleration` is infinite where the bound does not depend on the measured speed; truths are 0 and 1.
     """
 
-    shares: Array
+    tool_speed: float
+    late_s: float
+    takes_back: float
+    shielded: float
     settled_s: float
     behind_s: float
     trailing: float
@@ -56,49 +45,46 @@ class Limits(NamedTuple):
 
 
 @kernel
-def bend(velocity: Array, lever: Array, bound: Array) -> None:
-    """See `ArmGeometry.bending`: of one arm's `velocity` (J,), into `bound` (C,)."""
-    total = 0.0
-    bound[:] = 0.0
-    for j in range(len(velocity)):
-        rate = abs(velocity[j])
-        swept = rate * (rate + 2 * total)
+def bend(velocity: Array, m: int, lever: Array, part: int) -> float:
+    """See `ArmGeometry.bending`: of one capsule, with its `lever` (C, J), in row `m`."""
+    total, found = 0.0, 0.0
+    for j in range(velocity.shape[1]):
+        rate = abs(velocity[m, j])
+        found += lever[part, j] * (rate * (rate + 2 * total))
         total += rate
-        for part in range(len(bound)):
-            bound[part] += lever[part, j] * swept
+    return found
 
 
 @kernel
-def stopping_time(velocity: Array, acceleration: Array) -> float:
-    """See `Rating.stopping_time`."""
+def stopping_time(velocity: Array, m: int, acceleration: Array) -> float:
+    """See `Rating.stopping_time`: of row `m`."""
     slowest = 0.0
-    for j in range(len(velocity)):
-        slowest = max(abs(velocity[j]) / acceleration[j], slowest)
+    for j in range(velocity.shape[1]):
+        slowest = max(abs(velocity[m, j]) / acceleration[j], slowest)
     return slowest
 
 
 @kernel
-def limit(asked: Array, low: Array, high: Array, angles: Array, acceleration: Array) -> None:
-    """See `Rating.within`; change `asked` (J,)."""
+def kept_within(asked: Array, m: int, low: Array, high: Array, angles: Array, acceleration: Array) -> float:
+    """See `Rating.within`: return the share of `asked` (N, J) rad/s that row `m` may keep."""
     least = 1.0
-    for j in range(len(asked)):
-        rate, half = abs(asked[j]), acceleration[j] * CONTROL_STEP_S / 2
-        room = high[j] - angles[j] if asked[j] > 0 else angles[j] - low[j]
+    for j in range(asked.shape[1]):
+        rate, half = abs(asked[m, j]), acceleration[j] * CONTROL_STEP_S / 2
+        room = high[j] - angles[m, j] if asked[m, j] > 0 else angles[m, j] - low[j]
         fastest = np.sqrt(max(half * half + 2 * acceleration[j] * room, 0.0)) - half
         if rate > fastest:
             least = min(max(fastest / max(rate, ROUNDING), 0.0), least)
-    for j in range(len(asked)):
-        asked[j] *= least
+    return least
 
 
 @kernel
-def keeps(low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array) -> bool:
-    """See `Rating.keeps`."""
-    steps = max(stopping_time(velocity, acceleration) / CONTROL_STEP_S, ROUNDING)
+def keeps(low: Array, high: Array, angles: Array, velocity: Array, m: int, acceleration: Array) -> bool:
+    """See `Rating.keeps`: of row `m`."""
+    steps = max(stopping_time(velocity, m, acceleration) / CONTROL_STEP_S, ROUNDING)
     whole = np.floor(steps)
     time = CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps))
-    for j in range(len(velocity)):
-        end = angles[j] + velocity[j] * time
+    for j in range(velocity.shape[1]):
+        end = angles[m, j] + velocity[m, j] * time
         if not low[j] - ROUNDING < end < high[j] + ROUNDING:
             return False
     return True
@@ -117,96 +103,119 @@ def bound(time_s: float, pace: float, limits: Limits) -> float:
 
 
 @kernel
-def safe(
-    velocity: Array, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float, arm: Arm,
-    limits: Limits, bending: Array,
-) -> bool:  # fmt: skip
-    """See `Shield._safe`: of row `m`, whose capsules move at `share` of the way from `slow` to `fast` (C, N) m/s."""
-    braking = stopping_time(velocity, arm.acceleration_rad_s2)
-    bend(velocity, arm.lever, bending)
-    for part in range(len(bending)):
+def unsafe(
+    velocity: Array, row: int, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float,
+    lever: Array, acceleration: Array, limits: Limits, first: int,
+) -> int:  # fmt: skip
+    """Return a capsule for which `Shield._safe` does not hold, -1 if all are safe; look at the `first` before others.
+
+    The arm of cell `m` runs the `row` of `velocity`; its capsules move at `share` of the way from `slow` to `fast`
+    (C, N) m/s.
+    """
+    braking, parts = stopping_time(velocity, row, acceleration), len(slow)
+    for index in range(parts):
+        part = first + index if first + index < parts else first + index - parts
         speed = slow[part, m] + share * (fast[part, m] - slow[part, m]) if share < 1.0 else fast[part, m]
-        fastest = speed + bending[part] * (CONTROL_STEP_S + braking / 2)
+        fastest = speed + bend(velocity, row, lever, part) * (CONTROL_STEP_S + braking / 2)
         left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
         until = CONTROL_STEP_S + braking * (1 - left) + limits.settled_s if left < 1.0 else 0.0
         travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
         until = max(until, limits.settled_s if moving[part, m] > limits.safe_speed else 0.0)
         if until != 0.0 and not room[part, m] > travel + bound(until, pace, limits) + limits.margin_m:
-            return False
-    return True
+            return part
+    return -1
 
 
 @kernel
-def presses(begin: Array, wanted: Array, person: Array, m: int, arm: Arm) -> bool:
+def presses(
+    begin: Array, wanted: Array, m: int, person: Array, geometry: Geometry, radius: Array, person_radius: Array
+) -> bool:
     """See `Drive._yielding`: whether row `m`, which touches the person, would press on."""
-    there, beside = np.empty((2, len(begin))), np.empty((*person.shape[:3], 2))
+    there, beside = np.empty((2, begin.shape[1])), np.empty((*person.shape[:3], 2))
     for index in range(2):
-        there[index] = begin + index * wanted * CONTROL_STEP_S
+        there[index] = begin[m] + index * wanted[m] * CONTROL_STEP_S
         beside[..., index] = person[..., m]
-    apart = gaps(posed(there, arm.geometry)[2], beside, arm.radius, arm.person_radius)
+    apart = gaps(posed(there, geometry)[2], beside, radius, person_radius)
     return apart[:, 1].min() < apart[:, 0].min()
 
 
 @kernel
 def drive(
     angles: Array, velocity: Array, share_sum: Array, braking: NDArray[np.bool_], stops: NDArray[np.int64],
-    asked: Array, joints: Array, axis: Array, anchor: Array, ends: Array, person: Array, apart: Array, shielded: bool,
-    person_seen: Array, apart_seen: Array, seen: Array, trail: Array, arm: Arm, limits: Limits,
+    asked: Array, joints: Array, axis: Array, anchor: Array, ends: Array, person: Array, apart: Array,
+    person_seen: Array, apart_seen: Array, seen: Array, trail: Array, steps: Array, offset: Array, axes: Array,
+    anchors: Array, link: NDArray[np.int64], local: Array, radius: Array, lever: Array, person_radius: Array,
+    rated: Array, limited_to: Array,
 ) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.int64], Array]:  # fmt: skip
     """See `Drive.step`: of set-points, asked velocities and measured joints (N, ...), the arms beside the people.
 
-    `person_seen` and `apart_seen` are what the shield sees of them, `seen` and `trail` its memory. Return where the
-    set-points begin, their fields at the end but for `human_beyond_bound`, and the trail.
+    `person_seen` and `apart_seen` are what the shield sees of them, `seen` and `trail` its memory; then come constants
+    of arm and person, `rated` (5, J) speeds, accelerations, range and following errors, and the fields of `Limits`.
+    Return where the set-points begin, their fields at the end but for `human_beyond_bound`, and the trail.
     """
-    n, count, parts = len(angles), angles.shape[1], len(arm.radius)
+    geometry = (steps, offset, axes, anchors, link, local)
+    speed_rad_s, acceleration, low, high, following = rated[0], rated[1], rated[2], rated[3], rated[4]
+    limits = Limits(
+        limited_to[0], limited_to[1], limited_to[2], limited_to[3], limited_to[4], limited_to[5], limited_to[6],
+        limited_to[7], limited_to[8], limited_to[9], limited_to[10], limited_to[11], limited_to[12],
+    )  # fmt: skip
+    shielded = limits.shielded > 0.0
+    n, count, parts = len(angles), angles.shape[1], len(radius)
     error, drawn = np.empty((n, count)), np.empty((n, count))
     for m in range(n):
         for j in range(count):
             error[m, j] = off = angles[m, j] - joints[m, j]
-            late = joints[m, count + j] * arm.late_s
+            late = joints[m, count + j] * limits.late_s
             more = off - min(max(off, min(late, 0.0)), max(late, 0.0))
             drawn[m, j] = joints[m, count + j] + more / SERVO_LAG_S
-    way = speeds(axis, anchor, ends, error, arm.link, arm.radius)
-    moving = speeds(axis, anchor, ends, drawn, arm.link, arm.radius)
-    pace, bending = farthest(person_seen, seen) / CONTROL_STEP_S, np.empty(parts)
+    way = speeds(axis, anchor, ends, error, link, radius)
+    moving = speeds(axis, anchor, ends, drawn, link, radius)
+    pace = farthest(person_seen, seen) / CONTROL_STEP_S
     held, begin, before = np.zeros(n, dtype=np.bool_), angles.copy(), velocity.copy()
     for m in range(n):
         for j in range(count):
-            held[m] |= abs(error[m, j]) / arm.following_rad[j] > 1.0
-        bend(error[m], arm.lever, bending)
+            held[m] |= abs(error[m, j]) / following[j] > 1.0
         for part in range(parts):
-            way[part, m] += bending[part] / 2
+            way[part, m] += bend(error, m, lever, part) / 2
         if shielded:
             gets = bound(limits.settled_s, pace[m], limits) + limits.margin_m
             for part in range(parts):
                 held[m] |= moving[part, m] > limits.safe_speed and not apart_seen[part, m] > way[part, m] + gets
-        if held[m] and arm.takes_back:
+        if held[m] and limits.takes_back > 0.0:
             for j in range(count):
-                begin[m, j], before[m, j] = min(max(joints[m, j], arm.low[j]), arm.high[j]), 0.0
+                begin[m, j], before[m, j] = min(max(joints[m, j], low[j]), high[j]), 0.0
 
-    axis, anchor, ends = posed(begin, arm.geometry)
+    axis, anchor, ends = posed(begin, geometry)
     limited = np.empty((n, count))
     for m in range(n):
         over = 1.0
         for j in range(count):
-            over = max(abs(asked[m, j]) / arm.speed_rad_s[j], over)
-        limited[m] = asked[m] / over
-    fastest = speeds(axis, anchor, ends, limited, arm.link, arm.radius)
+            over = max(abs(asked[m, j]) / speed_rad_s[j], over)
+        for j in range(count):
+            limited[m, j] = asked[m, j] / over
+    fastest = speeds(axis, anchor, ends, limited, link, radius)
     brake, wanted = np.empty((n, count)), np.empty((n, count))
     for m in range(n):
-        bend(limited[m], arm.lever, bending)
-        most = fastest[:, m].max() + bending.max() * CONTROL_STEP_S
-        limited[m] /= max(most / arm.tool_speed_m_s, 1.0)
-        limit(limited[m], arm.low, arm.high, begin[m], arm.acceleration_rad_s2)
-        needed = stopping_time(limited[m] - before[m], arm.acceleration_rad_s2)
-        wanted[m] = before[m] + (limited[m] - before[m]) / max(needed / CONTROL_STEP_S, 1.0)
-        stopping = max(stopping_time(before[m], arm.acceleration_rad_s2), CONTROL_STEP_S)
-        brake[m] = before[m] * (1 - CONTROL_STEP_S / stopping)
+        most, most_bending = 0.0, 0.0
+        for part in range(parts):
+            most, most_bending = max(fastest[part, m], most), max(bend(limited, m, lever, part), most_bending)
+        over = max((most + most_bending * CONTROL_STEP_S) / limits.tool_speed, 1.0)
+        for j in range(count):
+            limited[m, j] /= over
+        kept = kept_within(limited, m, low, high, begin, acceleration)
+        for j in range(count):
+            limited[m, j] *= kept
+            wanted[m, j] = limited[m, j] - before[m, j]
+        needed = max(stopping_time(wanted, m, acceleration) / CONTROL_STEP_S, 1.0)
+        left = 1 - CONTROL_STEP_S / max(stopping_time(before, m, acceleration), CONTROL_STEP_S)
+        for j in range(count):
+            wanted[m, j] = before[m, j] + wanted[m, j] / needed
+            brake[m, j] = before[m, j] * left
 
     after, stopped = trail.copy(), held.copy()
     if shielded:
-        slow = speeds(axis, anchor, ends, brake, arm.link, arm.radius)
-        fast = speeds(axis, anchor, ends, wanted, arm.link, arm.radius)
+        slow = speeds(axis, anchor, ends, brake, link, radius)
+        fast = speeds(axis, anchor, ends, wanted, link, radius)
         sent, room = trail.shape[1], apart_seen.copy()
         for part in range(parts):
             for index in range(sent):
@@ -217,15 +226,19 @@ def drive(
                         moving[part, m] = max(left, moving[part, m])
             for m in range(n):
                 room[part, m] -= way[part, m]
-        tried = np.empty(count)
+        tried = np.empty((1, count))
         for m in range(n):
-            passed = 1.0
-            if not safe(wanted[m], slow, fast, 1.0, room, moving, m, pace[m], arm, limits, bending):
+            passed, closing = 1.0, pace[m]
+            worst = unsafe(wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0)
+            if worst >= 0:
                 passed = 0.0
-                for share in limits.shares[::-1]:
+                for share in SHARES[::-1]:
                     for j in range(count):
-                        tried[j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
-                    if safe(tried, slow, fast, share, room, moving, m, pace[m], arm, limits, bending):
+                        tried[0, j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
+                    worst = unsafe(
+                        tried, 0, slow, fast, share, room, moving, m, closing, lever, acceleration, limits, worst
+                    )
+                    if worst < 0:
                         passed = share
                         break
             stopped[m] |= passed == 0.0
@@ -240,15 +253,17 @@ def drive(
 
     there, shares, sums, counts = np.empty((n, count)), np.ones(n), share_sum.copy(), stops.copy()
     for m in range(n):
-        touches = apart[:, m].min() <= 0.0
-        if touches and presses(begin[m], wanted[m], person, m, arm):
+        touches = False
+        for part in range(parts):
+            touches |= apart[part, m] <= 0.0
+        if touches and presses(begin, wanted, m, person, geometry, radius, person_radius):
             wanted[m] = brake[m]
-        if held[m] or not keeps(arm.low, arm.high, begin[m], wanted[m], arm.acceleration_rad_s2):
+        if held[m] or not keeps(low, high, begin, wanted, m, acceleration):
             wanted[m] = brake[m]
         speed, most = 0.0, 0.0
         for j in range(count):
             speed, most = speed + wanted[m, j] * wanted[m, j], most + limited[m, j] * limited[m, j]
-            there[m, j] = min(max(begin[m, j] + wanted[m, j] * CONTROL_STEP_S, arm.low[j]), arm.high[j])
+            there[m, j] = min(max(begin[m, j] + wanted[m, j] * CONTROL_STEP_S, low[j]), high[j])
         if most > 0:
             shares[m] = min(np.sqrt(speed) / max(np.sqrt(most), 1e-9), 1.0)
         sums[m] += shares[m]

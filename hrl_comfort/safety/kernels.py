@@ -221,13 +221,13 @@ def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> 
 
 @kernel
 def encounter(
-    angles: Array, limbs: Array, geometry: Geometry, arm_radius: Array, limb: NDArray[np.int64], local: Array,
-    person_radius: Array,
+    angles: Array, limbs: Array, steps: Array, offset: Array, axis: Array, anchor: Array, link: NDArray[np.int64],
+    local: Array, arm_radius: Array, limb: NDArray[np.int64], limb_local: Array, person_radius: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
     """See `Separation.encounter`."""
-    axis, anchor, ends = posed(angles, geometry)
-    person = limb_ends(limbs, limb, local)
-    return axis, anchor, ends, person, gaps(ends, person, arm_radius, person_radius)
+    axes, anchors, ends = posed(angles, (steps, offset, axis, anchor, link, local))
+    person = limb_ends(limbs, limb, limb_local)
+    return axes, anchors, ends, person, gaps(ends, person, arm_radius, person_radius)
 
 
 @kernel
@@ -270,11 +270,15 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
 
 
 @kernel
-def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array) -> Array:
-    """Return how far (N,) m arms are from people who went on from `person` to `after`; inf if those did not reach them.
+def met(
+    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
+    person_radius: Array,
+) -> Array:  # fmt: skip
+    """Return how far (N,) m arms are from people who went on to `limbs`; inf if those did not go as far as the arm was.
 
-    `apart` (C, N) m is how far each part was from the people before.
+    `person` are the ends of their capsules before, `apart` (C, N) m is how far each part of the arm was from them.
     """
+    after = limb_ends(limbs, limb, local)
     way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
     for m in range(len(gap)):
         if apart[:, m].min() <= way[m]:
@@ -285,9 +289,11 @@ def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Arra
 
 @kernel
 def approached(
-    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
-) -> NDArray[np.bool_]:
-    """See `Shield.beyond_bound`: whether people came nearer to a capsule than `most_m`."""
+    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
+    person_radius: Array, most_m: float,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
+    after = limb_ends(limbs, limb, local)
     way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
     for m in range(len(nearer)):
         if way[m] > most_m:
@@ -295,3 +301,18 @@ def approached(
                 then = apart_of(ends, part, after, m, arm_radius, person_radius)
                 nearer[m] |= apart[part, m] - then > most_m
     return nearer
+
+
+@kernel
+def capsules(ends: Array, radius: Array) -> Array:
+    """See `sim.plan.capsules`."""
+    (parts, _, n), width = ends.shape[1:], 7 if len(radius) else 6
+    found = np.empty((n, parts, width))
+    for m in range(n):
+        for part in range(parts):
+            for end in range(2):
+                for axis in range(3):
+                    found[m, part, 3 * end + axis] = ends[axis, part, end, m]
+            if len(radius):
+                found[m, part, 6] = radius[part]
+    return found

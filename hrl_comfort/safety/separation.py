@@ -47,7 +47,7 @@ class Separation:
         """Return arms at `angles` (N, J) rad beside people at `limbs` (N, L, 7)."""
         arm, person = self.arm, self.person
         if plain(angles, limbs):
-            constant = arm.compiled, arm.radius, *person.compiled, person.radius
+            constant = *arm.compiled, arm.radius, *person.compiled, person.radius
             axis, anchor, ends, bodies, apart = kernels.encounter(*contiguous(angles, limbs), *constant)
             return Encounter(ArmPose(axis, anchor, ends), bodies, apart)
         pose, bodies = arm.pose(angles), person.ends(limbs)

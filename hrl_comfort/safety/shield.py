@@ -19,15 +19,13 @@ from torch import Tensor
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.drive_kernels import Limits
+from hrl_comfort.safety.drive_kernels import SHARES
 from hrl_comfort.safety.geometry import ArmPose, farthest
 from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 
 Array = NDArray[np.float64]
-SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
-"""Shares that are tried where all is not safe; nothing else than the brake is share 0."""
 LAGS = 3.0
 """Lags until the arm's speed has followed its set-points."""
 SERVO_SHARE = 0.7
@@ -70,12 +68,12 @@ class Shield:
         """Share of a speed that the arm still has after a control step."""
         self._first = config.human_speed_m_s * CONTROL_STEP_S * np.array([0.0, 0.0, 1.0])[:, None, None, None]
         parts, sent = len(self._person.radius), int(np.ceil(config.latency_s / CONTROL_STEP_S - 1e-9))
-        self.limits = Limits(
-            SHARES, self._settled_s, self._behind_s, float(self._trailing), SERVO_SHARE * config.safe_speed_m_s,
-            float(config.safe_speed_m_s), float(config.delay_s), float(config.margin_m), float(config.human_speed_m_s),
-            np.inf if config.bound == "worst" else float(config.human_acceleration_m_s2),
+        self.limits = (
+            self._settled_s, self._behind_s, self._trailing, SERVO_SHARE * config.safe_speed_m_s, config.safe_speed_m_s,
+            config.delay_s, config.margin_m, config.human_speed_m_s,
+            np.inf if config.bound == "worst" else config.human_acceleration_m_s2,
         )  # fmt: skip
-        """What the kernel takes of it."""
+        """The last fields of `drive_kernels.Limits`."""
         self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), 1 + sent, rows)))
         self._decision: list[Memory] = []
         """The memory after each control step of a decision."""
@@ -164,14 +162,14 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, now: Encounter, person: Array) -> NDArray[np.bool_]:
+    def beyond_bound(self, now: Encounter, limbs: Array) -> NDArray[np.bool_]:
         """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
 
-        Their ends are at `person` (3, P, 2, N) m a control step after `now`.
+        They are at `limbs` (N, L, 7) a control step after `now`.
         """
-        most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
-        given = contiguous(now.pose.ends, now.apart, now.person, person)
-        return kernels.approached(*given, self.arm.radius, self._person.radius, most)
+        most, person = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING, self._person
+        given = contiguous(now.pose.ends, now.apart, now.person, limbs)
+        return kernels.approached(*given, self.arm.radius, *person.compiled, person.radius, most)
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""

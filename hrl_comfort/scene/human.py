@@ -84,15 +84,9 @@ def limb_poses(
     z up. NaN is the direction of the gait.
     """
     if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
-        given: Any = contiguous(x, y, yaw, phase, swing_rad, directions)  # type: ignore[arg-type]
-        compiled: NDArray[np.float64] = kernels.limb_poses(
-            *given,
-            float(floor_z),
-            _SIDE,
-            _TOP,
-            _SWING,
-            HIP_M - LEG_RADIUS_M,  # type: ignore[arg-type]
-        )
+        given: Any = x, y, yaw, phase, swing_rad, directions
+        constants = float(np.asarray(floor_z)), _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
+        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), *constants)
         return compiled
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)

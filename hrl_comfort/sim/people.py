@@ -205,8 +205,10 @@ def _stopped(
 ) -> tuple[humans.Walk, Array]:
     """Return the walk and the limbs (n, 7, 7) of one `person`, whose capsules are those of `now`."""
     arm, limbs = separation.arm, limbs_of(scene, walk)
-    given = contiguous(now.pose.ends, now.apart, now.person, person.ends(limbs))
-    gap = kernels.met(*given, arm.radius, person.radius)  # somebody else may have been nearer than this person
+    given = contiguous(now.pose.ends, now.apart, now.person, limbs)
+    gap = kernels.met(
+        *given, arm.radius, *person.compiled, person.radius
+    )  # somebody else may have been nearer than this person
     touched = np.flatnonzero(gap <= 0.0)
     if not len(touched):
         return walk, limbs

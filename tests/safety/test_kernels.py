@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Callable
 from dataclasses import is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,7 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.compiled import kernel, plain
 from hrl_comfort.composition.compose import compose, compose_environment
+from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Separation
@@ -102,6 +106,32 @@ def test_an_arm_beside_people(separation: Separation, rows: int) -> None:
         np.testing.assert_allclose(mine, np.asarray(theirs), rtol=0, atol=1e-12, strict=True)
 
 
+def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) -> None:
+    rng, arm, person = np.random.default_rng(rows), separation.arm, separation.person
+    before = people(rng, rows)
+    before[..., 1] += 0.5
+    after, found = before + np.concatenate([rng.normal(0, 0.1, (rows, 7, 2)), np.zeros((rows, 7, 5))], axis=2), []
+    now = separation.encounter(rng.uniform(-3, 3, (rows, 6)), before)
+    then, way = gaps(arm, now.pose.ends, person, person.ends(after)), farthest(person.ends(after), now.person)
+    given = now.pose.ends, now.apart, now.person, after, arm.radius, *person.compiled, person.radius
+    met = np.where(now.apart.min(axis=0) <= way, then.min(axis=0), np.inf)
+    np.testing.assert_array_equal(kernels.met(*given), met)
+    for most in (0.0, 0.05, 0.1, 0.2):
+        nearer = (way > most) & ((now.apart - then).max(axis=0) > most)
+        np.testing.assert_array_equal(kernels.approached(*given, most), nearer)
+        found += [*nearer, *np.isfinite(met)]
+    assert rows < 64 or len(set(found)) == 2
+
+
+def test_capsules_one_after_the_other(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    ends, radius = rng.normal(size=(3, 5, 2, rows)), rng.random(5)
+    both = ends.transpose(3, 1, 2, 0).reshape(rows, 5, 6)
+    np.testing.assert_array_equal(kernels.capsules(ends, np.empty(0)), both)
+    np.testing.assert_array_equal(kernels.capsules(ends, radius)[..., :6], both)
+    assert (kernels.capsules(ends, radius)[..., 6] == radius).all()
+
+
 WORLDS = {
     "worst": RATED, "observed": [*RATED, "safety.bound=observed"], "late": [*RATED, "safety.latency_s=0.05"],
     "no shield": [*RATED[:2], "human=mixture"],
@@ -146,3 +176,19 @@ def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
     found: dict[str, Any] = {}
     exec("def twice(value):\n    return 2 * value", found)  # from no file: there is no folder for its machine code
     assert kernel(found["twice"])(21.0) == 42.0
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    said = "from hrl_comfort.compiled import kernel\n"
+    (tmp_path / "caller_of_kernel.py").write_text(
+        f"{said}from called_kernel import change\n@kernel\ndef changed(value):\n    return change(value) + 1\n"
+    )
+    for body, found in (("2 * value", 43.0), ("value + 100", 122.0), ("value + 100", 122.0)):
+        (tmp_path / "called_kernel.py").write_text(f"{said}@kernel\ndef change(value):\n    return {body}\n")
+        for name in ("called_kernel", "caller_of_kernel"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        assert importlib.import_module("caller_of_kernel").changed(21.0) == found

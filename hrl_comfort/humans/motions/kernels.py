@@ -47,6 +47,8 @@ RELAXATION_S = 0.5
 """Time in which people reach their desired velocity (Helbing and Molnár, Physical Review E 51, 1995)."""
 IMPORTANCE, RANGE, SHARP, SHARPER, FACTOR_M_S2 = 2.0, 0.35, 2.0, 3.0, 5.1
 """λ, γ, n, n′ (Moussaïd et al., Proceedings of the Royal Society B 276, 2009) and the strength that pedsim uses."""
+LARGEST = math.log(1.5 * FACTOR_M_S2)
+"""Logarithm of more than the largest force, m/s², of something at no distance."""
 LOOKING_M = 0.7
 """Distance from the tool at which a curious human stops: the arm's length of two people who talk."""
 STRAIGHT_M = 0.3
@@ -227,7 +229,7 @@ def worker(
 def social_force(
     apart_x: float, apart_y: float, approach_x: float, approach_y: float, least: float
 ) -> tuple[float, float, float]:
-    """Return the acceleration, m/s², by which a person avoids something, and its size; 0 if it is less than `least`.
+    """Return the acceleration, m/s², by which a person avoids something, and its size; 0 if less than e^`least`.
 
     `apart` m leads from it to the person, `approach` m/s is the person's velocity less its own (Moussaïd et al. 2009,
     equations 3 to 6).
@@ -237,8 +239,7 @@ def social_force(
     x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
     size = max(math.sqrt(x * x + y * y), 1e-9)
     reach = RANGE * size
-    fading = math.exp(-distance / reach)
-    if 1.5 * FACTOR_M_S2 * fading < least:  # both parts are smaller than it
+    if LARGEST - distance / reach < least:
         return 0.0, 0.0, 0.0
     along_x, along_y = x / size, y / size
     theta = (math.atan2(along_y, along_x) - math.atan2(away_y, away_x) + math.pi) % FULL_TURN - math.pi
@@ -284,13 +285,13 @@ def reactive(
     curious = max(2 * of[CURIOSITY] - 1, 0.0)
     wx, wy = wx + curious * (look_x - wx), wy + curious * (look_y - wy)
 
-    vx, vy, rx, ry, strongest = who[3], who[4], 0.0, 0.0, 0.0
+    vx, vy, rx, ry, strongest, least = who[3], who[4], 0.0, 0.0, 0.0, -np.inf
     for index in range(len(points)):
         fx, fy, size = social_force(
-            x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1], strongest
+            x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1], least
         )
         if size > strongest:
-            rx, ry, strongest = fx, fy, size
+            rx, ry, strongest, least = fx, fy, size, math.log(size)
     afraid = 2 * (1 - of[CURIOSITY])
     fx, fy = (wx - vx) / RELAXATION_S + rx * afraid, (wy - vy) / RELAXATION_S + ry * afraid
     there_x, there_y = walking(who, of, vx + fx * CONTROL_STEP_S, vy + fy * CONTROL_STEP_S, discs, radius_m)
