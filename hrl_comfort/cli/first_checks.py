@@ -14,6 +14,7 @@ from pathlib import Path
 from hrl_comfort.composition.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
 from hrl_comfort.config import (
     POLICIES,
+    PREGRASP,
     SCRIPTED_POLICIES,
     ConfigError,
     EnvConfig,
@@ -74,7 +75,7 @@ def check(config: CommandConfig) -> None:
         warn_unfinished(value)
     if (
         isinstance(config, TrainConfig | EvaluateConfig)
-        and config.task.start != "ik"
+        and config.task.start not in ("ik", PREGRASP)
         and not Path(config.task.start).is_file()
     ):
         raise ConfigError(f"task.start={config.task.start!r} is neither 'ik' nor an existing .npz file")

@@ -25,14 +25,16 @@ def pack_controls(
 ) -> Array:
     """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-    targets (n, K * s, J) rad, s to a control step; limbs (n * K, L, 7) stay put over a control step; the layout
-    (n, F, 7) of places and obstacles, objects (n, B, 3) m, of kinds (n, B), and points (n, P, 3) m over all of them.
-    Objects are absent if there are points.
+    targets (n, K * s, J) rad, with a gripper that of its drive too, s to a control step; the drive's is 0 without it.
+    Limbs (n * K, L, 7) stay put over a control step; the layout (n, F, 7) of places and obstacles, objects (n, B, 3) m,
+    of kinds (n, B), and points (n, P, 3) m over all of them.
+    Objects are absent if there are points; loose ones are not controlled.
     """
-    n, steps, joints = len(targets), len(limbs) // len(targets), targets.shape[-1]
+    n, steps, joints = len(targets), len(limbs) // len(targets), scene.model.nu
     places = joints + 3 * len(scene.mocap)
     control = np.empty((n, steps, targets.shape[1] // steps, scene.ncontrol))
-    control[..., :joints] = targets.reshape(*control.shape[:3], joints)
+    given = targets.shape[-1]
+    control[..., :given], control[..., given:joints] = targets.reshape(*control.shape[:3], given), 0.0
     # Whole runs of numbers at once: numpy is slow on many short ones.
     position, quaternion = control[..., joints:places], control[..., places:]
     people, first = len(scene.limbs), scene.first_prop
@@ -46,7 +48,7 @@ def pack_controls(
     props_at = position[..., 3 * first :].reshape(*control.shape[:3], props, 3)
     if count := points.shape[1]:
         props_at[..., :count, :] = points[:, None, None]
-    else:
+    elif not scene.loose:
         for index in range(objects.shape[1]):
             props_at[np.arange(n), :, :, scene.object_prop(index, kinds[:, index])] = objects[:, index, None, None]
     return control.reshape(n, -1, scene.ncontrol)

@@ -39,7 +39,7 @@ def recorded_starts(config: EnvConfig, start: Start, joints: int) -> list[Array]
     Raises:
       ConfigError: the file is missing, damaged, of another kind of cell or of more levels than `comfort.levels`.
     """
-    if start == Start.HOME or config.task.start == "ik":
+    if start in (Start.HOME, Start.BEFORE_OBJECT) or config.task.start == "ik":
         return None
     cell = config.cell
     varied = (cell.vary.layouts, fingerprint(config)) if cell.vary.layouts else None
