@@ -53,10 +53,10 @@ class EnvConfig(CommandConfig):
 
     def __post_init__(self) -> None:
         task, cell = self.task, self.cell
-        if self.robot.gripper.holds and task.name == "shift":
+        if self.robot.gripper.holds and task.name in SORTING:
             raise ConfigError(
-                f"task.name=shift lets objects appear, which robot.gripper.name={self.robot.gripper.name} cannot yet "
-                "hold; choose gripper=none, or task=sort"
+                f"task.name={task.name} puts several objects in one place, which does not go with "
+                f"robot.gripper.name={self.robot.gripper.name}; choose gripper=none, or task=cycle"
             )
         if task.start == PREGRASP and not self.robot.gripper.holds:
             raise ConfigError(

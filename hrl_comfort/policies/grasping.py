@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.expert import NEAREST, Expert, Goal
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m, turn_of
@@ -45,6 +45,8 @@ SLOWER, SLOWEST_M = 0.5, 0.004
 """Part of the way left, and shortest way, of a decision in which a hand approaches what it may touch."""
 FIRM = 0.95
 """Set-point of the fingers from which a hand that touches an object holds it."""
+NEARER = (1.0, 0.75, 0.5)
+"""Parts of BACK_M and ABOVE_M that are tried for postures in front of an object and above its place."""
 GOALS = 3
 """Postures for a goal; some may be blocked."""
 STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
@@ -68,8 +70,6 @@ class GraspingExpert(Expert):
         shapes = [each.shape for each in config.cell.objects.values()]
         self._round, self._ball = ([each in kind for each in shapes] for kind in (ROUND, BALL))
         stages = [*subtask.stages, subtask.stages[-1]]
-        if subtask.repeats:
-            raise ConfigError(f"policy=expert: task.name={subtask.name} lets objects appear; choose gripper=none")
         self._grasping = np.array([stage.grasps for stage in stages])
         self._releasing = np.array([stage.releases for stage in stages])
         self._decision_s = config.task.action_repeat * CONTROL_STEP_S
@@ -234,13 +234,18 @@ class GraspingExpert(Expert):
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
         home = self._here.home
-        if goal[0] == PICK:
-            turns = approaches(place, None if self._round[kind] else goal[5])
-            found = self._grasps.found(place, turns, home, GOALS, back_m=BACK_M)
+        found: list[Array] = []
+        for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
+            if goal[0] == PICK:
+                turns = list(approaches(place, None if self._round[kind] else goal[5]))
+                found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
+            else:
+                turns = level_turns(place, np.array(goal[5:8]))
+                found = self._grasps.found(place, turns, home, GOALS, up_m=part * ABOVE_M)
+            if found:
+                break
         else:
-            found = self._grasps.found(place, level_turns(place, np.array(goal[5:8])), home, GOALS, up_m=ABOVE_M)
-        if not found:
-            raise ConfigError(f"no grasp found at {at.tolist()}: is it within reach?")
+            return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
         found.sort(key=lambda posture: float(np.abs(posture - home).max()))
         return np.array(found)[np.arange(NEAREST) % len(found)]
 

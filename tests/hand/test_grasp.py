@@ -14,6 +14,7 @@ import torch
 from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.grippers import GRIPPERS
@@ -121,6 +122,14 @@ def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
     assert result.state.diverged.tolist() == [True, False] and result.terminated.tolist() == [True, False]
     known = {name: value for name, value in result.state.fields().items() if name not in ("level", "arm_distance")}
     assert all(value.isfinite().all() for value in known.values() if value.is_floating_point())
+
+
+def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
+    skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = ["task=cycle", "meta_controller=scripted", *skills, "split=train", "episodes=4", "output=unused"]
+    table = rollout(compose("evaluate", [*ALONE, *words])).table  # type: ignore[arg-type]
+    assert table["success"].all()
+    assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
 
 
 def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them() -> None:
