@@ -40,8 +40,10 @@ from hrl_comfort.config.constants import (
     FIRST_SEED,
     HIERARCHY,
     POLICIES,
+    PREGRASP,
     SCRIPTED_POLICIES,
     SPLITS,
+    STARTS,
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
@@ -49,7 +51,7 @@ from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControll
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import PREGRASP, RANDOM, SORTING, PrecisionConfig, RewardConfig, TaskConfig
+from hrl_comfort.config.task import RANDOM, SORTING, PrecisionConfig, RewardConfig, TaskConfig
 from hrl_comfort.config.training import (
     HierarchyConfig,
     HierarchyTrainConfig,
@@ -60,8 +62,8 @@ from hrl_comfort.config.training import (
 
 __all__ = [
     "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED", "HIERARCHY",
-    "POLICIES", "PREGRASP", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED",
-    "VALIDATION_SEED",
+    "POLICIES", "PREGRASP", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "STARTS",
+    "TERMINAL_STATES_SEED", "VALIDATION_SEED",
     "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig",
     "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "GripperConfig",
     "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",

@@ -10,11 +10,11 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, one_of, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import SPLITS
+from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import PREGRASP, RANDOM, SORTING, RewardConfig, TaskConfig
+from hrl_comfort.config.task import RANDOM, SORTING, RewardConfig, TaskConfig
 
 DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.variation.disturbance`: nothing; the object is dropped; a human blocks a place."""

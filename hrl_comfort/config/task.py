@@ -10,8 +10,6 @@ from hrl_comfort.config.checks import XYZ, ConfigError, choice, within
 OBSERVATIONS = ("default", "proximity", "set_points", "sight", "paper")
 SORTING = ("sort", "shift")
 """Tasks of several objects."""
-PREGRASP = "pregrasp"
-"""Value of `task.start`: the hand in front of the object."""
 RANDOM = "random"
 """Value of `task.object`: any kind of the cell's."""
 
