@@ -13,10 +13,8 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanCon
 from hrl_comfort.humans import kernels
 from hrl_comfort.humans.evaluation import (
     MOTION_STREAM,
-    SHARES,
     EvaluationSet,
     drawn_set,
-    in_sector,
     load_evaluation_set,
     share_of,
     split_set,
@@ -191,12 +189,10 @@ def training_spawn(
     spawns: Array,
     keep_out: KeepOut,
     rng: np.random.Generator,
-    share: tuple[float, float] = SHARES["all"],
 ) -> tuple[int, Array]:
     """Draw a training spawn as `config.spawn` says: index into `spawns` (-1: anywhere) and position (2,) m.
 
-    The position lies in the sector of `share`, outside the keep-out discs and at least `spawn_margin_m` from held-out
-    `spawns` (s, 2) m.
+    The position lies outside the keep-out discs and at least `spawn_margin_m` from held-out `spawns` (s, 2) m.
 
     Raises:
       ConfigError: no free position in MAX_SPAWN_DRAWS draws.
@@ -213,7 +209,6 @@ def training_spawn(
             radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
             place = radius * np.array([np.cos(bearing), np.sin(bearing)])
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
-        clear &= in_sector(place[None], share)[0]
         if clear and not keep_out.entered(place[None])[0]:
             return index, place
     raise ConfigError(
@@ -227,7 +222,6 @@ def spawns_apart(
     spawns: Sequence[Array],
     keep_out: KeepOut,
     rngs: Sequence[np.random.Generator],
-    share: tuple[float, float],
     first: Array,
 ) -> Array:
     """Draw training spawns of the others as `training_spawn` does, APART_M from the `first` (2,) m and each other.
@@ -243,7 +237,7 @@ def spawns_apart(
         taken = [first]
         for (person, discs), own, rng in zip(others, spawns[1:], rngs, strict=True):
             for _ in range(SPAWN_TRIES):
-                _, place = training_spawn(person, own, discs, rng, share)
+                _, place = training_spawn(person, own, discs, rng)
                 if all(length(place - each) >= apart_m for each in taken):
                     taken.append(place)
                     break
@@ -277,7 +271,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
-    "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector",
+    "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait",
     "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of",
     "spawns_apart",
     "split_set", "training_spawn", "training_spawns",

@@ -98,6 +98,8 @@ class State:
     """(N,) comfort level in force, constant over a decision; NaN without one (`comfort.source=none`)."""
     arm_distance: Tensor
     """(N,) m, smallest distance between any robot link and any body part; NaN where it is not measured."""
+    home_distance: Tensor
+    """(N,) m, `arm_distance` if the arm were at home; NaN where it is not measured."""
     touching: Tensor
     """(N,) bool, robot touches human."""
     contact: Tensor
