@@ -115,8 +115,8 @@ def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
     engine.physics.state[0, 1 + engine.scene.model.nq + 7] = 1e12
     result = engine.step(np.zeros((2, 7)))
     assert result.state.diverged.tolist() == [True, False] and result.terminated.tolist() == [True, False]
-    known = {name: value for name, value in result.state.fields().items() if name not in ("level", "arm_distance")}
-    assert all(value.isfinite().all() for value in known.values() if value.is_floating_point())
+    known = [value for value in result.state.fields().values() if value.is_floating_point()]
+    assert all((value[0].isfinite() | ~value[1].isfinite()).all() for value in known)  # NaN is what is not measured
 
 
 def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
