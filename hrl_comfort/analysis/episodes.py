@@ -12,7 +12,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.files.tables import column
 
-TERMINATIONS = ("success", "unsafe contact", "contact", "hit table", "self-collision", "time limit")
+TERMINATIONS = ("success", "unsafe contact", "contact", "hit table", "self-collision", "object lost", "time limit")
 LEVEL = r"(?:_as_\d+)?"
 """End of the name of an option with a level of its own."""
 PICK = re.compile(rf"pick_(\d+){LEVEL}")
@@ -29,6 +29,7 @@ def terminations(episodes: DataFrame) -> pd.Series:
         contact & ~timed_out & (other == "none").to_numpy(dtype=bool),
         (other == "table").to_numpy(dtype=bool),
         (other == "self").to_numpy(dtype=bool),
+        column(episodes, "object_lost") > 0,
         timed_out,
     ]
     return pd.Series(np.select(conditions, TERMINATIONS, "other"), index=episodes.index)

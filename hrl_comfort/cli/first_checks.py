@@ -15,6 +15,7 @@ from hrl_comfort.composition.policies import as_chain, check_beside, with_contro
 from hrl_comfort.config import (
     POLICIES,
     SCRIPTED_POLICIES,
+    STARTS,
     ConfigError,
     EnvConfig,
     EvaluateConfig,
@@ -74,7 +75,7 @@ def check(config: CommandConfig) -> None:
         warn_unfinished(value)
     if (
         isinstance(config, TrainConfig | EvaluateConfig)
-        and config.task.start != "ik"
+        and config.task.start not in STARTS
         and not Path(config.task.start).is_file()
     ):
         raise ConfigError(f"task.start={config.task.start!r} is neither 'ik' nor an existing .npz file")

@@ -141,7 +141,7 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
             files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
             stated = {str(key) for file in files for key in OmegaConf.load(file)}
         for key, value in _fields(part, attrgetter(part)(run)):
-            if key.split(".")[1] not in stated:
+            if key.split(".")[1] not in stated and not (key.startswith("robot.gripper.") and "gripper" in chosen):
                 # Hydra would add the entries of a mapping to those of conf/.
                 trained += [override(key, None)] * isinstance(value, dict)
                 trained.append(override(key, value))

@@ -10,6 +10,7 @@ from hrl_comfort.config.cell import (
     CellConfig,
     ConnectionConfig,
     EngineConfig,
+    GripperConfig,
     ObjectConfig,
     ObstacleConfig,
     PlaceConfig,
@@ -39,8 +40,10 @@ from hrl_comfort.config.constants import (
     FIRST_SEED,
     HIERARCHY,
     POLICIES,
+    PREGRASP,
     SCRIPTED_POLICIES,
     SPLITS,
+    STARTS,
     TERMINAL_STATES_SEED,
     VALIDATION_SEED,
 )
@@ -59,9 +62,10 @@ from hrl_comfort.config.training import (
 
 __all__ = [
     "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED", "HIERARCHY",
-    "POLICIES", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "TERMINAL_STATES_SEED", "VALIDATION_SEED",
+    "POLICIES", "PREGRASP", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "STARTS",
+    "TERMINAL_STATES_SEED", "VALIDATION_SEED",
     "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig",
-    "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig",
+    "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "GripperConfig",
     "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",
     "MetaControllerConfig", "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig",
     "PrecisionConfig", "RandomiseConfig", "ReportConfig", "ResultsConfig", "RewardConfig", "RobotConfig",

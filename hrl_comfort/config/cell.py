@@ -26,6 +26,22 @@ Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
 
 
 @dataclass(frozen=True)
+class GripperConfig:
+    """Hand of a Universal Robots arm that holds objects by friction; the group `gripper` chooses it."""
+
+    name: str = "none"
+    """`none`: a picked object rides on the tool without mass. Otherwise objects are bodies with mass and friction:
+    `two_finger`, a gripper that an installed package offers as an entry point, or `package.module:name`."""
+    force_n: Annotated[float, within(1.0, 500.0)] = 40.0
+    """Largest force of the drive that closes the fingers, N."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether objects are held by friction."""
+        return self.name != "none"
+
+
+@dataclass(frozen=True)
 class RobotConfig:
     """The arm; its kinematics and masses are those of `scene.robots`."""
 
@@ -46,6 +62,15 @@ class RobotConfig:
     end_effector: str | None = None
     """End effector of a Universal Robots arm: `rg2`, one that an installed package offers as an entry point,
     or `package.module:name`; null: `rg2`. Other arms have that of their file."""
+    gripper: GripperConfig = field(default_factory=GripperConfig)
+    """Hand that holds objects, in the place of an end effector."""
+
+    def __post_init__(self) -> None:
+        if self.gripper.holds and self.end_effector is not None:
+            raise ConfigError(
+                f"robot.end_effector={self.end_effector} and robot.gripper.name={self.gripper.name} are both at the "
+                "flange; leave robot.end_effector null, or choose gripper=none"
+            )
 
 
 def half_height(shape: str, size_m: list[float]) -> float:
@@ -85,7 +110,9 @@ class ObjectConfig:
     belongs_at: str
     """Name of the place where it is put down."""
     mass_kg: Annotated[float, within(0.001, 50.0)] = 0.05
-    """Mass, kg. A picked object rides on the gripper without mass: the arm does not feel it yet."""
+    """Mass, kg. It counts with a gripper: without one, a picked object rides on the tool without mass."""
+    friction: Annotated[float, within(0.05, 5.0)] = 1.0
+    """Coefficient of sliding friction of all its contacts; it counts with a gripper."""
     rgb: Rgb = field(default_factory=lambda: [0.3, 0.5, 0.8])
     """Colour in pictures: red, green and blue, 0 to 1."""
 
@@ -98,6 +125,11 @@ class ObjectConfig:
     def half_width_m(self) -> float:
         """Largest horizontal distance from its centre, along x or y, m."""
         return max(self.size_m[:2]) if self.shape == "box" else self.size_m[0]
+
+    @property
+    def half_m(self) -> list[float]:
+        """Half its sides along x, y and z, upright, m."""
+        return self.size_m if self.shape == "box" else [self.size_m[0], self.size_m[0], self.half_height_m]
 
 
 @dataclass(frozen=True)
@@ -213,7 +245,7 @@ class EngineConfig:
     threads: Annotated[int, within(1, 256)]
     """Threads of the simulation."""
     substeps: Annotated[int, within(1, 100)]
-    """Physics steps in a control step of 20 ms."""
+    """Physics steps in a control step of 20 ms; with a gripper at least 4, which a grasp needs."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, one_of, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import SPLITS
+from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
@@ -20,6 +20,8 @@ DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.variation.disturbance`: nothing; the object is dropped; a human blocks a place."""
 LIVE_MOTIONS = ("live", "recorded", "none")
 """Motions of people beside a real arm."""
+GRASP_SUBSTEPS = 4
+"""Smallest number of physics steps in a control step with a gripper: at 10 ms a held cube slips."""
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
 """Tasks that pick an object and then place it."""
 FIGURES = (
@@ -51,6 +53,15 @@ class EnvConfig(CommandConfig):
 
     def __post_init__(self) -> None:
         task, cell = self.task, self.cell
+        if self.robot.gripper.holds and task.name in SORTING:
+            raise ConfigError(
+                f"task.name={task.name} puts several objects in one place, which does not go with "
+                f"robot.gripper.name={self.robot.gripper.name}; choose gripper=none, or task=cycle"
+            )
+        if task.start == PREGRASP and not self.robot.gripper.holds:
+            raise ConfigError(
+                "task.start=pregrasp puts a hand in front of an object; choose gripper=two_finger, or task.start=ik"
+            )
         one_of("task.object", task.object, (RANDOM, *cell.kinds))
         if task.observation == "paper" and len(cell.kinds) < 2:
             raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
@@ -60,6 +71,11 @@ class EnvConfig(CommandConfig):
                     f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots, or choose "
                     f"task.objects={slots}"
                 )
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps in a control step."""
+        return max(self.engine.substeps, GRASP_SUBSTEPS) if self.robot.gripper.holds else self.engine.substeps
 
 
 @dataclass(frozen=True)
@@ -144,6 +160,11 @@ class EvaluateConfig(EnvConfig):
                 f"disturbance=drop needs an object that is picked and then placed; task.name={self.task.name!r} "
                 f"is not one of {', '.join(PICK_AND_PLACE)}"
             )
+        if self.disturbance == "drop" and self.robot.gripper.holds:
+            raise ConfigError(
+                f"disturbance=drop is for objects that ride on the tool; robot.gripper.name={self.robot.gripper.name} "
+                "holds them: choose gripper=none"
+            )
         if self.disturbance == "block" and self.human.motion in ("none", "recorded"):
             raise ConfigError(f"disturbance=block needs a human who can stand still; not human={self.human.motion}")
         if self.terminal_states is not None:
@@ -181,6 +202,7 @@ class StudioConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
+        _check_riding("studio", self)
 
 
 @dataclass(frozen=True)
@@ -194,6 +216,7 @@ class DeployConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
+        _check_riding("deploy", self)
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":
@@ -222,6 +245,16 @@ class ExportConfig(EnvConfig):
         super().__post_init__()
         if (self.policy is None) == (not self.policies):
             raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
+        _check_riding("export", self)
+
+
+def _check_riding(command: str, config: EnvConfig) -> None:
+    """Raise ConfigError if a gripper holds the objects, which `command` does not know."""
+    if config.robot.gripper.holds:
+        raise ConfigError(
+            f"robot.gripper.name={config.robot.gripper.name} is for hrl-comfort train and evaluate; {command} takes "
+            "gripper=none"
+        )
 
 
 @dataclass(frozen=True)

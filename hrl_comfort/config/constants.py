@@ -8,6 +8,10 @@ MAX_ENVS = 65536
 """Largest number of cells of a batch."""
 SCRIPTED_POLICIES = ("expert", "potential_field", "predictive_sampling", "random")
 """Policies that no training made, by the name that `policy=` takes."""
+PREGRASP = "pregrasp"
+"""Value of `task.start`: the hand in front of the object."""
+STARTS = ("ik", PREGRASP)
+"""Values of `task.start` that are no file."""
 POLICIES = (
     "a run folder, a checkpoint, a policy.pt, package.module:callable, sb3:FILE.zip, onnx:FILE, "
     f"{' or '.join(SCRIPTED_POLICIES)}"

@@ -57,7 +57,8 @@ SHARED = {
 }  # fmt: skip
 """Root of each command that has the configuration of another one."""
 NAMES = {
-    "task": "task.name", "human": "human.motion", "robot": "robot.name", "meta_controller": "meta_controller.name",
+    "task": "task.name", "human": "human.motion", "robot": "robot.name", "gripper": "robot.gripper.name",
+    "meta_controller": "meta_controller.name",
 }  # fmt: skip
 """Key that names a part, by group: a part of another package has no file in the group."""
 MOST_JOBS = 10_000

@@ -69,7 +69,8 @@ class TaskConfig:
     start: str
     """Starts of `place` and `return`. `ik`: at rest, in postures by inverse kinematics. A file (.npz) written by
     `evaluate terminal_states=`: each episode starts at the joint angles and velocities of one of its states; in
-    training also with the person and level of that state."""
+    training also with the person and level of that state. With a gripper, tasks that begin with a pick take `pregrasp`,
+    the open hand 0.11 m in front of the object, beside `ik`, at home."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """A stage can become done only while the speed of all joints together (Euclidean norm) is below this, rad/s; null:
     at any speed."""
@@ -117,6 +118,16 @@ class RewardConfig:
     return_shaping: Weight
     """In `return`: shaping of the paper's released code, -ln(d + 1)/10 a control step, d the tool's distance from its
     home position, m."""
+    align: Weight
+    """With a gripper, in `pick`: per rad by which the line from pad to pad turns towards the horizontal."""
+    grasp: Weight
+    """With a gripper, in `pick`: beginning of a touch of both pads; its end costs as much."""
+    lift: Weight
+    """With a gripper, in `pick`: per m that the object rises in the hand, up to 0.1 m."""
+    drop: Weight
+    """With a gripper: a carried object leaves the hand away from its place."""
+    object_lost: Weight
+    """With a gripper: an object falls to the floor."""
     k1: Weight
     """Factor of the weight `pick` (Eq. 1 of the paper)."""
     k2: Weight

@@ -189,9 +189,9 @@ class RobotPhysics:
         """See `Physics`."""
         return self.state[:, 1:]
 
-    def sense(self, joints: Array, control: Array) -> Array:
+    def sense(self, bodies: Array, control: Array) -> Array:
         """See `Physics`."""
-        angles, velocity = np.split(joints[0], 2)
+        angles, velocity = np.split(bodies[0], 2)
         return self.touch(angles, velocity, control[0])[None]
 
     def touch(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
@@ -203,9 +203,9 @@ class RobotPhysics:
         mujoco.mj_forward(model, twin)
         return twin.sensordata.copy()
 
-    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
+    def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """See `Physics`."""
-        self.state[rows] = state_of(joints)
+        self.state[rows] = state_of(bodies)
         self._predictor = Predictor(self._safety.lag_s, self._safety.latency_s, self._link.report.point)
 
     def begin_decision(self) -> None:

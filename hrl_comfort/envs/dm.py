@@ -30,6 +30,9 @@ STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
 class CellPhysics(Physics):
     """Physics that runs a queue of controls, one a substep, and records the sensors at each."""
 
+    moving: NDArray[np.int64]
+    """`Scene.moving` of the cell."""
+
     def queue(self, controls: Iterator[Array]) -> None:
         """Set the controls of the next decision, parts of (1, T, ncontrol), which are made when they are due."""
         self._queue = controls
@@ -37,7 +40,8 @@ class CellPhysics(Physics):
     @property
     def joints(self) -> Array:
         """(1, 2 J) angles, rad, and velocities, rad/s."""
-        return np.concatenate([self.data.qpos, self.data.qvel])[None]
+        whole = np.concatenate([[0.0], self.data.qpos, self.data.qvel])
+        return whole[self.moving][None]
 
     def step(self, nstep: int = 1) -> None:
         """Advance `nstep` substeps along the queue; dm_control calls this once a decision."""
@@ -71,11 +75,11 @@ class CellPhysics(Physics):
             )
         return super().contexts
 
-    def sense(self, joints: Array, control: Array) -> Array:
-        """Return sensordata (nsensor,) at joints (2 J,), rad and rad/s, under control (ncontrol,)."""
+    def sense(self, bodies: Array, control: Array) -> Array:
+        """Return sensordata (nsensor,) of bodies at (nq + nv,) under control (ncontrol,)."""
         model, data = self.model.ptr, self.data.ptr
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = np.split(joints, 2)
+        data.qpos[:], data.qvel[:] = np.split(bodies, [model.nq])
         mujoco.mj_setState(model, data, control, CONTROL_SPEC)
         mujoco.mj_forward(model, data)
         return np.array(data.sensordata)
@@ -112,7 +116,7 @@ class CellTask(control.Task):
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Start the next episode of the row."""
         self.outcome = None
-        self.episodes.begin(np.array([0]), lambda joints, ctrl: physics.sense(joints[0], ctrl[0])[None])
+        self.episodes.begin(np.array([0]), lambda bodies, ctrl: physics.sense(bodies[0], ctrl[0])[None])
         if self.episodes.config.randomise.links:
             values = self.episodes.values()
             vary_links(physics.model.ptr, self.episodes.scene.model, values.mass[0], values.friction[0])
@@ -125,7 +129,7 @@ class CellTask(control.Task):
     def after_step(self, physics: CellPhysics) -> None:
         """Compute the result of the decision."""
         self.outcome = self.episodes.advance(physics.sensed[None])
-        substeps = self.episodes.config.engine.substeps
+        substeps = self.episodes.config.substeps
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
@@ -164,6 +168,7 @@ def make_environment(config: EnvConfig, seed: int, flat_observation: bool = Fals
     """
     scene = scene_of(config)
     physics = CellPhysics.from_xml_string(scene.xml, dict(scene.assets))
+    physics.moving = scene.moving
     task = CellTask(scene, config, seed)
     # dm_control reads the observation spec before the first reset, which needs a state.
     task.initialize_episode(physics)

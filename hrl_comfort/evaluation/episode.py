@@ -39,6 +39,9 @@ class Episode:
     shield_share_mean: float | None
     protective_stops: int | None
     human_beyond_bound: int | None
+    drops: int | None
+    object_lost: bool | None
+    diverged: bool | None
     measures: dict[str, float | None]
     """By the names of RATES and of `comfort.trajectory.MEASURES`; each is a column of its own."""
     max_episode_steps: int

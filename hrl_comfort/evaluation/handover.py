@@ -130,7 +130,9 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
-    task = observed_by(policy, config.policy, subtask(config.task.name), environment(config))
+    task = observed_by(
+        policy, config.policy, subtask(config.task.name, hand=config.robot.gripper.holds), environment(config)
+    )
     look = open_split(config)
     entries = look.entries
     engine = Engine(environment(config), len(entries.episode), 0, entries)

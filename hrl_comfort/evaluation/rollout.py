@@ -218,6 +218,7 @@ class EpisodeRecorder:
         success = bool(step.truncated[row] if subtask.repeats else step.success[row])
         kind = config.cell.kinds[int(state.kinds[row, 0])]
         episodes, shielded = self.engine.episodes, config.safety.kind != "none"
+        held = config.robot.gripper.holds
         return Episode(
             task=config.task.name,
             policy=self.label,
@@ -245,6 +246,9 @@ class EpisodeRecorder:
             shield_share_mean=rounded(float(state.share_sum[row] / state.steps[row])) if shielded else None,
             protective_stops=int(state.protective_stops[row]) if shielded else None,
             human_beyond_bound=int(state.human_beyond_bound[row]) if shielded else None,
+            drops=int(state.drops[row]) if held else None,
+            object_lost=bool(state.object_lost[row]) if held else None,
+            diverged=bool(state.diverged[row]) if held else None,
             measures={},
             max_episode_steps=self._limit(row, step),
         )

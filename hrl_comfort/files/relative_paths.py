@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hrl_comfort.config.constants import SCRIPTED_POLICIES
+from hrl_comfort.config.constants import SCRIPTED_POLICIES, STARTS
 
 KEYS = ("beside", "calibration", "demonstrator", "file", "initial_policy", "next_skill", "policy", "start")
 """Keys of paths, in any section; the values of `policies` are paths too."""
-NAMES = (*SCRIPTED_POLICIES, "ik")
+NAMES = (*SCRIPTED_POLICIES, *STARTS)
 """Values of these keys that are no paths; `package.module:callable` and `udp://HOST:PORT` are none either."""
 PREFIXES = ("sb3:", "onnx:")
 """Prefixes that may stand before a path."""

@@ -53,8 +53,10 @@ KNOWN: dict[str, dict[str, str]] = {
     "metrics": {"stage": "text?"},
     "episodes": dict.fromkeys(("task", "policy", "split", "object", "human", "other_collision"), "text?")
     | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
-    | dict.fromkeys(("steps", "policy_steps", "objects_placed", "protective_stops", "human_beyond_bound"), "int?")
-    | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated"), "bool?"),
+    | dict.fromkeys(
+        ("steps", "policy_steps", "objects_placed", "protective_stops", "human_beyond_bound", "drops"), "int?"
+    )
+    | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated", "object_lost", "diverged"), "bool?"),
     "checkpoints": OF_CHECKPOINTS,
     "grid": OF_CHECKPOINTS,
     "options": {"comfort_level": "int?"},

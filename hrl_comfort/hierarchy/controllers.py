@@ -46,7 +46,7 @@ def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
         if (value := getattr(meta_controller, key)) not in (None, []):
             key = f"meta_controller.{key}"
             raise ConfigError(f"{key}={value} is for task=sort and shift; choose {key}={off}")
-    parts = [subtask(name) for name in meta_controller.options]
+    parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
     return chain(skills, meta_controller.time_limit_steps)

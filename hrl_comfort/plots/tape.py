@@ -80,7 +80,8 @@ class Tape:
     def knows_objects(self) -> bool:
         """Whether the objects lie where the cell says."""
         task = self.run.config["task"]
-        return bool(task.get("objects", 1) == 1 and task.get("object_jitter_m", 0.0) == 0)
+        still = task.get("objects", 1) == 1 and task.get("object_jitter_m", 0.0) == 0
+        return bool(still and not self.robot.gripper.holds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ class CollisionChecker:
     """Inverse kinematics and contact checks in the cell without a person."""
 
     def __init__(self, scene: Scene) -> None:
-        self._model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
+        self._model = mujoco.MjModel.from_xml_string(scene.planning_xml, dict(scene.assets))
         self._model.geom_margin[:] = CLEARANCE_M
         self._configuration = mink.Configuration(self._model)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)

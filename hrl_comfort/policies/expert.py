@@ -100,7 +100,7 @@ class Expert:
         self._body = ArmSpheres(scene)
         self._library = self._seeds(scene.home)
         self._layouts: dict[bytes, _Known] = {}
-        self._here = _Known(scene.home)
+        self._here, self._layout = _Known(scene.home), scene.layout
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
@@ -120,9 +120,9 @@ class Expert:
         """Return the actions of cells of one layout (F, 7) and home posture (6,) rad; see `act`."""
         self._here = self._layouts.setdefault(layout.tobytes() + home.tobytes(), _Known(home))
         self._cell.stand(layout)
+        self._layout = layout
         joints = state.joint_target.numpy()
-        points, homeward = self._goals(state)
-        goals = [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
+        goals = self._goals_of(state)
         margin, pace = self._margin_and_pace(state)
         people = np.column_stack([*nearest_person(state), margin, pace])
         price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
@@ -137,6 +137,11 @@ class Expert:
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
         return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._decision))
+
+    def _goals_of(self, state: State) -> list[Goal]:
+        """Return the goal of each row."""
+        points, homeward = self._goals(state)
+        return [None if home else tuple(point) for point, home in zip(points.round(6), homeward, strict=True)]
 
     def _margin_and_pace(self, state: State) -> tuple[Array, Array]:
         """Return the width (N,) m added to the person, and the share (N,) of full speed; 0 and 1 without a person."""

@@ -17,6 +17,7 @@ from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import ONNX, read_onnx
+from hrl_comfort.policies.grasping import GraspingExpert
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.scene.workcell import Scene
@@ -94,7 +95,7 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Sc
     Raises:
       ConfigError: it takes observations or gives actions of another width.
     """
-    seen = subtask(task.name, config.task.observation, config.task.objects)
+    seen = subtask(task.name, config.task.observation, config.task.objects, config.robot.gripper.holds)
     if config.comfort.source != "none":
         seen = with_level(seen, config.comfort.levels)
     width = action_dim(scene, config.task)
@@ -134,7 +135,7 @@ def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfi
     """
     spec = {**actor.spec["environment"], "task": actor.spec["task"]}
     check_trained(spec, source, task, config)
-    seen = subtask(task.name, str(spec.get("observation")), config.task.objects)
+    seen = subtask(task.name, str(spec.get("observation")), config.task.objects, config.robot.gripper.holds)
     if (levels := spec.get("levels")) is not None:
         seen = with_level(seen, levels)
     return seen.observing(share=share) if spec.get("shield") else seen
@@ -162,8 +163,12 @@ def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvC
             raise ConfigError(f"{key}={here}, but policy={source!r} was trained with {key}={there}")
 
 
+def _expert(config: EnvConfig) -> type[Expert]:
+    return GraspingExpert if config.robot.gripper.holds else Expert
+
+
 _SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
-    "expert": lambda task, scene, config, seed: Expert(scene, config, task).act,
+    "expert": lambda task, scene, config, seed: _expert(config)(scene, config, task).act,
     "potential_field": lambda task, scene, config, seed: PotentialField(scene, config, task).act,
     "predictive_sampling": lambda task, scene, config, seed: PredictiveSampling(scene, config, task).act,
     "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),

@@ -40,10 +40,15 @@ class StageGoals:
     """Goals of the stages in force, for a policy that acts on the joints.
 
     Raises:
-      ConfigError: actions are not joint increments.
+      ConfigError: actions are not joint increments, or it has no command for a gripper.
     """
 
     def __init__(self, policy: str, config: EnvConfig, subtask: Subtask) -> None:
+        if config.robot.gripper.holds and policy != "expert":
+            raise ConfigError(
+                f"robot.gripper.name={config.robot.gripper.name} is not allowed with policy={policy}; choose "
+                "policy=expert, or gripper=none"
+            )
         if config.task.action != "joint":
             raise ConfigError(
                 f"task.action={config.task.action!r} is not allowed with policy={policy}; choose task.action=joint"

@@ -38,7 +38,7 @@ class ArmGeometry:
     """Kinematics of the C capsules of an arm of J joints; a sphere is a capsule of length 0."""
 
     def __init__(self, scene: Scene) -> None:
-        model = scene.model
+        model = scene.planning  # the fingers stand open, and a guard stands for what they hold
         joints = [int(model.actuator_trnid[i, 0]) for i in range(model.nu)]
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         data = mujoco.MjData(model)
@@ -61,6 +61,7 @@ class ArmGeometry:
         """What kernels take of it."""
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
+        self._tcp_axes = data.xmat[last].reshape(3, 3).T @ data.site("robot/tcp").xmat.reshape(3, 3)
         self.lever = self._levers()
         """(C, J) m, largest possible distance of a point of the capsule from a joint's anchor; 0 beyond it."""
 
@@ -68,6 +69,13 @@ class ArmGeometry:
         """Return the tool centre point (N, 3) m at `angles` (N, J) rad."""
         rotation, _, origins = self._frames(angles)
         return (origins[:, -1] + _turned(rotation[:, :, -1], self._tcp[:, None])).T
+
+    def tool_pose(self, angles: Array) -> tuple[Array, Array]:
+        """Return position (N, 3) m and axes (N, 3, 3) of the tool at `angles` (N, J) rad."""
+        rotation, _, origins = self._frames(angles)
+        last = rotation[:, :, -1]
+        axes = np.einsum("ijn,jk->nik", last, self._tcp_axes)
+        return (origins[:, -1] + _turned(last, self._tcp[:, None])).T, axes
 
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""

@@ -27,6 +27,8 @@ _LEG_M, _LONGEST_LEG_M = 0.02, 4.0
 _POINT_M = 0.045
 _WOOD, _STEEL, _GREY = (0.6, 0.45, 0.3, 1), (0.45, 0.47, 0.5, 1), (0.75, 0.76, 0.75, 1)
 _GREEN, _BLUE = (0.2, 0.8, 0.3, 0.4), (0.2, 0.4, 0.9, 0.4)
+_TURNING_M = (0.005, 0.0005)
+"""Coefficients of torsional and of rolling friction of objects."""
 _SOLID = {"contype": 0, "conaffinity": 1, "condim": 1}
 """Of a geom that the robot's collide with, and nothing else."""
 
@@ -107,11 +109,28 @@ def _shape(each: ObjectConfig | ObstacleConfig) -> dict[str, Any]:
     return {"type": each.shape, "size": each.size_m}
 
 
-def add_props(world: mjcf.Element, cell: CellConfig, objects: int) -> None:
-    """Add the marks of points, and bodies of each kind for `objects` objects, as sites, which have no contacts."""
+def add_props(world: mjcf.Element, cell: CellConfig, objects: int, loose: bool) -> None:
+    """Add the marks of points, and bodies of each kind for `objects` objects.
+
+    Objects are sites, which have no contacts, or `loose` bodies with mass and friction.
+    """
     for name, colour in zip(POINTS, (_GREEN, _BLUE), strict=True):
         body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
         body.add("site", name=name, size=[_POINT_M], rgba=colour)
     for name, each in zip(object_names(cell, objects), [*cell.objects.values()] * objects, strict=True):
-        body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
-        body.add("site", name=name, rgba=(*each.rgb, 1), **_shape(each))
+        if loose:
+            _add_loose(world, name, each)
+        else:
+            body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
+            body.add("site", name=name, rgba=(*each.rgb, 1), **_shape(each))
+
+
+def _add_loose(world: mjcf.Element, name: str, each: ObjectConfig) -> None:
+    """Add an object that moves freely. Its contacts have its own friction; what is round does not roll for ever."""
+    body = world.add("body", name=name, pos=(FAR_AWAY_M, 0, 0))
+    body.add("freejoint", name=name)
+    body.add(
+        "geom", name=name, rgba=(*each.rgb, 1), mass=each.mass_kg, contype=1, conaffinity=1, priority=1,
+        condim=4 if each.shape == "box" else 6, friction=(each.friction, *_TURNING_M), solref=(0.01, 1),
+        solimp=(0.95, 0.99, 0.001, 0.5, 2), **_shape(each),
+    )  # fmt: skip

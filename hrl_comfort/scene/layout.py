@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CellConfig, EnvConfig, HierarchyTrainConfig, HumanConfig
+from hrl_comfort.config import CellConfig, EnvConfig, GripperConfig, HierarchyTrainConfig, HumanConfig
 from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.scene.furniture import PEDESTAL_M, THICKNESS_M
-from hrl_comfort.scene.robots import robot_named, with_end_effector
+from hrl_comfort.scene.robots import equipped
 
 Array = NDArray[np.float64]
 ENDS = {
@@ -32,7 +32,7 @@ ANGLES, ROUNDS = 72, 4
 
 def layout_warnings(config: EnvConfig) -> Iterator[str]:
     """Yield what is likely wrong with the layout of a cell, a line each."""
-    shoulder, most = reach(config.robot.name, config.robot.end_effector)
+    shoulder, most = reach(config.robot.name, config.robot.end_effector, config.robot.gripper)
     for key, point, near in _goals(config):
         away = float(np.linalg.norm(np.array(point) - shoulder))
         if away > most + near:
@@ -125,13 +125,18 @@ def _crowded(human: HumanConfig, cell: CellConfig) -> Iterator[str]:
         )
 
 
+NO_GRIPPER = GripperConfig()
+
+
 @lru_cache(maxsize=8)
-def reach(robot: str, end_effector: str | None = None) -> tuple[NDArray[np.float64], float]:
+def reach(
+    robot: str, end_effector: str | None = None, gripper: GripperConfig = NO_GRIPPER
+) -> tuple[NDArray[np.float64], float]:
     """Return an arm's shoulder (3,) m, the anchor of its second joint, and the tool's largest distance from it, m.
 
     The distance is found by turning one joint after the other to the best of ANGLES angles within its limits.
     """
-    root = with_end_effector(robot_named(robot), end_effector).build()
+    root = equipped(robot, end_effector, gripper).build()
     model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
     data = mujoco.MjData(model)
     shoulder, best = np.zeros(3), 0.0

@@ -7,9 +7,10 @@ from typing import Protocol
 
 from dm_control import mjcf
 
-from hrl_comfort.config import ConfigError
+from hrl_comfort.config import ConfigError, GripperConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.scene.franka import FRANKA
+from hrl_comfort.scene.grippers import Hand, gripper_named
 from hrl_comfort.scene.jaco import JACO
 from hrl_comfort.scene.ur import UR_ARMS, EndEffector, TwoFingers, UrModel
 
@@ -57,6 +58,19 @@ def robot_named(name: str) -> Robot:
     if not (hasattr(found, "build") and hasattr(found, "joints")):
         raise ConfigError(f"robot.name={name!r} is of type {type(found).__name__}; it must be a Robot, such as MjcfArm")
     return found
+
+
+def equipped(name: str, end_effector: str | None, gripper: GripperConfig) -> Robot:
+    """Return the robot `name` with its end effector or gripper; raise ConfigError as `with_end_effector` does."""
+    arm = robot_named(name)
+    if not gripper.holds:
+        return with_end_effector(arm, end_effector)
+    if not isinstance(arm, UrModel):
+        raise ConfigError(
+            f"robot.gripper.name={gripper.name}: robot.name={arm.name} has its own hand; choose gripper=none, or a UR "
+            "arm"
+        )
+    return replace(arm, end_effector=Hand(gripper_named(gripper), gripper.force_n))
 
 
 def with_end_effector(arm: Robot, name: str | None) -> Robot:

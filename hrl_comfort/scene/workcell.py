@@ -24,12 +24,15 @@ from hrl_comfort.scene.furniture import (
     layout,
     object_names,
 )
+from hrl_comfort.scene.grippers.cell import add_guard, add_hand_sensors, check_fits, hold_firmly, planning_model
+from hrl_comfort.scene.grippers.gripper import Gripper, Hand
 from hrl_comfort.scene.human import build_human, limb_poses, limbs_of_person
-from hrl_comfort.scene.robots import Robot, robot_named, with_end_effector
+from hrl_comfort.scene.robots import Robot, equipped
 from hrl_comfort.scene.ur import UrModel
 
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
-"""Layout of a control vector: ctrl (J), mocap positions (nmocap * 3), mocap quaternions (nmocap * 4)."""
+"""Layout of a control vector: ctrl (J, with a gripper J + 1), mocap positions (nmocap * 3) and quaternions
+(nmocap * 4)."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class Scene:
     model: mujoco.MjModel
     sensors: Mapping[str, slice]
     """Slices of sensordata: joint_pos (J) rad, joint_vel (J) rad/s, tcp_pos (3) m; numbers of contacts with
-    the robot: human (L, by `limbs`), table (F + 2, by `furniture`, then pedestal and floor), self (1)."""
+    the robot: human (L, by `limbs`), table (F + 2, by `furniture`, then pedestal and floor), self (1). With a gripper
+    also those of `scene.grippers.cell.add_hand_sensors`."""
     home: NDArray[np.float64]
     """(J,) rad."""
     joint_range: NDArray[np.float64]
@@ -56,8 +60,8 @@ class Scene:
     ncontrol: int
     """Length of CONTROL_SPEC."""
     mocap: tuple[str, ...]
-    """Names of the mocap bodies by mocap index: `limbs`, `furniture`, then the props: POINTS, and for each object a
-    body of each kind."""
+    """Names of the mocap bodies by mocap index: `limbs`, `furniture`, then the props: POINTS, and without a gripper for
+    each object a body of each kind."""
     limbs: tuple[str, ...]
     """Names of the L bodies of people: LIMBS of the first, then those of the others."""
     furniture: tuple[str, ...]
@@ -65,6 +69,16 @@ class Scene:
     layout: NDArray[np.float64]
     """(F, 7) m and quaternion, poses of `furniture` in the cell's configuration; a place's is the middle of its top."""
     floor_z: float
+    gripper: Gripper | None
+    """Whose fingers hold objects; None where these ride on the tool."""
+    planning: mujoco.MjModel
+    """`model`, with a gripper without objects and with fingers that stand open: its qpos is that of the joints."""
+    planning_xml: str
+    """XML of `planning`; `assets` go with it."""
+    moving: NDArray[np.int64]
+    """(2 J,) indices of the joints' angles and velocities in mjSTATE_FULLPHYSICS."""
+    loose: tuple[str, ...]
+    """Names of the objects that move freely, for each object a body of each kind; none without a gripper."""
 
     @property
     def first_prop(self) -> int:
@@ -97,7 +111,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
       ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints, or
         `robot.calibration` does not fit the robot.
     """
-    arm = with_end_effector(robot_named(robot.name), robot.end_effector)
+    arm = equipped(robot.name, robot.end_effector, robot.gripper)
     if robot.calibration is not None:
         arm = calibrated(arm, robot.name, robot.calibration)
     home = arm.home_deg if robot.home_deg is None else robot.home_deg
@@ -111,7 +125,13 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
     model = mujoco.MjModel.from_xml_string(xml, assets)
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
-    limbs = limb_names(people)
+    limbs, gripper = limb_names(people), gripper_of(arm)
+    planning, planning_xml = model, xml
+    if gripper is not None:
+        check_fits(gripper, cell)
+        planning, planning_xml = planning_model(xml, assets, names)
+    kinds = tuple(object_names(cell, objects))
+    qpos, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
     return Scene(
         robot=robot.name,
         cell=cell,
@@ -124,18 +144,29 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
         joint_range=model.jnt_range[joints].copy(),
         nstate=mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS),
         ncontrol=mujoco.mj_stateSize(model, CONTROL_SPEC),
-        mocap=(*limbs, *furniture(cell), *POINTS, *object_names(cell, objects)),
+        mocap=(*limbs, *furniture(cell), *POINTS, *(kinds if gripper is None else ())),
         limbs=limbs,
         furniture=furniture(cell),
         layout=layout(cell),
         floor_z=-cell.base_height_m,
+        gripper=gripper,
+        planning=planning,
+        planning_xml=planning_xml,
+        moving=np.concatenate([1 + qpos, 1 + model.nq + dof]).astype(np.int64),
+        loose=() if gripper is None else kinds,
     )
+
+
+def gripper_of(arm: Robot) -> Gripper | None:
+    """Return the gripper of an arm that has one."""
+    hand = arm.end_effector if isinstance(arm, UrModel) else None
+    return hand.gripper if isinstance(hand, Hand) else None
 
 
 def scene_of(config: EnvConfig) -> Scene:
     """Return the scene of the cells of `config`; raise as `build_scene` does."""
     people = len(config.human.everyone)
-    return build_scene(config.robot, config.cell, config.engine.substeps, config.task.objects, people)
+    return build_scene(config.robot, config.cell, config.substeps, config.task.objects, people)
 
 
 def _described(
@@ -146,13 +177,18 @@ def _described(
     _set_options(root, substeps)
     floor_z = -cell.base_height_m
     add_surroundings(root.worldbody, cell)
+    gripper = gripper_of(arm)
     frame = root.attach(arm.build())
     _hold_shoulder(frame.root.find("joint", joints[0]))
     for index in range(people):
         build_human(root.worldbody, limb_poses(FAR_AWAY_M, 0.0, 0.0, 0.0, 0.0, floor_z), index)
     add_furniture(root.worldbody, cell)
-    add_props(root.worldbody, cell, objects)
+    add_props(root.worldbody, cell, objects, loose=gripper is not None)
     sizes = _add_sensors(root, joints, limb_names(people), (*furniture(cell), *STANDS))
+    if gripper is not None:
+        hold_firmly(root)
+        add_guard(root, cell, limb_names(people))
+        sizes |= add_hand_sensors(root, gripper, object_names(cell, objects))
     return root.to_xml_string(), root.get_assets(), sizes
 
 
@@ -162,9 +198,9 @@ _described_once: Any = lru_cache(maxsize=16)(_described)
 
 def tool_at(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the tool centre point (3,) m at joint angles (J,) rad."""
-    data = mujoco.MjData(scene.model)
+    data = mujoco.MjData(scene.planning)
     data.qpos[:] = joints
-    mujoco.mj_kinematics(scene.model, data)
+    mujoco.mj_kinematics(scene.planning, data)
     return np.array(data.site("robot/tcp").xpos)
 
 

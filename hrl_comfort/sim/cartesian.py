@@ -17,17 +17,18 @@ TOOL_ACTION = 6
 
 
 def action_dim(scene: Scene, task: TaskConfig) -> int:
-    """Return the size A of an action: a number for each joint, or TOOL_ACTION."""
-    return TOOL_ACTION if task.action == "cartesian" else len(scene.joints)
+    """Return the size A of an action: a number for each joint, or TOOL_ACTION; with a gripper one more, the last."""
+    arm = TOOL_ACTION if task.action == "cartesian" else len(scene.joints)
+    return arm + (scene.gripper is not None)
 
 
 class CartesianHand:
     """Differential inverse kinematics of one arm, applied row by row."""
 
     def __init__(self, scene: Scene, task: TaskConfig) -> None:
-        self._configuration = mink.Configuration(scene.model)
+        self._configuration = mink.Configuration(scene.planning)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.2, lm_damping=1e-4)
-        self._limits = [mink.ConfigurationLimit(scene.model)]
+        self._limits = [mink.ConfigurationLimit(scene.planning)]
         self._task = task
 
     def increments(self, joint_pos: Array, action: Array) -> Array:

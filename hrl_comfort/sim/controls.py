@@ -25,10 +25,14 @@ def pack_controls(
 ) -> Array:
     """Return control vectors (n, K * s, ncontrol): servo targets, mocap positions, mocap quaternions.
 
-    targets (n, K * s, J) rad, s to a control step; limbs (n * K, L, 7) stay put over a control step; the layout
-    (n, F, 7) of places and obstacles, objects (n, B, 3) m, of kinds (n, B), and points (n, P, 3) m over all of them.
-    Objects are absent if there are points.
+    targets (n, K * s, J) rad, with a gripper that of its drive too, s to a control step; the drive's is 0 without it.
+    Limbs (n * K, L, 7) stay put over a control step; the layout (n, F, 7) of places and obstacles, objects (n, B, 3) m,
+    of kinds (n, B), and points (n, P, 3) m over all of them.
+    Objects are absent if there are points; loose ones are not controlled.
     """
-    props = scene.object_prop(np.arange(kinds.shape[1]), kinds)
+    n, driven = len(targets), targets.shape[-1]
+    if driven < scene.model.nu:
+        targets = np.concatenate([targets, np.zeros((*targets.shape[:2], scene.model.nu - driven))], axis=-1)
+    props = np.empty((n, 0), dtype=np.int64) if scene.loose else scene.object_prop(np.arange(kinds.shape[1]), kinds)
     given = contiguous(targets, limbs, layout, objects, props, points)
     return kernels.controls(*given, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)

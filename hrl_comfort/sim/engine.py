@@ -47,8 +47,8 @@ class Engine:
         """
         rows = np.arange(self.num_envs) if rows is None else rows
         if len(rows):
-            joints = self.episodes.begin(rows, self.physics.sense, entries)
-            self.physics.begin(rows, joints, self.episodes.values(rows))
+            bodies = self.episodes.begin(rows, self.physics.sense, entries)
+            self.physics.begin(rows, bodies, self.episodes.values(rows))
         assert self.episodes.state is not None
         return self.episodes.state
 
@@ -69,7 +69,7 @@ class Engine:
         controls = self.episodes.controls(action, lambda: physics.joints)
         sensed = [physics.run(control[at], rows) for control in controls]
         result = self.episodes.advance(sensed[0] if len(sensed) == 1 else np.concatenate(sensed, axis=1), rows)
-        physics.end_decision(result.decision_steps.numpy()[at] * self.episodes.config.engine.substeps, rows)
+        physics.end_decision(result.decision_steps.numpy()[at] * self.episodes.config.substeps, rows)
         return result
 
     def close(self) -> None:

@@ -29,9 +29,9 @@ LONGEST_STEPS = 1_000_000
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
-LAYOUT_STREAM = 40
+LAYOUT_STREAM, TURN_STREAM = 40, 41
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
-randomisation and layouts: with or without any of them, the rest of an episode is the same."""
+randomisation, layouts and turns: with or without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Draw:
     """(B, kinds, 3) m, centre of each object where it arrives if it is of a kind."""
     kinds: NDArray[np.int64]
     """(B,) kind of each object, its index in `cell.objects`."""
+    turns: Array
+    """(B,) rad, turn of each object about the vertical as it arrives; zero without a gripper."""
     arriving: NDArray[np.int64]
     """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
     noise: Array
@@ -158,6 +160,9 @@ class EpisodeSampler:
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
         arriving = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
+        turns = np.zeros(self._config.task.objects)
+        if self._scene.gripper is not None:
+            turns = self.generator(row, episode, TURN_STREAM).uniform(-np.pi, np.pi, len(turns))
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         for attempt in range(ATTEMPTS):
@@ -183,7 +188,7 @@ class EpisodeSampler:
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
                 layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
-                *arriving[1:],
+                arriving[1], turns, arriving[2],
             )  # fmt: skip
             yield Draw(*standing, noise, traits, told, *ids, spawns, start[: self._arm], points, *other)
 
@@ -220,7 +225,7 @@ class EpisodeSampler:
             return self._recorded[kind]
         if start == Start.HOME:
             return at_rest(layout.home[None])
-        return at_rest(self._layouts.postures(layout, start == Start.AT_OBJECT, kind))
+        return at_rest(self._layouts.postures(layout, start, kind))
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.

@@ -18,7 +18,7 @@ from torch import Tensor
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import with_comfort
 from hrl_comfort.comfort.sources import Source, make_source
-from hrl_comfort.config import ConfigError, EnvConfig, HumanConfig
+from hrl_comfort.config import PREGRASP, ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
 from hrl_comfort.safety.separation import Separation
@@ -31,7 +31,7 @@ from hrl_comfort.sim.referee import Referee
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Values, observed
-from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks import Start, State, Subtask, subtask
 from hrl_comfort.tasks.observations.standard import share
 
 Array = NDArray[np.float64]
@@ -61,7 +61,9 @@ class Episodes:
     ) -> None:
         self.scene, self.config, self.rows = scene, config, rows
         task = config.task
-        known = subtask(task.name, task.observation, task.objects)
+        known = subtask(task.name, task.observation, task.objects, config.robot.gripper.holds)
+        if task.start == PREGRASP and known.start == Start.HOME and known.stages[0].grasps:
+            known = replace(known, start=Start.BEFORE_OBJECT)
         plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
         seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
@@ -115,7 +117,9 @@ class Episodes:
         return self.referee.source
 
     def begin(self, rows: NDArray[np.int64], probe: Probe, entries: EvaluationSet | None = None) -> Array:
-        """Begin the next episode of `rows` (r,); return their joints (r, 2 J): angles rad, velocities rad/s.
+        """Begin the next episode of `rows` (r,); return their bodies (r, nq + nv): positions and velocities.
+
+        Without a gripper these are the joints (r, 2 J): angles rad, velocities rad/s.
 
         With `entries` (r,) of an evaluation split the rows begin these; the next call without them begins the episode
         that they would have begun now. Draws are repeated until the cell begins free of contact and unsolved.
@@ -129,7 +133,8 @@ class Episodes:
         else:
             sampler = EpisodeSampler(self.scene, self.config, self.subtask, 0, entries)
             attempts = {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}
-        pending, moving = rows, 2 * len(self.scene.joints)
+        pending, model = rows, self.scene.model
+        bodies = np.empty((self.rows, model.nq + model.nv))
         for _ in range(ATTEMPTS):
             for row in pending:
                 for name, value in vars(next(attempts[row])).items():
@@ -142,7 +147,8 @@ class Episodes:
             self.source.draws[pending] = self.draw.level[pending]
             self.source.begin(pending)
             planned, control = self.plan.begin(pending, self.draw, self.values(pending))
-            sensed = probe(self.draw.start[pending, :moving], control)
+            bodies[pending] = planned.bodies
+            sensed = probe(planned.bodies, control)
             state = self.referee.first(sensed, planned, self._drawn(pending))
             if self.state is None and len(pending) < self.rows:
                 raise ConfigError("the first reset must reset every row")
@@ -153,7 +159,7 @@ class Episodes:
             pending = pending[bad]
             if not len(pending):
                 self._ready[rows] = True
-                return self.draw.start[rows, :moving]
+                return bodies[rows]
         raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
 
     def _drawn(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
@@ -179,11 +185,15 @@ class Episodes:
             **self.plan.bodies(draw.start[rows, : len(self.scene.joints)], rows),
             "kind_places": draw.kind_places[rows],
             "points": draw.points[rows],
-            "objects": draw.objects(rows),
             "kinds": kinds,
             "placed": np.zeros(kinds.shape, dtype=bool),
             "level": self.source.level[rows],
         }
+        if self.scene.gripper is None:
+            known["objects"] = draw.objects(rows)
+        else:
+            sizes = np.array([each.half_m for each in self.config.cell.objects.values()], dtype=np.float64)
+            known["kind_sizes"] = np.repeat(sizes[None], n, axis=0)
         return {name: torch.from_numpy(value) for name, value in known.items()}
 
     def rewind(self, seed: int | None = None) -> None:
@@ -219,7 +229,7 @@ class Episodes:
         begins there. The caller takes each row's physics from the end of its last valid control step.
         """
         assert self.state is not None
-        readings = sensed.reshape(len(sensed), -1, self.config.engine.substeps, sensed.shape[-1])
+        readings = sensed.reshape(len(sensed), -1, self.config.substeps, sensed.shape[-1])
         limbs = self.people.now.limbs
         result = self.referee.judge(self.state, self.draw, self.plan.planned, limbs, readings, rows)
         self.plan.end(result.decision_steps.numpy() - 1)

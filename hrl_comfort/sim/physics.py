@@ -28,11 +28,11 @@ class Physics(Protocol):
     def joints(self) -> Array:
         """(N, 2 J) as they are now: angles, rad, and velocities, rad/s."""
 
-    def sense(self, joints: Array, control: Array) -> Array:
-        """Return the readings (r, nsensor) of cells at `joints` (r, 2 J) under `control` (r, ncontrol)."""
+    def sense(self, bodies: Array, control: Array) -> Array:
+        """Return the readings (r, nsensor) of cells whose bodies are at (r, nq + nv) under `control` (r, ncontrol)."""
 
-    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
-        """Put `rows` (r,) at `joints` (r, 2 J); their cells differ from the model by `values` (r)."""
+    def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
+        """Put the bodies of `rows` (r,) at (r, nq + nv); their cells differ from the model by `values` (r)."""
 
     def begin_decision(self) -> None:
         """Begin a decision, of which some control steps may turn out void."""
@@ -63,18 +63,18 @@ class Rollout:
     @property
     def joints(self) -> Array:
         """See `Physics`."""
-        return self._now[:, 1:]
+        return self._now[:, self._scene.moving]
 
-    def sense(self, joints: Array, control: Array) -> Array:
+    def sense(self, bodies: Array, control: Array) -> Array:
         """See `Physics`. Readings are those before a step is integrated: other masses make no difference to them."""
         sensed = self._threads.rollout(
-            self._scene.model, self._data, state_of(joints), control[:, None], control_spec=CONTROL_SPEC
+            self._scene.model, self._data, state_of(bodies), control[:, None], control_spec=CONTROL_SPEC
         )[1]
         return sensed[:, 0]
 
-    def begin(self, rows: NDArray[np.int64], joints: Array, values: Values) -> None:
+    def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """See `Physics`."""
-        self.state[rows] = state_of(joints)
+        self.state[rows] = state_of(bodies)
         self.vary(rows, values)
 
     def vary(self, rows: NDArray[np.int64], values: Values) -> None:
@@ -115,6 +115,6 @@ class Rollout:
         self._threads.close()
 
 
-def state_of(joints: Array) -> Array:
-    """Return the physics (r, nstate) at time 0 of `joints` (r, 2 J): angles rad, velocities rad/s."""
-    return np.concatenate([np.zeros((len(joints), 1)), joints], axis=1)
+def state_of(bodies: Array) -> Array:
+    """Return the physics (r, nstate) at time 0 of bodies at (r, nq + nv); of an arm alone its joints (r, 2 J)."""
+    return np.concatenate([np.zeros((len(bodies), 1)), bodies], axis=1)

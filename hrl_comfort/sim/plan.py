@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from typing import Any
 
@@ -21,6 +21,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
 from hrl_comfort.sim.controls import pack_controls
 from hrl_comfort.sim.episode_sampler import Draw, EpisodeSampler
+from hrl_comfort.sim.hand.gripping import Gripping
 from hrl_comfort.sim.objects import rendered_positions
 from hrl_comfort.sim.people import Crowd, People
 from hrl_comfort.sim.variation.disturbance import Disturbance
@@ -35,6 +36,10 @@ SET_POINTS = {"angles": "joint_target", "velocity": "target_vel"}
 """Field of `SetPoints` -> field of `State`, where they differ."""
 
 
+NOT_BEGUN = np.empty((0, 0))
+"""Value of `Planned.bodies` where no episode begins."""
+
+
 @dataclass(frozen=True)
 class Planned:
     """What is known of K control steps of N cells before the physics runs; of episodes that begin, of one instant."""
@@ -43,6 +48,8 @@ class Planned:
     """Fields of State, (N, K, ...)."""
     limbs: Array
     """(N, K, L, 7) poses of the people's limbs, m and quaternion."""
+    bodies: Array = field(default_factory=lambda: NOT_BEGUN)
+    """(N, nq + nv) positions and velocities of the bodies in which episodes begin; NOT_BEGUN of a decision."""
 
 
 class Plan:
@@ -73,7 +80,7 @@ class Plan:
         takes_back: bool,
     ) -> None:
         self._scene, self._separation, self._task, self._subtask = scene, separation, config.task, subtask
-        self._sampler, self._rows, self.steps, self._substeps = sampler, rows, steps, config.engine.substeps
+        self._sampler, self._rows, self.steps, self._substeps = sampler, rows, steps, config.substeps
         self.action_dim = action_dim(scene, config.task)
         """Size A of an action."""
         self._hand = CartesianHand(scene, config.task) if config.task.action == "cartesian" else None
@@ -89,6 +96,7 @@ class Plan:
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
         """m/s, their mean velocity over the decision before."""
+        self._gripping = None if scene.gripper is None else Gripping(scene, subtask)
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
 
@@ -98,16 +106,21 @@ class Plan:
         Return what is known of their first instant, and the control (r, ncontrol) that holds arm and people there.
         """
         fresh = self.people.begin(rows, draw.spawn[rows], draw.traits[rows])
-        _, velocity, targets = np.split(draw.start[rows], 3, axis=1)
+        angles, velocity, targets = np.split(draw.start[rows], 3, axis=1)
+        bodies, grip = np.concatenate([angles, velocity], axis=1), None
+        if self._gripping is not None:
+            bodies, grip = self._gripping.begin(draw, rows)
         still = np.zeros_like(targets) if self.drive is None else self.drive.rated(velocity)
         steps, objects = np.zeros((len(rows), 1), dtype=np.int64), draw.objects(rows)
         self._servos.begin(rows, values, targets)
         measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.places, fresh.limbs)
         self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
-        planned = self._planned([fresh], measured[:, None], points, steps)
+        grips = None if grip is None else [grip]
+        planned = self._planned([fresh], measured[:, None], points, steps, grips, bodies)
         standing = draw.layout(rows), objects, draw.kinds[rows], draw.points[rows, : self._subtask.points]
-        return planned, pack_controls(self._scene, targets[:, None], fresh.limbs, *standing)[:, 0]
+        control = self._with_grip(targets[:, None], grip, grip)
+        return planned, pack_controls(self._scene, control, fresh.limbs, *standing)[:, 0]
 
     def accepted(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin the drive of `rows` (r,), whose episodes begin beside people with `limbs` (r, L, 7)."""
@@ -122,6 +135,9 @@ class Plan:
         """
         joint_target = state.joint_target.numpy()
         action = np.minimum(np.maximum(action, -1.0), 1.0)
+        grips: list[Array] | None = None
+        if self._gripping is not None:
+            action, command, grips = action[:, :-1], action[:, -1], [state.grip_target.numpy()]
         if self._hand is None:
             increment = action * np.radians(self._task.max_step_deg)
         else:
@@ -156,11 +172,22 @@ class Plan:
                 point = self.drive.beside(point, now, crowd.limbs)
             points.append(point)
             self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
-            waiting.append(pack_controls(self._scene, self._servos.follow(targets), crowd.limbs, *standing))
+            followed = self._servos.follow(targets)
+            if self._gripping is not None and grips is not None:
+                grips.append(self._gripping.fingers.follow(grips[-1], command))
+                followed = self._with_grip(followed, *grips[-2:])
+            waiting.append(pack_controls(self._scene, followed, crowd.limbs, *standing))
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
-        self.planned = self._planned(self.people.course[1:], self.tracker.seen(), points[1:], times + 1)
+        grips = None if grips is None else grips[1:]
+        self.planned = self._planned(self.people.course[1:], self.tracker.seen(), points[1:], times + 1, grips)
+
+    def _with_grip(self, targets: Array, before: Array | None, after: Array | None) -> Array:
+        """Return `targets` (n, T, J) rad with those of the hand, whose set-point goes from `before` to `after`."""
+        if self._gripping is None or before is None or after is None:
+            return targets
+        return np.concatenate([targets, self._gripping.fingers.ramp(before, after, targets.shape[1])], axis=2)
 
     def end(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
@@ -224,16 +251,18 @@ class Plan:
         return {name: value[:, 0] for name, value in fields.items()} | self.people_bodies()
 
     def _planned(
-        self, crowds: Sequence[Crowd], measured: Array | None, points: Sequence[SetPoints], steps: NDArray[np.int64]
-    ) -> Planned:
+        self, crowds: Sequence[Crowd], measured: Array | None, points: Sequence[SetPoints], steps: NDArray[np.int64],
+        grips: Sequence[Array] | None, bodies: Array = NOT_BEGUN,
+    ) -> Planned:  # fmt: skip
         """Return what is known of the people of K instants, `measured` as of `people_fields`, and of the K set-points.
 
-        `steps` (N, K) are the control steps of the episodes.
+        `steps` (N, K) are the control steps of the episodes, `grips` the K set-points of the hands.
         """
         moving = {name: instants([getattr(each, name) for each in points]) for name in vars(points[0])}
         named = {SET_POINTS.get(name, name): value for name, value in moving.items()}
         limbs = instants([crowd.limbs for crowd in crowds])
-        return Planned({**named, **self.people_fields(crowds, measured), "steps": steps}, limbs)
+        hand = {} if grips is None else {"grip_target": instants(grips)}
+        return Planned({**named, **self.people_fields(crowds, measured), "steps": steps, **hand}, limbs, bodies)
 
     def _ramp(self, before: Array, increment: Array, k: int, steps: NDArray[np.int64]) -> tuple[Array, SetPoints]:
         """Return the targets (N, substeps, J) rad of control step `k` of an arm without a drive, and its set-points.

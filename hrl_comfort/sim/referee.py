@@ -61,7 +61,7 @@ class Referee:
 
     def first(self, sensed: Array, planned: Planned, known: dict[str, Tensor]) -> State:
         """Return the state (r) in which episodes begin: from readings (r, nsensor), and fields that are drawn."""
-        return State(**self.sensors.read_first(sensed, planned, known["joint_home"]), **known)
+        return State(**self.sensors.read_first(sensed, planned, known), **known)
 
     def judge(
         self,

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.hand.sensors import HandSensors
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.tasks import State
 
@@ -35,13 +36,17 @@ class Sensors:
     ) -> None:
         self._at, self._separation = scene.sensors, separation
         self._measure_arm, self._measure_home, self._pushing = measure_arm, measure_home, pushing
+        self._hand = None if scene.gripper is None else HandSensors(scene)
 
-    def read_first(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
+    def read_first(self, sensed: Array, planned: Planned, known: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the fields (r, ...) of the first instants of episodes, from readings (r, nsensor).
 
-        `home` (r, J) rad are the joints at home.
+        `known` are fields that are drawn, the joints at home (r, J) rad and the kinds of the objects (r, B) among them.
         """
-        fields = {name: value[:, 0] for name, value in self._read(sensed[:, None], planned, home).items()}
+        read = self._read(sensed[:, None], planned, known["joint_home"])
+        if self._hand is not None:
+            read |= self._hand.first(sensed[:, None], known["kinds"].numpy())
+        fields = {name: value[:, 0] for name, value in read.items()}
         return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
 
     def read_decision(
@@ -64,9 +69,9 @@ class Sensors:
         return fields
 
     def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> dict[str, Tensor]:
-        return self._read(readings[:, :, -1], planned, before.joint_home) | self._contacts(
-            readings, planned.limbs, before, limbs
-        )
+        fields = self._read(readings[:, :, -1], planned, before.joint_home)
+        fields |= self._contacts(readings, planned.limbs, before, limbs)
+        return fields if self._hand is None else fields | self._hand.decision(readings[:, :, -1], before)
 
     def _read(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
         """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them."""

@@ -16,7 +16,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import STARTS, ConfigError, EnvConfig
 from hrl_comfort.files.archives import DAMAGED, check_archive
 from hrl_comfort.tasks import Start
 
@@ -39,7 +39,7 @@ def recorded_starts(config: EnvConfig, start: Start, joints: int) -> list[Array]
     Raises:
       ConfigError: the file is missing, damaged, of another kind of cell or of more levels than `comfort.levels`.
     """
-    if start == Start.HOME or config.task.start == "ik":
+    if start == Start.HOME or config.task.start in STARTS:
         return None
     cell = config.cell
     varied = (cell.vary.layouts, fingerprint(config)) if cell.vary.layouts else None

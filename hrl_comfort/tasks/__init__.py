@@ -7,6 +7,7 @@ from dataclasses import replace
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import part
 from hrl_comfort.tasks.cycle import CYCLE
+from hrl_comfort.tasks.hand import with_hand
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
 from hrl_comfort.tasks.pick_place import PICK_PLACE
@@ -24,10 +25,11 @@ SUBTASKS: dict[str, Subtask] = {
 }
 
 
-def subtask(name: str, observation: str = "default", objects: int = 1) -> Subtask:
+def subtask(name: str, observation: str = "default", objects: int = 1, hand: bool = False) -> Subtask:
     """Return the subtask `name`, seen through the observation layout `observation`.
 
-    `name` is one of SUBTASKS, an entry point or `package.module:name`; `objects` counts for `sort` alone.
+    `name` is one of SUBTASKS, an entry point or `package.module:name`; `objects` counts for `sort` alone. `hand`: of a
+    cell with a gripper.
 
     Raises:
       ConfigError: no such subtask or layout.
@@ -38,10 +40,10 @@ def subtask(name: str, observation: str = "default", objects: int = 1) -> Subtas
     if observation not in LAYOUTS:
         raise ConfigError(f"task.observation={observation!r} is not allowed; choose one of {', '.join(LAYOUTS)}")
     chosen = sort(objects) if name == "sort" else found if found.name == name else replace(found, name=name)
-    if observation == "default":
-        return chosen
-    seen = replace(chosen, observations=LAYOUTS[observation](chosen.stages))
-    return repeated(seen) if chosen.repeats else seen
+    if observation != "default":
+        seen = replace(chosen, observations=LAYOUTS[observation](chosen.stages))
+        chosen = repeated(seen) if chosen.repeats else seen
+    return with_hand(chosen) if hand else chosen
 
 
 __all__ = ["SUBTASKS", "ObjectAt", "Stage", "Start", "State", "Subtask", "subtask"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from typing import Self
 
@@ -11,6 +11,10 @@ from torch import Tensor
 
 OF_OBJECTS = {"objects", "kinds", "kind_places", "target"}
 """Fields of which the properties of State are made; they are kept until one of these is replaced."""
+
+
+ABSENT = torch.empty(0)
+"""Value of the fields of a hand in cells without a gripper."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ class State:
     points: Tensor
     """(N, 2, 3) m, first and second point of `reach` and `point_to_point`."""
     objects: Tensor
-    """(N, B, 3) m, centre of each object before it is picked."""
+    """(N, B, 3) m, centre of each object before it is picked; with a gripper, where it is now."""
     kinds: Tensor
     """(N, B) int64, index of its kind in `cell.objects`."""
     placed: Tensor
@@ -108,6 +112,36 @@ class State:
     """(N,) bool."""
     steps: Tensor
     """(N,) int64, control steps since the episode began."""
+    grip: Tensor = ABSENT
+    """(N,) how far the hand is closed: 0 is open, 1 closed on nothing. This and all below with a gripper alone."""
+    grip_vel: Tensor = ABSENT
+    """(N,) 1/s, velocity of `grip`."""
+    grip_target: Tensor = ABSENT
+    """(N,) in [0, 1], set-point of the hand's drive."""
+    tcp_quat: Tensor = ABSENT
+    """(N, 4) orientation of the tool, w first: z away from the flange, x from one pad to the other."""
+    objects_quat: Tensor = ABSENT
+    """(N, B, 4) orientations of the objects, w first."""
+    objects_vel: Tensor = ABSENT
+    """(N, B, 3) m/s, velocities of their centres."""
+    pads: Tensor = ABSENT
+    """(N, B, 2) bool, the object touches the one pad and the other."""
+    ground: Tensor = ABSENT
+    """(N, B) m, height of the object's centre when no pad touched it last."""
+    aloft_steps: Tensor = ABSENT
+    """(N, B) int64, control steps for which the object has been in the hand, LIFT_M above `ground`."""
+    free_steps: Tensor = ABSENT
+    """(N, B) int64, control steps since a pad touched it last."""
+    carried: Tensor = ABSENT
+    """(N, B) bool, the object left the ground in the hand, and has not been let go since."""
+    drops: Tensor = ABSENT
+    """(N,) int64, how often in the episode an object left the hand farther from its place than the tolerance."""
+    object_lost: Tensor = ABSENT
+    """(N,) bool, an object lies on the floor, or the physics diverged."""
+    diverged: Tensor = ABSENT
+    """(N,) bool, the physics diverged in this episode."""
+    kind_sizes: Tensor = ABSENT
+    """(N, kinds, 3) m, half the sides of an object of each kind."""
 
     @cached_property
     def object_places(self) -> Tensor:
@@ -131,7 +165,8 @@ class State:
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields by their names."""
-        return {name: value for name, value in vars(self).items() if name in State.__dataclass_fields__}
+        own = ((name, value) for name, value in vars(self).items() if name in State.__dataclass_fields__)
+        return {name: value for name, value in own if name not in OF_HAND or value.shape != ABSENT.shape}
 
     def rows(self, index: Tensor) -> State:
         """Return the state of the rows that `index` (bool (N,) or int64) selects."""
@@ -165,6 +200,10 @@ class State:
         state = object.__new__(cls)
         vars(state).update(known)
         return state
+
+
+OF_HAND = {field.name for field in fields(State) if field.default is not MISSING}
+"""Fields of cells with a gripper alone."""
 
 
 def _of_target(each: Tensor, index: Tensor) -> Tensor:

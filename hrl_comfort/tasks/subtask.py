@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 
 import torch
 from torch import Tensor
@@ -29,9 +30,14 @@ class ObjectAt(StrEnum):
 
 
 class Start(StrEnum):
-    """Posture in which a subtask begins: joints at home, or the tool at the object or where the object belongs."""
+    """Posture in which a subtask begins: joints at home, or the tool at the object or where the object belongs.
+
+    With a gripper a hand at the object has lifted it, and one where it belongs has let it go.
+    """
 
     HOME = "home"
+    BEFORE_OBJECT = "before_object"
+    """With a gripper: the open hand in front of the object."""
     AT_OBJECT = "at_object"
     AT_PLACE = "at_place"
 
@@ -89,6 +95,8 @@ class Subtask:
     """Contact with the human that is a failure: `contact` or `unsafe_contact`."""
     arrival_speed: float | None = None
     """A stage is done only while the joints are slower than this, rad/s, Euclidean norm; None: at any speed."""
+    losses: tuple[str, ...] = ()
+    """Further fields of State, (N,) bool, that are a failure."""
     repeats: bool = False
     """The stages begin again after the last one: `State.stage` counts on, and only the time limit ends an episode."""
 
@@ -123,20 +131,18 @@ class Subtask:
         return (state.stage >= len(self.stages)) & (not self.repeats)
 
     def failure(self, state: State) -> Tensor:
-        """Return (N,) bool: a contact with the human, as `terminate_on` says, or with the workcell or itself."""
-        contact, table, own = (getattr(state, name) for name in self._failures)
-        return contact | table | own
+        """Return (N,) bool: a contact with the human, as `terminate_on` says, the workcell or itself, or a loss."""
+        return reduce(or_, (getattr(state, name) for name in self._failures))
 
     def failed(self, before: State, after: State) -> Tensor:
         """Return (N,) bool: a control step ends in failure or, if stages are repeated, a failure begins in it."""
         if not self.repeats:
             return self.failure(after)
-        contact, table, own = (getattr(after, name) & ~getattr(before, name) for name in self._failures)
-        return contact | table | own
+        return reduce(or_, (getattr(after, name) & ~getattr(before, name) for name in self._failures))
 
     @property
-    def _failures(self) -> tuple[str, str, str]:
-        return self.terminate_on, "table_collision", "self_collision"
+    def _failures(self) -> tuple[str, ...]:
+        return self.terminate_on, "table_collision", "self_collision", *self.losses
 
     def location(self, stage: int) -> ObjectAt:
         """Return the location of the object in a stage, or after the last one."""

@@ -171,15 +171,15 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
     Raises:
         ConfigError: there is no such policy, it starts elsewhere, or it does not fit this training.
     """
-    source = Path(config.agent.next_skill or "")
+    source, hand = Path(config.agent.next_skill or ""), config.robot.gripper.holds
     try:
         policy = load_policy(source, critics=True)
         spec = policy.spec
-        task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects)
+        task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects, hand)
         seen = observed_by(policy, str(source), task, environment(config))
     except ConfigError as error:
         raise ConfigError(f"agent.next_skill={source}: {error}") from error
-    own = subtask(config.task.name, config.task.observation, config.task.objects)
+    own = subtask(config.task.name, config.task.observation, config.task.objects, hand)
     if task.start != own.stages[-1].next_start:
         raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
 

@@ -37,7 +37,7 @@ def parts(scene: Scene) -> Iterator[Part]:
             yield block(f"obstacle_{name}", (red, green, blue, 1.0), obstacle.size_m, (0.0, 0.0, 0.0), EDGE_M)
     yield from pedestal_parts(min(scene.floor_z, -0.05))
     yield from arm_parts(scene.robot)
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "robot/gripper") >= 0:
+    if scene.gripper is None and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "robot/gripper") >= 0:
         yield from gripper_parts()
     for index in range(len(scene.limbs) // len(LIMBS)):
         yield from person_parts(index)

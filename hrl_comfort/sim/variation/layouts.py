@@ -16,7 +16,9 @@ from hrl_comfort.config.cell import DIGITS
 from hrl_comfort.scene.furniture import turn
 from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.sim.variation.grasps import Grasps, rise_m
 from hrl_comfort.sim.variation.postures import Postures
+from hrl_comfort.tasks import Start
 
 Array = NDArray[np.float64]
 BEHIND_M = 0.4
@@ -68,9 +70,11 @@ class Layouts:
 
     def __init__(self, scene: Scene, config: EnvConfig) -> None:
         self._scene, self._cell, self._precision = scene, config.cell, config.task.precision
-        self._shoulder, self._reach = reach(config.robot.name, config.robot.end_effector)
-        self._solver = Postures(scene.xml, scene.home)
+        self._jitter = config.task.object_jitter_m
+        self._shoulder, self._reach = reach(config.robot.name, config.robot.end_effector, config.robot.gripper)
+        self._solver = Postures(scene.planning_xml, scene.home)
         self._known: dict[tuple[str, int], Layout] = {}
+        self._hand_postures: dict[tuple[bytes, Start, int], Array] = {}
 
     @property
     def varies(self) -> bool:
@@ -83,13 +87,36 @@ class Layouts:
         places, obstacles = np.split(self._scene.layout, [len(self._cell.places)])
         return self._layout(np.nan, places, obstacles, self._scene.home)
 
-    def postures(self, layout: Layout, picked: bool, kind: int) -> Array:
-        """Return postures (n, J) rad with the tool where an object of a kind belongs or, `picked`, where it arrives."""
+    def postures(self, layout: Layout, start: Start, kind: int) -> Array:
+        """Return postures (n, J) rad with the tool where `start` says, for an object of a kind."""
+        if self._scene.gripper is not None:
+            return self._of_hand(layout, start, kind)
+        picked = start == Start.AT_OBJECT
         if layout is not self.given:
             return (layout.at_arrival if picked else layout.at_place)[kind]
         goal = (layout.arrives if picked else layout.belongs)[kind]
         near = self._precision.grasp_tolerance_m if picked else self._precision.place_tolerance_m
-        return inverse_kinematics(self._scene.xml, tuple(goal.tolist()), near, tuple(self._scene.home.tolist()))
+        return inverse_kinematics(
+            self._scene.planning_xml, tuple(goal.tolist()), near, tuple(self._scene.home.tolist())
+        )
+
+    def _of_hand(self, layout: Layout, start: Start, kind: int) -> Array:
+        """Return postures (n, J) rad of a hand in front of an object of a kind, or that has lifted it or let it go."""
+        goal = (layout.belongs if start == Start.AT_PLACE else layout.arrives)[kind]
+        poses = np.concatenate([layout.places, layout.obstacles])
+        key = (poses.tobytes(), start, kind)
+        if key not in self._hand_postures:
+            self._grasps.stand(poses)
+            spread = self._jitter if start == Start.BEFORE_OBJECT else 0.0
+            point = goal + np.array([0.0, 0.0, rise_m(self._scene, kind)])
+            self._hand_postures[key] = self._grasps.starts(point, start == Start.AT_OBJECT, spread)
+        if not len(self._hand_postures[key]):
+            raise ConfigError(f"no grasp found at cell point {goal.round(3).tolist()}: is it within reach?")
+        return self._hand_postures[key]
+
+    @cached_property
+    def _grasps(self) -> Grasps:
+        return Grasps(self._scene)
 
     def numbered(self, split: str, number: int) -> Layout:
         """Return the layout `number` of `cell.vary` in a split, one of SPLITS."""

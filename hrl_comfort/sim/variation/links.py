@@ -15,7 +15,7 @@ def vary_links(model: mujoco.MjModel, nominal: mujoco.MjModel, mass: Array, fric
     `mass` (J,) are the factors of the mass and inertia that each joint moves before the next one, `friction` (J,) the
     Coulomb friction of each joint over the largest torque of its servo.
     """
-    for index in range(nominal.nu):
+    for index in range(len(mass)):
         joint = int(nominal.actuator_trnid[index, 0])
         link, torque = int(nominal.jnt_bodyid[joint]), nominal.actuator_forcerange[index, 1]
         moved = [body for body in range(nominal.nbody) if nominal.body_weldid[body] == link]

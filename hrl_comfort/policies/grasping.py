@@ -1,0 +1,279 @@
+"""The expert with a hand that holds: plans of the scripted expert up to an object, then a grasp.
+
+A function of the state. It picks from in front of the object: align, advance, close, lift. It places from above: lower,
+open, retreat. An object that has fallen is picked where it lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.policies.expert import NEAREST, Expert, Goal
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m, turn_of
+from hrl_comfort.tasks import State, Subtask
+
+Array = NDArray[np.float64]
+OPEN, CLOSED = -1.0, 1.0
+BALL = ("sphere",)
+ROUND = ("sphere", "cylinder", "capsule")
+"""Shapes that a hand grasps from any side."""
+PICK, PLACE = 0.0, 1.0
+"""First number of a goal: a posture in front of an object, or above its place."""
+ROUND_M, ROUND_RAD = 0.005, 0.05
+"""Objects that are nearer to each other than this have the same postures."""
+LATERAL_M, AHEAD_M = 0.02, 0.03
+"""The hand is in front of an object up to this distance from its line, and farther away than it should by this."""
+TILTED_RAD, ROLLED_RAD, YAWED_RAD = 0.7, 0.25, 0.3
+"""Largest tilt of a hand that advances, and angle of the line from pad to pad with the horizontal and with a side."""
+ALIGNED_M, REACHED_M, CLOSING_M = 0.006, 0.006, 0.015
+"""Distance from the line at which the hand advances, from the object at which it closes, and goes on closing."""
+LOWER_M, DOWN_M = 0.025, 0.005
+"""Distance from above its place at which an object is lowered, and height at which it is let go."""
+HIGH = 0.8
+"""Part of ABOVE_M from which an object is high enough to be carried."""
+RETREAT_M = 0.09
+"""Distance from an object up to which an open hand retreats."""
+SPEED_M_S, LIFT_SPEED_M_S = 0.30, 0.40
+SLOWER, SLOWEST_M = 0.5, 0.004
+"""Part of the way left, and shortest way, of a decision in which a hand approaches what it may touch."""
+FIRM = 0.95
+"""Set-point of the fingers from which a hand that touches an object holds it."""
+NEARER = (1.0, 0.75, 0.5)
+"""Parts of BACK_M and ABOVE_M that are tried for postures in front of an object and above its place."""
+GOALS = 3
+"""Postures for a goal; some may be blocked."""
+STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
+"""The vertical in the frame of a tool that points down."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What an arm does next: go on by joint increments (J,) rad in a decision, or with a plan if there are none."""
+
+    fingers: float
+    move: Array | None = None
+
+
+class GraspingExpert(Expert):
+    """Policy for any rows of any subtask in a cell with a gripper; a function of the state."""
+
+    def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
+        super().__init__(scene, config, subtask)
+        self._grasps, self._scene = Grasps(scene), scene
+        shapes = [each.shape for each in config.cell.objects.values()]
+        self._round, self._ball = ([each in kind for each in shapes] for kind in (ROUND, BALL))
+        stages = [*subtask.stages, subtask.stages[-1]]
+        self._grasping = np.array([stage.grasps for stage in stages])
+        self._releasing = np.array([stage.releases for stage in stages])
+        self._decision_s = config.task.action_repeat * CONTROL_STEP_S
+
+    @torch.no_grad()
+    def act(self, state: State) -> Tensor:
+        """Return actions (N, 7) in [-1, 1]: joint increments in units of `max_step_deg` a control step, and fingers."""
+        rows, joints = state.joint_target.shape
+        action = torch.zeros(rows, joints + 1, dtype=torch.float64)
+        _, pace = self._margin_and_pace(state)
+        planned = []
+        for row in range(rows):
+            step = self._step_of(state, row)
+            action[row, joints] = step.fingers
+            if step.move is None:
+                planned.append(row)
+                continue
+            move = step.move * min(1.0, self._decision * pace[row] / max(np.abs(step.move).max(), 1e-9))
+            action[row, :joints] = torch.from_numpy(move / self._decision)
+        if planned:
+            index = torch.tensor(planned)
+            action[index, :joints] = super().act(state.rows(index))
+        return action
+
+    # ---- steps -----------------------------------------------------------------------------------------
+
+    def _step_of(self, state: State, row: int) -> Step:
+        """Return what the arm of a row does next."""
+        stage, target = int(state.stage[row]), int(state.target[row])
+        obj = state.objects[row, target].numpy()
+        held = bool(state.pads[row, target].all())
+        if self._grasping[stage]:
+            return self._lift(state, row) if held and state.grip_target[row] > FIRM else self._pick(state, row, obj)
+        if self._releasing[stage]:
+            return self._place(state, row, obj, held)
+        away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
+        return self._retreat(state, row) if away < RETREAT_M else Step(OPEN)
+
+    def _pick(self, state: State, row: int, obj: Array) -> Step:
+        """Return the next step towards a grasp of the target at `obj` (3,) m."""
+        kind = int(state.target_kind[row])
+        place, turn = self._grasp_point(obj, kind), _axes(state.tcp_quat[row].numpy())
+        level, off = self._level(turn, state, row)
+        ahead = turn.T @ (place - state.tcp_pos[row].numpy())
+        lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
+        closing = grip > 0.05 and lateral < CLOSING_M and abs(ahead[2]) < CLOSING_M
+        if closing or np.linalg.norm(ahead) < REACHED_M:
+            # A hand that has closed on nothing opens again.
+            return Step(OPEN if state.grip[row] > 0.98 else CLOSED, np.zeros(len(self._range)))
+        in_front = lateral < LATERAL_M and -CLOSING_M < ahead[2] < BACK_M + AHEAD_M
+        if not (in_front and turn[2, 2] < -np.cos(TILTED_RAD) and off):
+            return Step(OPEN)
+        left = ahead[2] - self._advance(ahead[2]) if lateral < ALIGNED_M else ahead[2]
+        return Step(OPEN, self._move(state, row, place - max(left, 0.0) * level[:, 2], level))
+
+    def _grasp_point(self, at: Array, kind: int) -> Array:
+        """Return where (3,) m the tool grasps an object of a kind at (3,) m."""
+        return at + np.array([0.0, 0.0, rise_m(self._scene, kind)])
+
+    def _advance(self, left: float) -> float:
+        """Return the way, m, of the next decision of a hand that has `left` m to go, so that it arrives slowly."""
+        return float(np.clip(SLOWER * left, SLOWEST_M, SPEED_M_S * self._decision_s))
+
+    def _level(self, turn: Array, state: State, row: int) -> tuple[Array, bool]:
+        """Return the axes (3, 3) nearest to those of the tool whose pads meet sides, and whether it is near to them."""
+        across = turn[:, 0] * [1.0, 1.0, 0.0]
+        across /= max(float(np.linalg.norm(across)), 1e-6)
+        rolled, yawed = abs(float(np.arcsin(np.clip(turn[2, 0], -1, 1)))), 0.0
+        yaw = self._yaw(state, row)
+        if yaw is not None:
+            bearing = float(np.arctan2(across[1], across[0])) - yaw
+            yawed = bearing - np.pi / 2 * round(bearing / (np.pi / 2))
+            bearing += yaw - yawed
+            across = np.array([np.cos(bearing), np.sin(bearing), 0.0])
+        down = turn[:, 2] - (turn[:, 2] @ across) * across
+        down /= max(float(np.linalg.norm(down)), 1e-6)
+        level = np.stack([across, np.cross(down, across), down], axis=1)
+        return level, rolled < ROLLED_RAD and abs(yawed) < YAWED_RAD
+
+    def _yaw(self, state: State, row: int) -> float | None:
+        """Return the turn about the vertical, rad, of a side of the target; None if it is round."""
+        target = int(state.target[row])
+        if self._round[int(state.kinds[row, target])]:
+            return None
+        axes = _axes(state.objects_quat[row, target].numpy())
+        flat = axes[:, np.abs(axes[2]).argmin()]
+        return float(np.arctan2(flat[1], flat[0]))
+
+    def _lift(self, state: State, row: int) -> Step:
+        at, turn = self._grasps.pose(state.joint_target[row].numpy())
+        rise = np.array([0.0, 0.0, LIFT_SPEED_M_S * self._decision_s])
+        return Step(CLOSED, self._move(state, row, at + rise, turn))
+
+    def _place(self, state: State, row: int, obj: Array, held: bool) -> Step:
+        """Return the next step that brings the target at `obj` (3,) m to its place."""
+        target = int(state.target[row])
+        way, touched = state.target_place[row].numpy() - obj, bool(state.pads[row, target].any())
+        over = float(np.hypot(*way[:2])) < LOWER_M
+        if not touched or state.grip_target[row] < FIRM:
+            near = np.linalg.norm(way) < float(state.place_tolerance[row])
+            if near and (touched or state.free_steps[row, target] < 5):
+                return Step(OPEN, np.zeros(len(self._range)))
+            if near:
+                away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
+                return self._retreat(state, row) if away < BACK_M else Step(OPEN, np.zeros(len(self._range)))
+            return self._lift(state, row) if held and state.grip_target[row] > FIRM else self._pick(state, row, obj)
+        if over:
+            if -way[2] < DOWN_M:
+                return Step(OPEN, np.zeros(len(self._range)))
+            _, turn = self._grasps.pose(state.joint_target[row].numpy())
+            way[2] = -self._advance(-way[2])
+            place = state.tcp_pos[row].numpy() + way
+            return Step(CLOSED, self._move(state, row, place, turn))
+        low = float(obj[2] - state.ground[row, target]) < HIGH * ABOVE_M and -way[2] < HIGH * ABOVE_M
+        return self._lift(state, row) if low else Step(CLOSED)
+
+    def _retreat(self, state: State, row: int) -> Step:
+        at, turn = self._grasps.pose(state.joint_target[row].numpy())
+        return Step(OPEN, self._move(state, row, at - SPEED_M_S * self._decision_s * turn[:, 2], turn))
+
+    def _move(self, state: State, row: int, place: Array, turn: Array) -> Array:
+        """Return joint increments (J,) rad that bring the tool to `place` (3,) m with axes `turn` (3, 3)."""
+        joints = state.joint_target[row].numpy()
+        return self._grasps.towards(joints, place, turn, 3) - joints
+
+    # ---- plans -----------------------------------------------------------------------------------------
+
+    def _goals_of(self, state: State) -> list[Goal]:
+        """Return the goal of each row: in front of the target, above its place, or home (None)."""
+        goals: list[Goal] = []
+        for row, stage in enumerate(state.stage.tolist()):
+            target = int(state.target[row])
+            kind, obj = int(state.target_kind[row]), state.objects[row, target].numpy()
+            held = self._releasing[stage] and bool(state.pads[row, target].any())
+            if held:
+                up = self._upright(state, row)
+                goals.append((PLACE, kind, *_rounded(state.target_place[row].numpy(), ROUND_M), *_rounded(up, 0.1)))
+            elif self._grasping[stage] or self._releasing[stage]:
+                yaw = self._yaw(state, row)
+                turned = 0.0 if yaw is None else float(_rounded(np.array([yaw % (np.pi / 2)]), ROUND_RAD)[0])
+                goals.append((PICK, kind, *_rounded(obj, ROUND_M), turned))
+            else:
+                goals.append(None)
+        return goals
+
+    def _upright(self, state: State, row: int) -> Array:
+        """Return the axis (3,) of the held target, in the tool's frame, that is to be vertical when it is put down.
+
+        It is the one that points most towards the flange, since hands grasp from above; of a ball the tool's.
+        """
+        target = int(state.target[row])
+        if self._ball[int(state.kinds[row, target])]:
+            return STRAIGHT_DOWN
+        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
+        index = int(np.abs(axes[2]).argmax())
+        return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
+
+    def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
+        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
+        del more
+        kind, at = int(goal[1]), np.array(goal[2:5])
+        place = self._grasp_point(at, kind)
+        self._grasps.stand(self._layout)
+        home = self._here.home
+        found: list[Array] = []
+        for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
+            if goal[0] == PICK:
+                turns = list(approaches(place, None if self._round[kind] else goal[5]))
+                found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
+            else:
+                turns = level_turns(place, np.array(goal[5:8]))
+                found = self._grasps.found(place, turns, home, GOALS, up_m=part * ABOVE_M)
+            if found:
+                break
+        else:
+            return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
+        found.sort(key=lambda posture: float(np.abs(posture - home).max()))
+        return np.array(found)[np.arange(NEAREST) % len(found)]
+
+
+def level_turns(place: Array, up: Array) -> list[Array]:
+    """Return axes (3, 3) of tools at (3,) m for which `up` (3,), in the tool's frame, is vertical; outwards first."""
+    up = up / np.linalg.norm(up)
+    down = turn_of(0.0, float(np.arctan2(place[1], place[0])), 1.0)
+    have = down @ up  # turned to the vertical about the axis between
+    axis, cos = np.cross(have, [0.0, 0.0, 1.0]), float(have[2])
+    cross = np.cross(np.eye(3), axis)
+    fix = np.eye(3) + cross + cross @ cross / max(1 + cos, 1e-6)
+    turns = []
+    for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6):
+        c, s = np.cos(step * np.pi / 6), np.sin(step * np.pi / 6)
+        turns.append(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ fix @ down)
+    return turns
+
+
+def _axes(quaternion: Array) -> Array:
+    """Return the axes (3, 3) of a unit quaternion (4,), w first."""
+    w, x, y, z = quaternion
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def _rounded(values: Array, unit: float) -> Array:
+    return np.asarray((np.round(values / unit) * unit).round(6))

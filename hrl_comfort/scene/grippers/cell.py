@@ -1,0 +1,94 @@
+"""What a gripper adds to a cell: contacts that hold, a guard round what is held, sensors, and a model to plan with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import mujoco
+from dm_control import mjcf
+
+from hrl_comfort.config import CellConfig, ConfigError
+from hrl_comfort.scene.grippers.gripper import DRIVE, Gripper
+
+ROOM_M = 0.02
+"""Smallest room that an open hand needs round an object."""
+GUARD = "guard"
+"""Name of the capsule that people touch in the place of what is held."""
+GUARD_MARGIN_M = 0.01
+"""Distance of an object's middle from the tool for which the guard allows."""
+FINGERS_M = 0.09
+"""Length of the fingers before the tool centre point that the guard covers."""
+_PEOPLE = 2
+"""Bit of the contacts between people and the guard."""
+
+
+def check_fits(gripper: Gripper, cell: CellConfig) -> None:
+    """Raise ConfigError if an object is too wide for the hand."""
+    for name, each in cell.objects.items():
+        width = 2 * min(each.half_m[:2])
+        if width > gripper.opening_m - ROOM_M:
+            raise ConfigError(
+                f"cell.objects.{name}.size_m={each.size_m} is {width:.3g} m wide; {gripper.name} opens to "
+                f"{gripper.opening_m:.3g} m and takes up to {gripper.opening_m - ROOM_M:.3g} m"
+            )
+
+
+def hold_firmly(root: mjcf.RootElement) -> None:
+    """Set the contacts of a cell so that what is held does not slip (dm_control and menagerie hands do the same)."""
+    root.option.cone, root.option.impratio = "elliptic", 10
+
+
+def add_guard(root: mjcf.RootElement, cell: CellConfig, limbs: Sequence[str]) -> None:
+    """Add a capsule round all that the hand may hold, which people touch, and which counts for the shield."""
+    tool = root.find("site", "robot/tcp")
+    widest = max(math.dist((0, 0, 0), each.half_m) for each in cell.objects.values())
+    x, y, z = tool.pos
+    tool.parent.add(
+        "geom", name=GUARD, type="capsule", fromto=(x, y, z - max(FINGERS_M - widest, 0.001), x, y, z),
+        size=[widest + GUARD_MARGIN_M], contype=_PEOPLE, conaffinity=0, condim=1, mass=0, group=4, rgba=(1, 1, 1, 0.1),
+    )  # fmt: skip
+    for limb in limbs:
+        for geom in root.find("body", limb).geom:
+            geom.conaffinity = 1 | _PEOPLE
+
+
+def add_hand_sensors(root: mjcf.RootElement, gripper: Gripper, objects: Sequence[str]) -> dict[str, int]:
+    """Add the sensors of hand and objects; return their sizes in order of sensordata.
+
+    `time` (1) s; `hand_pos`, `hand_vel` (1), of the drive, in its unit; `tcp_quat` (4). Of all bodies of objects B:
+    `object_pos` (B, 3) m, `object_quat` (B, 4), `object_vel` (B, 3) m/s, `pads` (B, 2), contacts with the two pads.
+    """
+    add = root.sensor.add
+    add("clock", name="time")
+    for kind in ("pos", "vel"):
+        add(f"actuator{kind}", name=f"hand_{kind}", actuator=f"robot/{DRIVE}")
+    add("framequat", name="tcp_quat", objtype="site", objname="robot/tcp")
+    for kind, sensor in (("pos", "framepos"), ("quat", "framequat"), ("vel", "framelinvel")):
+        for name in objects:
+            add(sensor, name=f"{name}_{kind}", objtype="xbody", objname=name)
+    for name in objects:
+        for pad in gripper.pads:
+            add("contact", name=f"{name}_{pad}", body1=f"robot/{pad}", body2=name, data="found", num=1)
+    count = len(objects)
+    held = {"object_pos": 3 * count, "object_quat": 4 * count, "object_vel": 3 * count, "pads": 2 * count}
+    return {"time": 1, "hand_pos": 1, "hand_vel": 1, "tcp_quat": 4, **held}
+
+
+def planning_model(xml: str, assets: Mapping[str, bytes], joints: Sequence[str]) -> tuple[mujoco.MjModel, str]:
+    """Return a model without objects and with fingers that stand open, and its XML; its joints are `joints`.
+
+    The guard collides with the cell, so that what is held keeps clear of it.
+    """
+    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets))
+    for actuator in [each for each in spec.actuators if each.target not in joints]:
+        spec.delete(actuator)
+    for group in (spec.sensors, spec.equalities, spec.tendons):
+        for each in list(group):
+            spec.delete(each)
+    for joint in [each for each in spec.joints if each.name not in joints]:
+        body = joint.parent
+        spec.delete(body if joint.type == mujoco.mjtJoint.mjJNT_FREE else joint)
+    spec.geom(f"robot/{GUARD}").contype = 1
+    model = spec.compile()
+    return model, spec.to_xml()

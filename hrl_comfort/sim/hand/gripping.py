@@ -1,0 +1,120 @@
+"""The hand in an episode: where fingers and objects begin, and what the drive of the fingers is commanded."""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.episode_sampler import Draw
+from hrl_comfort.sim.hand.fingers import Fingers
+from hrl_comfort.sim.variation.grasps import rise_m
+from hrl_comfort.tasks import Start, Subtask
+
+Array = NDArray[np.float64]
+CLOSES_S = 0.5
+"""Time in which a hand closes on an object."""
+NEAR = 0.15
+"""Part of the jitter and of the turn of an object by which a hand in front of it may be off."""
+PARKED_M = 0.3
+"""Distance of objects that are not in an episode from each other."""
+
+
+class Gripping:
+    """Fingers and objects of the cells of `scene` in episodes of `subtask`."""
+
+    def __init__(self, scene: Scene, subtask: Subtask) -> None:
+        self._scene, self._start = scene, subtask.start
+        self.fingers = Fingers(scene)
+        model = self._model = scene.model
+        self._objects = np.array([model.joint(name).qposadr[0] for name in scene.loose])
+        self._arm = np.array([model.joint(name).qposadr[0] for name in scene.joints])
+        known = (*scene.joints, *scene.loose)
+        others = [model.joint(i) for i in range(model.njnt) if model.joint(i).name not in known]
+        self._fingers = np.array([joint.qposadr[0] for joint in others])
+        self._arrives = [list(scene.cell.places).index(each.arrives_at) for each in scene.cell.objects.values()]
+        self._parked = model.qpos0.copy()
+        kinds = list(scene.cell.objects.values())
+        for index, at in enumerate(self._objects):
+            height = scene.floor_z + kinds[index % len(kinds)].half_height_m
+            self._parked[at : at + 7] = (FAR_AWAY_M + PARKED_M * index, 0, height, 1, 0, 0, 0)
+        self._data = mujoco.MjData(scene.planning)
+        self._closed_on = cache(self._closed)
+
+    def begin(self, draw: Draw, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return the bodies (r, nq + nv) in which the episodes of `rows` (r,) begin, and the hands' set-points (r,).
+
+        Objects lie where they arrive. A hand is closed on the first one where the subtask begins with that in the hand;
+        where it begins with that placed, it lies in its place.
+        """
+        model, cell = self._model, self._scene.cell
+        bodies = np.zeros((len(rows), model.nq + model.nv))
+        grip, kinds = np.zeros(len(rows)), draw.kinds[rows]
+        lying = draw.objects(rows)
+        for row, (start, turns) in enumerate(zip(draw.start[rows], draw.turns[rows], strict=True)):
+            qpos, joints = self._parked.copy(), len(self._arm)
+            qpos[self._arm] = start[:joints]
+            for index, kind in enumerate(kinds[row]):
+                at, turn = lying[row, index], turns[index]
+                pose = np.array([*at, np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
+                if index == 0 and self._start == Start.AT_PLACE:
+                    pose[:3] = draw.kind_places[rows[row], kind]
+                if index == 0 and self._start == Start.BEFORE_OBJECT:
+                    off = at[:2] - draw.places[rows[row], self._arrives[kind], :2]
+                    pose = self._in_front(start[:joints], at[2], rise_m(self._scene, int(kind)), off, turn)
+                if index == 0 and self._start == Start.AT_OBJECT:
+                    pose = self._in_hand(start[:joints], rise_m(self._scene, int(kind)))
+                    qpos[self._fingers] = self._closed_on(int(kind))
+                    grip[row] = 1.0
+                body = self._objects[index * len(cell.objects) + kind]
+                qpos[body : body + 7] = pose
+            bodies[row, : model.nq] = qpos
+            bodies[row, model.nq + self._scene.moving[joints:] - 1 - model.nq] = start[joints : 2 * joints]
+        return bodies, grip
+
+    def _in_front(self, angles: Array, height: float, rise: float, off: Array, turn: float) -> Array:
+        """Return the pose (7,) of an object that lies at `height` m in front of the hand at joint angles (J,) rad.
+
+        It is aside by NEAR of `off` (2,) m and turned by NEAR of `turn` rad; its centre is `rise` m below the grasp.
+        """
+        place, axes = self._tool(angles)
+        ahead = (height + rise - place[2]) / axes[2, 2]
+        yaw = np.arctan2(axes[1, 0], axes[0, 0]) + NEAR * turn
+        at = (place + ahead * axes[:, 2])[:2] + NEAR * off
+        return np.array([*at, height, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+
+    def _tool(self, angles: Array) -> tuple[Array, Array]:
+        """Return position (3,) m and axes (3, 3) of the tool at joint angles (J,) rad."""
+        data = self._data
+        data.qpos[:] = angles
+        mujoco.mj_kinematics(self._scene.planning, data)
+        tool = data.site("robot/tcp")
+        return tool.xpos.copy(), tool.xmat.reshape(3, 3).copy()
+
+    def _in_hand(self, angles: Array, rise: float) -> Array:
+        """Return the pose (7,) of an object in the hand at joint angles (J,) rad, level, `rise` m below the tool."""
+        place, axes = self._tool(angles)
+        yaw = np.arctan2(axes[1, 0], axes[0, 0])
+        return np.array([*(place - [0, 0, rise]), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+
+    def _closed(self, kind: int) -> Array:
+        """Return the positions of the fingers' joints of a hand that has closed on an object of a kind."""
+        model, scene = copy(self._model), self._scene
+        model.opt.gravity[:] = 0.0
+        data: Any = mujoco.MjData(model)
+        data.qpos[:] = self._parked
+        data.qpos[self._arm] = data.ctrl[: len(self._arm)] = scene.home
+        mujoco.mj_kinematics(model, data)
+        tool, at = data.site("robot/tcp"), self._objects[kind]
+        data.qpos[at : at + 3] = tool.xpos
+        mujoco.mju_mat2Quat(data.qpos[at + 3 : at + 7], tool.xmat)
+        data.ctrl[len(self._arm)] = model.actuator_ctrlrange[len(self._arm), 1]
+        for _ in range(round(CLOSES_S / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+        return np.array(data.qpos[self._fingers])

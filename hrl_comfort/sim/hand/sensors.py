@@ -1,0 +1,132 @@
+"""Sensor readings of hand and objects as fields of State."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.variation.grasps import ABOVE_M
+from hrl_comfort.tasks import State
+from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
+
+Array = NDArray[np.float64]
+FLOOR_M = 0.15
+"""Height above the floor below which an object's centre means that it fell off its place."""
+FARTHEST_M = 3.0
+"""Distance from the robot's base beyond which an object is lost."""
+FASTEST_M_S = 50.0
+"""Speed above which an object moves because the physics diverged."""
+COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "drops", "object_lost", "diverged")
+"""Fields that depend on the instant before."""
+
+
+class HandSensors:
+    """Fields of State that the sensors of a cell with a gripper give."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._at, self._kinds, self._floor_z = scene.sensors, len(scene.cell.objects), scene.floor_z
+        self._open, self._closed = scene.model.actuator_ctrlrange[len(scene.joints)]
+
+    def first(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, Tensor]:
+        """Return the fields (n, 1, ...) of the first instants of episodes, from readings (n, 1, nsensor).
+
+        Objects are of `kinds` (n, B).
+        """
+        fields = self._read(sensed, kinds)
+        return _tensors(fields | self._begun(fields))
+
+    def decision(self, sensed: Array, before: State) -> dict[str, Tensor]:
+        """Return the fields (n, K, ...) of a decision that began in the state `before` (n rows).
+
+        From readings (n, K, nsensor). Where the physics diverged, they are those before it.
+        """
+        steps = before.steps.numpy()[:, None] + np.arange(1, sensed.shape[1] + 1)
+        fields = self._read(sensed, before.kinds.numpy())
+        # MuJoCo begins again at time 0 and its model's positions where numbers are no longer finite, or too large.
+        late = sensed[..., self._at["time"]][..., 0] < (steps - 1.5) * CONTROL_STEP_S
+        way = np.diff(fields["objects"], axis=1, prepend=before.objects.numpy()[:, None])
+        flung = ~(np.linalg.norm(way, axis=-1) < FASTEST_M_S * CONTROL_STEP_S).all(axis=-1)
+        diverged = late | flung | ~np.isfinite(sensed).all(axis=-1)
+        if diverged.any():
+            for name in fields:
+                kept = getattr(before, name).numpy()[:, None]
+                fields[name] = np.where(_wide(diverged, kept.ndim), kept, fields[name])
+        return _tensors(fields | self._counted(fields, diverged, before))
+
+    def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the fields (n, K, ...) of readings (n, K, nsensor) that need no memory; `kinds` (n, B) of objects."""
+        n, count = sensed.shape[:2]
+        way = self._closed - self._open
+        body = np.arange(kinds.shape[1]) * self._kinds + kinds
+
+        def of_objects(name: str, width: int) -> Array:
+            each = sensed[..., self._at[name]].reshape(n, count, -1, width)
+            return np.take_along_axis(each, body[:, None, :, None], axis=2)
+
+        return {
+            "grip": (sensed[..., self._at["hand_pos"]][..., 0] - self._open) / way,
+            "grip_vel": sensed[..., self._at["hand_vel"]][..., 0] / way,
+            "tcp_quat": sensed[..., self._at["tcp_quat"]],
+            "objects": of_objects("object_pos", 3),
+            "objects_quat": of_objects("object_quat", 4),
+            "objects_vel": of_objects("object_vel", 3),
+            "pads": of_objects("pads", 2) > 0,
+        }
+
+    def _begun(self, fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return COUNTED (n, 1, ...) of the first instants of episodes."""
+        height, held = fields["objects"][..., 2], np.asarray(fields["pads"].all(axis=-1))
+        none, n = np.zeros(height.shape, dtype=np.int64), len(height)
+        ground = np.where(held, height - ABOVE_M, height)
+        return {
+            "ground": ground, "aloft_steps": none, "free_steps": none.copy(), "carried": held,
+            "drops": np.zeros((n, 1), dtype=np.int64), "object_lost": np.zeros((n, 1), dtype=bool),
+            "diverged": np.zeros((n, 1), dtype=bool),
+        }  # fmt: skip
+
+    def _counted(
+        self, fields: dict[str, NDArray[Any]], diverged: NDArray[np.bool_], before: State
+    ) -> dict[str, NDArray[Any]]:
+        """Return COUNTED (n, K, ...) of a decision that began in the state `before` (n rows)."""
+        now = {name: getattr(before, name).numpy() for name in COUNTED}
+        places, near = before.object_places.numpy(), before.place_tolerance.numpy()[:, None]
+        found = []
+        for k in range(diverged.shape[1]):
+            at, pads = fields["objects"][:, k], fields["pads"][:, k]
+            touched, held = pads.any(axis=-1), pads.all(axis=-1)
+            ground = np.where(touched, now["ground"], at[..., 2])
+            lifted = at[..., 2] - ground
+            free = np.where(touched, 0, now["free_steps"] + 1)
+            let_go = now["carried"] & (free >= FREE_STEPS)
+            away = np.linalg.norm(at - places, axis=-1) > near
+            now = {
+                "ground": ground,
+                "aloft_steps": np.where(held & (lifted >= LIFT_M), now["aloft_steps"] + 1, 0),
+                "free_steps": free,
+                "carried": np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M))),
+                "drops": now["drops"] + (let_go & away).any(axis=-1),
+                "object_lost": self._lost(at) | diverged[:, k],
+                "diverged": now["diverged"] | diverged[:, k],
+            }
+            found.append(now)
+        return {name: np.stack([each[name] for each in found], axis=1) for name in COUNTED}
+
+    def _lost(self, at: Array) -> NDArray[np.bool_]:
+        """Return (n,) whether an object at (n, B, 3) m is on the floor or out of the cell."""
+        away = np.linalg.norm(at[..., :2], axis=-1)
+        gone: NDArray[np.bool_] = ((at[..., 2] < self._floor_z + FLOOR_M) | (away > FARTHEST_M)).any(axis=-1)
+        return gone
+
+
+def _wide(values: NDArray[np.bool_], ndim: int) -> NDArray[np.bool_]:
+    return values.reshape(*values.shape, *[1] * (ndim - values.ndim))
+
+
+def _tensors(fields: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
+    return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}

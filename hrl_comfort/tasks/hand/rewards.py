@@ -1,0 +1,59 @@
+"""Reward terms of a grasp: differences of potentials, so that dwelling pays nothing."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.tasks.hand.observation import of_target, target_lifted, tool_tilt
+from hrl_comfort.tasks.state import State
+from hrl_comfort.tasks.subtask import StateFunction, TransitionFunction
+
+HIGHEST_M = 0.10
+"""Height to which lifting pays; an object is picked there."""
+
+
+def level_angle(state: State) -> Tensor:
+    """Return the angle (N,) rad of the line from one pad to the other with the horizontal."""
+    return tool_tilt(state)[..., 0].clamp(-1.0, 1.0).asin().abs()
+
+
+def grasped(state: State) -> Tensor:
+    """Return (N,) 1 where both pads touch the target, else 0."""
+    return of_target(state.pads, state).all(dim=-1).to(state.tcp_pos.dtype)
+
+
+def lifted(state: State) -> Tensor:
+    """Return the height (N,) m of the target above where it lay, at most HIGHEST_M."""
+    return target_lifted(state)[..., 0].clamp(0.0, HIGHEST_M)
+
+
+def gain(potential: StateFunction, stages: Tensor, sign: float = 1.0) -> TransitionFunction:
+    """Return how much `potential` grows over the step, or with `sign` -1 shrinks, in the `stages` (S,) bool."""
+
+    def term(before: State, after: State) -> Tensor:
+        return torch.where(stages[before.stage], sign * (potential(after) - potential(before)), 0.0)
+
+    return term
+
+
+def drop(before: State, after: State) -> Tensor:
+    """Return 1 where a carried object leaves the hand away from its place."""
+    return (after.drops - before.drops).to(after.tcp_pos.dtype)
+
+
+def object_lost(before: State, after: State) -> Tensor:
+    """Return 1 where an object begins to lie on the floor."""
+    return (after.object_lost & ~before.object_lost).to(after.tcp_pos.dtype)
+
+
+def hand_rewards(grasping: tuple[bool, ...]) -> dict[str, TransitionFunction]:
+    """Return the terms by the names of their weights; `grasping` (S,) says in which stages an object is picked."""
+    stages = torch.tensor([*grasping, False])
+    return {
+        "align": gain(level_angle, stages, -1.0),
+        "grasp": gain(grasped, stages),
+        "lift": gain(lifted, stages),
+        "drop": drop,
+        "object_lost": object_lost,
+    }

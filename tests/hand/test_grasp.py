@@ -1,0 +1,208 @@
+"""A hand that holds: scripted grasps lift, carry and place; losses and divergence are told; people keep clear of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.composition.compose import compose, compose_environment
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.policies.load import make_policy
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.scene.grippers import GRIPPERS
+from hrl_comfort.scene.workcell import scene_of
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.step_result import StepResult
+
+ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.07")
+
+
+def cell(*words: str) -> EnvConfig:
+    return compose_environment("train", [*ALONE, *words])
+
+
+def successes(config: EnvConfig, rows: int, decisions: int = 100) -> tuple[np.ndarray, list[StepResult]]:
+    """Return which of the first episodes (N,) of the expert succeed, and the results of its decisions."""
+    engine = Engine(config, rows, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    done, found, results = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), list[StepResult]()
+    for _ in range(decisions):
+        results.append(engine.step(act(state).numpy()))
+        found |= results[-1].success.numpy() & ~done
+        done |= results[-1].done.numpy()
+        if done.all():
+            break
+        state = engine.reset(np.flatnonzero(results[-1].done.numpy()))
+    engine.close()
+    return found, results
+
+
+@pytest.mark.parametrize("gripper", GRIPPERS)
+@pytest.mark.parametrize("kind", ["ball", "cube"])
+@pytest.mark.parametrize("task", ["pick", "place", "return", "cycle"])
+def test_the_expert_does_every_task_with_every_gripper(gripper: str, kind: str, task: str) -> None:
+    found, results = successes(cell(f"gripper={gripper}", f"task={task}", f"task.object={kind}"), 6)
+    assert found.all()
+    assert not any(result.state.drops.any() or result.state.diverged.any() for result in results)
+
+
+def test_a_gripper_of_a_user_s_own_grasps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    found, _ = successes(cell("gripper=pincer:PINCER", "task=cycle"), 4)
+    assert found.all()
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "ur10e"])
+def test_other_arms_grasp_too(robot: str) -> None:
+    found, _ = successes(cell(f"robot={robot}", "task=cycle"), 4)
+    assert found.all()
+
+
+def test_a_rated_arm_grasps_behind_the_shield_beside_people() -> None:
+    shielded = ("human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
+    found, results = successes(cell("task=pick", *shielded), 6, 150)
+    assert found.all()
+    assert not any(result.state.unsafe_contact.any() for result in results)
+
+
+def test_an_object_that_is_let_go_is_dropped_and_one_on_the_floor_is_lost() -> None:
+    config = cell("task=place", "task.object=cube")
+    engine = Engine(config, 2, 0)
+    state = engine.reset()
+    assert state.pads.all() and state.carried.all()
+    let_go = np.zeros((2, 7))
+    let_go[:, 6] = -1.0
+    for _ in range(6):
+        result = engine.step(let_go)
+    assert result.state.drops.tolist() == [1, 1] and not result.failed.any()
+    bodies = engine.physics.state
+    at = 1 + engine.scene.model.joint("object_1_cube").qposadr[0]
+    bodies[0, at : at + 3] = (0.3, 0.7, -0.6)  # beside the table
+    for _ in range(4):
+        result = engine.step(let_go)
+        if result.done.any():
+            break
+    assert result.failed.tolist() == [True, False] and result.state.object_lost.tolist() == [True, False]
+
+
+def test_an_object_that_has_fallen_is_picked_where_it_lies() -> None:
+    config = cell("task=place", "task.object=cube")
+    engine = Engine(config, 4, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    done = torch.zeros(4, dtype=torch.bool)
+    for decision in range(120):
+        action = act(state).numpy()
+        if decision < 5:
+            action[:, :6], action[:, 6] = 0.0, -1.0
+        result = engine.step(action)
+        state, done = result.state, done | result.success
+        if done.all():
+            break
+        state = engine.reset(np.flatnonzero(result.done.numpy()))
+    assert done.all()
+
+
+def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
+    engine = Engine(cell("task=pick"), 2, 0)
+    engine.reset()
+    engine.physics.state[0, 1 + engine.scene.model.nq + 7] = 1e12
+    result = engine.step(np.zeros((2, 7)))
+    assert result.state.diverged.tolist() == [True, False] and result.terminated.tolist() == [True, False]
+    known = [value for value in result.state.fields().values() if value.is_floating_point()]
+    assert all((value[0].isfinite() | ~value[1].isfinite()).all() for value in known)  # NaN is what is not measured
+
+
+def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
+    skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = ["task=cycle", "meta_controller=scripted", *skills, "split=train", "episodes=4", "output=unused"]
+    table = rollout(compose("evaluate", [*ALONE, *words])).table  # type: ignore[arg-type]
+    assert table["success"].all()
+    assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
+
+
+def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them() -> None:
+    config = cell("task=pick", "human=still")
+    scene = scene_of(config)
+    arm = Separation(scene).arm
+    assert arm.joints == 6 and len(arm.radius) - len(Separation(scene_of(cell("gripper=none"))).arm.radius) == 1
+    held = max(np.linalg.norm(each.half_m) for each in config.cell.objects.values())
+    assert arm.radius.max() > held
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[:6] = scene.home
+    mujoco.mj_kinematics(model, data)
+    data.mocap_pos[:, 0] = 50.0
+    side = data.site("robot/tcp").xpos + data.site("robot/tcp").xmat.reshape(3, 3)[:, 1] * (held + 0.04)
+    data.mocap_pos[model.body("left_forearm").mocapid[0]] = side  # its elbow beside an empty hand
+    mujoco.mj_forward(model, data)
+    assert data.sensordata[scene.sensors["human"]].any()
+
+
+def test_without_a_gripper_the_state_knows_no_hand() -> None:
+    engine = Engine(compose_environment("train", ["task=pick", "human=none"]), 1, 0)
+    assert not {"grip", "pads", "objects_quat", "drops"} & engine.reset().fields().keys()
+
+
+def test_dm_control_and_the_batch_run_the_same_episode() -> None:
+    config = cell("task=pick", "task.object=cube")
+    engine, env = Engine(config, 1, 3), make_environment(config, 3)
+    engine.reset()
+    env.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(8):
+        action = rng.uniform(-0.3, 0.3, 7)
+        batch = engine.step(action[None]).state
+        env.step(action)
+        one = env.task.episodes.state
+        for name in ("joint_pos", "objects", "grip"):
+            assert torch.equal(getattr(batch, name), getattr(one, name))
+
+
+def test_episodes_go_on_exactly_from_a_saved_state() -> None:
+    config = cell("task=place")
+    engine, other = Engine(config, 3, 0), Engine(config, 3, 0)
+    engine.reset()
+    other.reset()
+    actions = np.random.default_rng(0).uniform(-0.3, 1.0, (6, 3, 7))
+    for action in actions[:3]:
+        engine.step(action)
+    other.load_state_dict(engine.state_dict())
+    for action in actions[3:]:
+        mine, its = engine.step(action).state, other.step(action).state
+        assert all(
+            torch.equal(getattr(mine, name), getattr(its, name)) for name in ("joint_pos", "objects", "aloft_steps")
+        )
+
+
+@pytest.mark.parametrize(
+    ("root", "words", "says"),
+    [
+        ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
+        ("train", ["gripper=two_finger", "task=shift"], "shift"),
+        ("train", ["gripper=three_finger"], "is not a choice"),
+        ("studio", ["gripper=two_finger"], "studio takes gripper=none"),
+        ("export", ["gripper=two_finger", "policy=x.pt"], "export takes gripper=none"),
+    ],
+)
+def test_what_does_not_go_with_a_gripper_is_refused_in_one_line(root: str, words: Sequence[str], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        compose(root, words)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["robot=jaco", "gripper=two_finger"], "jaco has its own hand"),
+        (["gripper=math:pi"], "must be a Gripper"),
+        (["cell=grasp", "cell.objects.ball.size_m=[0.06]"], "takes up to 0.082 m"),
+    ],
+)
+def test_what_is_no_gripper_is_refused_when_the_cell_is_built(words: Sequence[str], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        scene_of(compose_environment("train", words))
