@@ -28,10 +28,10 @@ speed is 0 for those who stay."""
 
 @kernel
 def beside(
-    x: float, y: float, wx: float, wy: float, disc: Array, radius_m: float, acceleration_m_s2: float
+    x: float, y: float, wx: float, wy: float, discs: Array, disc: int, radius_m: float, acceleration_m_s2: float
 ) -> tuple[float, float, float, float]:
     """Return the speeds at which somebody wants to approach a disc and may, m/s, and the direction away from it."""
-    dx, dy = x - disc[0], y - disc[1]
+    dx, dy = x - discs[disc, 0], y - discs[disc, 1]
     distance = max(math.sqrt(dx * dx + dy * dy), 1e-9)
     ax, ay = dx / distance, dy / distance
     gap = distance - radius_m - CLEARANCE_M
@@ -46,12 +46,12 @@ def stepped(
 ) -> tuple[float, float]:  # fmt: skip
     """See `steering.step`: of somebody at (x, y) m, with velocity (vx, vy) m/s, who wants (wx, wy) m/s."""
     turns = False
-    for disc in discs:
-        inwards, allowed, _, _ = beside(x, y, wx, wy, disc, radius_m, acceleration_m_s2 / 4)
+    for disc in range(len(discs)):
+        inwards, allowed, _, _ = beside(x, y, wx, wy, discs, disc, radius_m, acceleration_m_s2 / 4)
         turns |= inwards > allowed
     if turns:
-        for disc in discs:
-            inwards, allowed, ax, ay = beside(x, y, wx, wy, disc, radius_m, acceleration_m_s2 / 4)
+        for disc in range(len(discs)):
+            inwards, allowed, ax, ay = beside(x, y, wx, wy, discs, disc, radius_m, acceleration_m_s2 / 4)
             excess = max(inwards - allowed, 0.0)
             way = -1.0 if wx * -ay + wy * ax < 0 else 1.0
             aside = (excess if inwards > 0 else 0.0) * way
@@ -96,19 +96,19 @@ def held(
     shrink = min(1.0, bound_m / max(math.sqrt(dx * dx + dy * dy), 1e-9))
     x, y = spawn[0] + dx * shrink, spawn[1] + dy * shrink
     cx, cy, least = 0.0, 0.0, np.inf
-    for disc in discs:
-        dx, dy = x - disc[0], y - disc[1]
+    for disc in range(len(discs)):
+        dx, dy = x - discs[disc, 0], y - discs[disc, 1]
         distance = math.sqrt(dx * dx + dy * dy)
         if distance < least:
-            cx, cy, least = disc[0], disc[1], distance
+            cx, cy, least = discs[disc, 0], discs[disc, 1], distance
     if least >= radius_m:
         return x, y
     span = max(least, 1e-9)
     x, y = cx + (x - cx) / span * (radius_m + 1e-9), cy + (y - cy) / span * (radius_m + 1e-9)
     dx, dy = x - spawn[0], y - spawn[1]
     stays = math.sqrt(dx * dx + dy * dy) > bound_m + 1e-9
-    for disc in discs:
-        dx, dy = x - disc[0], y - disc[1]
+    for disc in range(len(discs)):
+        dx, dy = x - discs[disc, 0], y - discs[disc, 1]
         stays |= math.sqrt(dx * dx + dy * dy) < radius_m
     return (before[0], before[1]) if stays else (x, y)
 
@@ -128,12 +128,14 @@ def settle(
     """
     n = len(yaw)
     moved, walked, speed = np.empty((n, 3)), np.empty(n), np.empty(n)
+    passed, left = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for m in range(n):
-        of, (x, y) = limits[int(traits[m, 0] * len(limits))], there[m]
+        of, x, y = limits[int(traits[m, 0] * len(limits))], there[m, 0], there[m, 1]
+        passed[m], left[m] = steps[m] + 1, max(retreat[m] - 1, 0)
         if retreat[m] > 0 and of[RETREAT_SPEED] > 0.0:
             ax, ay, least = 0.0, 0.0, np.inf
-            for point in arm[m]:
-                dx, dy = position[m, 0] - point[0], position[m, 1] - point[1]
+            for index in range(arm.shape[1]):
+                dx, dy = position[m, 0] - arm[m, index, 0], position[m, 1] - arm[m, index, 1]
                 distance = math.sqrt(dx * dx + dy * dy)
                 if distance < least:
                     ax, ay, least = dx, dy, distance
@@ -143,7 +145,10 @@ def settle(
                 discs[m], radius_m, np.inf, of[RETREAT_ACCELERATION],
             )  # fmt: skip
             facing[m] = turned(yaw[m], velocity[m, 2], yaw[m])
-            bent[m], kept[m] = limbs[m], memory[m]
+            for axis in range(3):
+                kept[m, axis] = memory[m, axis]
+                for limb in range(6):
+                    bent[m, limb, axis] = limbs[m, limb, axis]
         if of[FREE] == 0.0:
             x, y = held(x, y, position[m], spawn[m], discs[m], radius_m, of[BOUND])
         there[m, 0], there[m, 1] = x, y
@@ -152,7 +157,7 @@ def settle(
         moved[m, 0], moved[m, 1], moved[m, 2] = dx / CONTROL_STEP_S, dy / CONTROL_STEP_S, turn / CONTROL_STEP_S
         walked[m] = walked_m[m] + way
         speed[m] = speed_m_s[m] + smoothing * (way / CONTROL_STEP_S - speed_m_s[m])
-    return moved, walked, speed, steps + 1, np.maximum(retreat - 1, 0)
+    return moved, walked, speed, passed, left
 
 
 @kernel

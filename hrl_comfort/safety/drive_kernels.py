@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.safety.kernels import Geometry, farthest, gaps, posed, speeds
+from hrl_comfort.safety.kernels import Geometry, apart_of, farthest, posed, speeds
 from hrl_comfort.safety.rating import ROUNDING
 from hrl_comfort.scene.servos import SERVO_LAG_S
 
@@ -131,12 +131,19 @@ def presses(
     begin: Array, wanted: Array, m: int, person: Array, geometry: Geometry, radius: Array, person_radius: Array
 ) -> bool:
     """See `Drive._yielding`: whether row `m`, which touches the person, would press on."""
-    there, beside = np.empty((2, begin.shape[1])), np.empty((*person.shape[:3], 2))
+    there, beside = np.empty((2, begin.shape[1])), np.empty((3, person.shape[1], 2, 2))
     for index in range(2):
-        there[index] = begin[m] + index * wanted[m] * CONTROL_STEP_S
-        beside[..., index] = person[..., m]
-    apart = gaps(posed(there, geometry)[2], beside, radius, person_radius)
-    return apart[:, 1].min() < apart[:, 0].min()
+        for j in range(begin.shape[1]):
+            there[index, j] = begin[m, j] + index * wanted[m, j] * CONTROL_STEP_S
+        for axis in range(3):
+            for part in range(person.shape[1]):
+                for end in range(2):
+                    beside[axis, part, end, index] = person[axis, part, end, m]
+    ends, here, ahead = posed(there, geometry)[2], np.inf, np.inf
+    for part in range(len(radius)):
+        here = min(apart_of(ends, part, beside, 0, radius, person_radius), here)
+        ahead = min(apart_of(ends, part, beside, 1, radius, person_radius), ahead)
+    return ahead < here
 
 
 @kernel
@@ -256,10 +263,10 @@ def drive(
         touches = False
         for part in range(parts):
             touches |= apart[part, m] <= 0.0
-        if touches and presses(begin, wanted, m, person, geometry, radius, person_radius):
-            wanted[m] = brake[m]
-        if held[m] or not keeps(low, high, begin, wanted, m, acceleration):
-            wanted[m] = brake[m]
+        brakes = held[m] or (touches and presses(begin, wanted, m, person, geometry, radius, person_radius))
+        if brakes or not keeps(low, high, begin, wanted, m, acceleration):
+            for j in range(count):
+                wanted[m, j] = brake[m, j]
         speed, most = 0.0, 0.0
         for j in range(count):
             speed, most = speed + wanted[m, j] * wanted[m, j], most + limited[m, j] * limited[m, j]

@@ -220,17 +220,6 @@ def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> 
 
 
 @kernel
-def encounter(
-    angles: Array, limbs: Array, steps: Array, offset: Array, axis: Array, anchor: Array, link: NDArray[np.int64],
-    local: Array, arm_radius: Array, limb: NDArray[np.int64], limb_local: Array, person_radius: Array,
-) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
-    """See `Separation.encounter`."""
-    axes, anchors, ends = posed(angles, (steps, offset, axis, anchor, link, local))
-    person = limb_ends(limbs, limb, limb_local)
-    return axes, anchors, ends, person, gaps(ends, person, arm_radius, person_radius)
-
-
-@kernel
 def farthest(ends: Array, before: Array) -> Array:
     """See `geometry.farthest`."""
     n, most = ends.shape[3], np.zeros(ends.shape[3])

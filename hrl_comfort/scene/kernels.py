@@ -71,24 +71,25 @@ def controls(
     (n, times, joints), people, still = targets.shape, limbs.shape[1], layout.shape[1]
     steps, bodies = len(limbs) // n, people + still + spare
     control = np.empty((n, times, joints + 7 * bodies))
-    pose = np.empty((bodies, 7))
+    places, turns, first = joints, joints + 3 * bodies, people + still
     for m in range(n):
-        pose[people : people + still] = layout[m]
-        pose[people + still :] = 0.0
-        for index in range(people + still, bodies):
-            pose[index, 0], pose[index, 3] = away_m, 1.0
-        for index in range(points.shape[1]):
-            pose[people + still + index, :3] = points[m, index]
-        for index in range(0 if points.shape[1] else props.shape[1]):
-            pose[people + still + props[m, index], :3] = objects[m, index]
         for time in range(times):
-            if time % (times // steps) == 0:
-                pose[:people] = limbs[m * steps + time // (times // steps)]
             out = control[m, time]
-            out[:joints] = targets[m, time]
+            for j in range(joints):
+                out[j] = targets[m, time, j]
+            step = m * steps + time // (times // steps)
             for index in range(bodies):
-                for axis in range(3):
-                    out[joints + 3 * index + axis] = pose[index, axis]
-                for axis in range(4):
-                    out[joints + 3 * bodies + 4 * index + axis] = pose[index, 3 + axis]
+                for axis in range(7):
+                    if index < people:
+                        value = limbs[step, index, axis]
+                    elif index < first:
+                        value = layout[m, index - people, axis]
+                    else:
+                        value = away_m if axis == 0 else 1.0 if axis == 3 else 0.0
+                    out[places + 3 * index + axis if axis < 3 else turns + 4 * index + axis - 3] = value
+            for axis in range(3):
+                for index in range(points.shape[1]):
+                    out[places + 3 * (first + index) + axis] = points[m, index, axis]
+                for index in range(0 if points.shape[1] else props.shape[1]):
+                    out[places + 3 * (first + props[m, index]) + axis] = objects[m, index, axis]
     return control

@@ -97,15 +97,6 @@ def test_distances_of_capsules_that_cross_touch_lie_in_line_or_are_points(separa
     both(apart, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]] + 1e-7))
 
 
-def test_an_arm_beside_people(separation: Separation, rows: int) -> None:
-    rng = np.random.default_rng(rows)
-    angles, limbs = rng.uniform(-4, 4, (rows, 6)), people(rng, rows)
-    compiled, defined = separation.encounter(angles, limbs), separation.encounter(angles.view(Numpy), limbs)
-    for mine, theirs in zip([*parts(compiled.pose), compiled.person, compiled.apart],
-                            [*parts(defined.pose), defined.person, defined.apart], strict=True):  # fmt: skip
-        np.testing.assert_allclose(mine, np.asarray(theirs), rtol=0, atol=1e-12, strict=True)
-
-
 def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) -> None:
     rng, arm, person = np.random.default_rng(rows), separation.arm, separation.person
     before = people(rng, rows)

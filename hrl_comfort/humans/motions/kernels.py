@@ -213,8 +213,8 @@ def worker(
     share = minimum_jerk(clock / REACH_S) - minimum_jerk((clock - REACH_S - STAY_S) / REACH_S)
     cos, sin, dx, dy = math.cos(yaw), math.sin(yaw), tx - x, ty - y
     ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
-    limbs[:2] = np.nan
     for side in range(2):
+        limbs[side, 0] = limbs[side, 1] = limbs[side, 2] = np.nan
         hx, hy, hz = CARRYING[side]
         across = aside + memory[2] + APART_M * SIDES[side]
         hand = hx + share * (ahead - hx), hy + share * (across - hy), hz + share * (memory[1] - hz)
@@ -314,7 +314,13 @@ def propose(
     there, facing, bent, kept = np.empty((n, 2)), np.empty(n), limbs.copy(), memory.copy()
     for m in range(n):
         who[0], who[1], who[2], who[8] = position[m, 0], position[m, 1], yaw[m], traits[m, 1]
-        who[3:6], who[6:8] = velocity[m], spawn[m]
+        who[3], who[4], who[5], who[6], who[7] = (
+            velocity[m, 0],
+            velocity[m, 1],
+            velocity[m, 2],
+            spawn[m, 0],
+            spawn[m, 1],
+        )
         index = int(traits[m, 0] * len(kinds))
         kind, of, mine = kinds[index], numbers[index], kept[m]
         x, y, heading = who[0], who[1], who[2]
