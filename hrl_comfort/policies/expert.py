@@ -45,6 +45,8 @@ DISTINCT_RAD = np.radians(25.0)
 UPRIGHT_PANS_RAD = np.radians(np.arange(-225.0, 226.0, 45.0))
 PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
 """(16, 6) bool, the joints that a partial homing brings home."""
+BRAKING = 2.0
+"""Decisions before the end of a leg from which on a rated arm slows down: it cannot stop at once."""
 SAMPLES = 12
 """Instants at which a leg of a plan is checked for the person."""
 ARM_SWING_RAD = np.radians(15.0)
@@ -71,7 +73,7 @@ class _Known:
         self.upright = np.tile(home, (len(UPRIGHT_PANS_RAD), 1))
         self.upright[:, 0] = UPRIGHT_PANS_RAD
         self.postures: dict[tuple[tuple[float, ...], bool], Array] = {}
-        self.passages: dict[Goal, NDArray[np.bool_]] = {}
+        self.passages: dict[Goal, dict[int, NDArray[np.bool_]]] = {}
 
 
 class Expert:
@@ -89,7 +91,9 @@ class Expert:
             )
         self._goals, self._comfort = StageGoals("expert", config, subtask), config.comfort
         self._step = np.radians(config.task.max_step_deg)
-        self._decision = self._step * config.task.action_repeat
+        self._slowing = self._step * config.task.action_repeat
+        if config.robot.rating != "paper":
+            self._slowing = self._slowing * BRAKING
         self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
         human, precision = config.human, config.task.precision
         self._sigma = human.jitter_m / np.sqrt(3.0)
@@ -99,6 +103,7 @@ class Expert:
         self._cell = CollisionChecker(scene)
         self._body = ArmSpheres(scene)
         self._library = self._seeds(scene.home)
+        self._library_tool = self._body.arm.tool(self._library)
         self._layouts: dict[bytes, _Known] = {}
         self._here = _Known(scene.home)
 
@@ -136,7 +141,7 @@ class Expert:
                 target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
-        return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._decision))
+        return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._slowing))
 
     def _margin_and_pace(self, state: State) -> tuple[Array, Array]:
         """Return the width (N,) m added to the person, and the share (N,) of full speed; 0 and 1 without a person."""
@@ -161,7 +166,7 @@ class Expert:
         first = first_steps + price * first_risk
         steps_on = self._steps(ways[:, None], postures[safest], person)
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
-        clear[: len(self._here.upright)] &= self._clear(goal)[:, safest]
+        clear[: len(self._here.upright)] &= self._clear(goal, safest)
         there = np.clip(first_steps + FORESIGHT_STEPS / 2, 1.0, FORESIGHT_STEPS)
         exposed = self._risk(ways[:, None], there[:, None], person)
         waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
@@ -242,7 +247,7 @@ class Expert:
         return self._here.postures[goal, more]
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        tool = self._body.arm.tool(self._library)
+        tool = self._library_tool
         radius, height = np.hypot(tool[:, 0], tool[:, 1]), tool[:, 2]
         near = np.hypot(radius - np.hypot(goal[0], goal[1]), height - goal[2]) < 0.05
         seeds, tool = self._library[near].copy(), tool[near]
@@ -267,10 +272,10 @@ class Expert:
             postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
         return postures
 
-    def _clear(self, goal: Goal) -> NDArray[np.bool_]:
-        """Return (V, K): whether the leg from upright to each of `_postures(goal, more=True)` is free."""
-        if goal not in self._here.passages:
-            postures = self._postures(goal, more=True)
-            ways = self._here.upright
-            self._here.passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in ways])
-        return self._here.passages[goal]
+    def _clear(self, goal: Goal, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (V, K): whether the leg from upright to each `chosen` (K,) of `_postures(goal, more=True)` is free."""
+        known, postures = self._here.passages.setdefault(goal, {}), self._postures(goal, more=True)
+        for index in chosen:
+            if index not in known:
+                known[index] = np.array([self._cell.free(way, postures[index]) for way in self._here.upright])
+        return np.stack([known[index] for index in chosen], axis=1)
