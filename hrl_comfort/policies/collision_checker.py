@@ -48,8 +48,9 @@ class CollisionChecker:
 
     def __init__(self, scene: Scene) -> None:
         self._model = mujoco.MjModel.from_xml_string(scene.xml, dict(scene.assets))
-        self._model.geom_margin[:] = CLEARANCE_M
-        self._model.geom_margin[self._model.geom_contype == 0] = FURNITURE_CLEARANCE_M
+        # The margins of two geoms add up.
+        self._model.geom_margin[:] = CLEARANCE_M / 2
+        self._model.geom_margin[self._model.geom_contype == 0] = FURNITURE_CLEARANCE_M - CLEARANCE_M / 2
         self._configuration = mink.Configuration(self._model)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
         self._limits = [mink.ConfigurationLimit(self._model)]

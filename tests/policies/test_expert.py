@@ -28,9 +28,9 @@ TASKS = ("reach", "point_to_point", "pick", "place", "return", "pick_place", "cy
 EPISODES = 20
 
 
-def success(task: str) -> float:
+def success(task: str, *overrides: str) -> float:
     """Return the share of the first EPISODES evaluation episodes in which the expert succeeds."""
-    config = environment(compose("train", [f"task={task}"]))
+    config = environment(compose("train", [f"task={task}", *overrides]))
     engine = Engine(config, EPISODES, 0, evaluation=load_evaluation_set())
     state = engine.reset()
     expert = Expert(engine.scene, config, engine.episodes.subtask)
@@ -49,6 +49,11 @@ def success(task: str) -> float:
 @pytest.mark.parametrize("task", TASKS)
 def test_the_expert_solves_the_task_beside_a_walking_person(task: str) -> None:
     assert success(task) >= 0.9
+
+
+def test_the_expert_brakes_a_rated_arm_before_furniture_that_stands_anywhere() -> None:
+    rated = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact")
+    assert success("place", "cell=varied", "human=none", "task.arrival_speed_rad_s=0.5", *rated) == 1.0
 
 
 def test_the_expert_does_the_same_with_any_subset_of_rows() -> None:
