@@ -47,6 +47,9 @@ PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
 """(16, 6) bool, the joints that a partial homing brings home."""
 BRAKING = 2.0
 """Decisions before the end of a leg from which on a rated arm slows down: it cannot stop at once."""
+WITHIN, RATED_WITHIN = 0.6, 0.8
+"""Part of the tolerance within which a posture of a goal is; a rated arm, which strays as it stops, keeps farther from
+what the object lies on."""
 SAMPLES = 12
 """Instants at which a leg of a plan is checked for the person."""
 ARM_SWING_RAD = np.radians(15.0)
@@ -91,14 +94,14 @@ class Expert:
             )
         self._goals, self._comfort = StageGoals("expert", config, subtask), config.comfort
         self._step = np.radians(config.task.max_step_deg)
-        self._slowing = self._step * config.task.action_repeat
-        if config.robot.rating != "paper":
-            self._slowing = self._slowing * BRAKING
+        rated = config.robot.rating != "paper"
+        self._slowing = self._step * config.task.action_repeat * (BRAKING if rated else 1.0)
         self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
         human, precision = config.human, config.task.precision
         self._sigma = human.jitter_m / np.sqrt(3.0)
         self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0
-        self._tolerance = 0.6 * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
+        within = RATED_WITHIN if rated else WITHIN
+        self._tolerance = within * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
         self._range, self._shoulder_z = scene.joint_range, scene.floor_z + SHOULDER_M
         self._cell = CollisionChecker(scene)
         self._body = ArmSpheres(scene)
