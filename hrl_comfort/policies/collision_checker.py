@@ -20,7 +20,9 @@ SPACING_M = 0.06
 RISE_M = 0.08
 """Height by which the tool is raised where all ways are blocked."""
 CLEARANCE_M = 0.01
-"""Distance kept from the cell, the person and the arm itself."""
+"""Distance kept from the person and the arm itself."""
+FURNITURE_CLEARANCE_M = 0.03
+"""Distance kept from the cell: an arm that brakes late and is checked every CHECK_RAD strays by 1 to 2 cm."""
 
 
 class ArmSpheres:
@@ -46,7 +48,9 @@ class CollisionChecker:
 
     def __init__(self, scene: Scene) -> None:
         self._model = mujoco.MjModel.from_xml_string(scene.planning_xml, dict(scene.assets))
-        self._model.geom_margin[:] = CLEARANCE_M
+        # The margins of two geoms add up.
+        self._model.geom_margin[:] = CLEARANCE_M / 2
+        self._model.geom_margin[self._model.geom_contype == 0] = FURNITURE_CLEARANCE_M - CLEARANCE_M / 2
         self._configuration = mink.Configuration(self._model)
         self._tool = mink.FrameTask("robot/tcp", "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1e-4)
         self._limits = [mink.ConfigurationLimit(self._model)]
@@ -59,22 +63,23 @@ class CollisionChecker:
         self._data.mocap_pos[self._furniture] = layout[:, :3]
         self._data.mocap_quat[self._furniture] = layout[:, 3:]
 
-    def _depth(self, joints: Array) -> float:
-        """Return the distance (m) of the closest contact, CLEARANCE_M if there is none nearer."""
+    def _slack(self, joints: Array) -> float:
+        """Return by how much (m) the closest contact keeps more than its clearance, 0 if there is none nearer."""
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
-        return float(min(self._data.contact.dist.min(initial=CLEARANCE_M), CLEARANCE_M))
+        contact = self._data.contact
+        return float((contact.dist - contact.includemargin).min(initial=0.0))
 
     def free(self, start: Array, end: Array) -> bool:
         """Return whether the straight leg keeps its clearance, or no less than it has at the start."""
-        least = min(self._depth(start), CLEARANCE_M) - 1e-3
+        least = self._slack(start) - 1e-3
         length = np.abs(end - start).max()
         checks = np.concatenate(
             [np.radians(np.arange(1.0, 8.0)), np.arange(2 * CHECK_RAD, length, CHECK_RAD), [length]]
         )
         shares = checks[checks <= length] / max(length, 1e-9)
-        return all(self._depth(start + share * (end - start)) >= least for share in shares)
+        return all(self._slack(start + share * (end - start)) >= least for share in shares)
 
     def raised(self, joints: Array) -> Array:
         """Return postures (5, J) near `joints` with the tool higher, and to one side in four of them."""
@@ -92,7 +97,7 @@ class CollisionChecker:
     def escape(self, joints: Array) -> Array:
         """Return the posture farthest from contact among 60 nearby."""
         around = joints + np.radians(12.0) * np.random.default_rng(0).uniform(-1.0, 1.0, (60, len(joints)))
-        return around[np.argmax([self._depth(posture) for posture in around])]
+        return around[np.argmax([self._slack(posture) for posture in around])]
 
     def reach(self, seed: Array, goal: Array, tolerance: float) -> Array | None:
         """Return a collision-free posture near `seed` with the tool within `tolerance` of `goal`, if found."""
@@ -101,7 +106,7 @@ class CollisionChecker:
         for _ in range(20):
             if np.linalg.norm(self._data.site("robot/tcp").xpos - goal) < tolerance:
                 posture = self._configuration.q.copy()
-                return posture if self._depth(posture) >= CLEARANCE_M - 1e-3 else None
+                return posture if self._slack(posture) >= -1e-3 else None
             self._step()
         return None
 

@@ -45,6 +45,11 @@ DISTINCT_RAD = np.radians(25.0)
 UPRIGHT_PANS_RAD = np.radians(np.arange(-225.0, 226.0, 45.0))
 PARTS = np.array(list(product([False], *[[False, True]] * 4, [False])))
 """(16, 6) bool, the joints that a partial homing brings home."""
+BRAKING = 2.0
+"""Decisions before the end of a leg from which on a rated arm slows down: it cannot stop at once."""
+WITHIN, RATED_WITHIN = 0.6, 0.8
+"""Part of the tolerance within which a posture of a goal is; a rated arm, which strays as it stops, keeps farther from
+what the object lies on."""
 SAMPLES = 12
 """Instants at which a leg of a plan is checked for the person."""
 ARM_SWING_RAD = np.radians(15.0)
@@ -71,7 +76,7 @@ class _Known:
         self.upright = np.tile(home, (len(UPRIGHT_PANS_RAD), 1))
         self.upright[:, 0] = UPRIGHT_PANS_RAD
         self.postures: dict[tuple[tuple[float, ...], bool], Array] = {}
-        self.passages: dict[Goal, NDArray[np.bool_]] = {}
+        self.passages: dict[Goal, dict[int, NDArray[np.bool_]]] = {}
 
 
 class Expert:
@@ -89,16 +94,19 @@ class Expert:
             )
         self._goals, self._comfort = StageGoals("expert", config, subtask), config.comfort
         self._step = np.radians(config.task.max_step_deg)
-        self._decision = self._step * config.task.action_repeat
+        rated = config.robot.rating != "paper"
+        self._slowing = self._step * config.task.action_repeat * (BRAKING if rated else 1.0)
         self._limit = longest_max_episode_steps(config.task.max_episode_steps, config.comfort)
         human, precision = config.human, config.task.precision
         self._sigma = human.jitter_m / np.sqrt(3.0)
         self._drift = human.speed_m_s * CONTROL_STEP_S if human.motion == "approach" else 0.0
-        self._tolerance = 0.6 * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
+        within = RATED_WITHIN if rated else WITHIN
+        self._tolerance = within * min(precision.grasp_tolerance_m, precision.place_tolerance_m)
         self._range, self._shoulder_z = scene.joint_range, scene.floor_z + SHOULDER_M
         self._cell = CollisionChecker(scene)
         self._body = ArmSpheres(scene)
         self._library = self._seeds(scene.home)
+        self._library_tool = self._body.arm.tool(self._library)
         self._layouts: dict[bytes, _Known] = {}
         self._here, self._layout = _Known(scene.home), scene.layout
 
@@ -136,7 +144,7 @@ class Expert:
                 target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
-        return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._decision))
+        return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._slowing))
 
     def _goals_of(self, state: State) -> list[Goal]:
         """Return the goal of each row."""
@@ -166,7 +174,7 @@ class Expert:
         first = first_steps + price * first_risk
         steps_on = self._steps(ways[:, None], postures[safest], person)
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
-        clear[: len(self._here.upright)] &= self._clear(goal)[:, safest]
+        clear[: len(self._here.upright)] &= self._clear(goal, safest)
         there = np.clip(first_steps + FORESIGHT_STEPS / 2, 1.0, FORESIGHT_STEPS)
         exposed = self._risk(ways[:, None], there[:, None], person)
         waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
@@ -247,7 +255,7 @@ class Expert:
         return self._here.postures[goal, more]
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        tool = self._body.arm.tool(self._library)
+        tool = self._library_tool
         radius, height = np.hypot(tool[:, 0], tool[:, 1]), tool[:, 2]
         near = np.hypot(radius - np.hypot(goal[0], goal[1]), height - goal[2]) < 0.05
         seeds, tool = self._library[near].copy(), tool[near]
@@ -272,10 +280,10 @@ class Expert:
             postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
         return postures
 
-    def _clear(self, goal: Goal) -> NDArray[np.bool_]:
-        """Return (V, K): whether the leg from upright to each of `_postures(goal, more=True)` is free."""
-        if goal not in self._here.passages:
-            postures = self._postures(goal, more=True)
-            ways = self._here.upright
-            self._here.passages[goal] = np.array([[self._cell.free(way, end) for end in postures] for way in ways])
-        return self._here.passages[goal]
+    def _clear(self, goal: Goal, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (V, K): whether the leg from upright to each `chosen` (K,) of `_postures(goal, more=True)` is free."""
+        known, postures = self._here.passages.setdefault(goal, {}), self._postures(goal, more=True)
+        for index in chosen:
+            if index not in known:
+                known[index] = np.array([self._cell.free(way, postures[index]) for way in self._here.upright])
+        return np.stack([known[index] for index in chosen], axis=1)

@@ -73,6 +73,7 @@ class GraspingExpert(Expert):
         self._grasping = np.array([stage.grasps for stage in stages])
         self._releasing = np.array([stage.releases for stage in stages])
         self._decision_s = config.task.action_repeat * CONTROL_STEP_S
+        self._largest = self._step * config.task.action_repeat
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
@@ -87,8 +88,8 @@ class GraspingExpert(Expert):
             if step.move is None:
                 planned.append(row)
                 continue
-            move = step.move * min(1.0, self._decision * pace[row] / max(np.abs(step.move).max(), 1e-9))
-            action[row, :joints] = torch.from_numpy(move / self._decision)
+            move = step.move * min(1.0, self._largest * pace[row] / max(np.abs(step.move).max(), 1e-9))
+            action[row, :joints] = torch.from_numpy(move / self._largest)
         if planned:
             index = torch.tensor(planned)
             action[index, :joints] = super().act(state.rows(index))

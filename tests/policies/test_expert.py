@@ -28,9 +28,9 @@ TASKS = ("reach", "point_to_point", "pick", "place", "return", "pick_place", "cy
 EPISODES = 20
 
 
-def success(task: str) -> float:
+def success(task: str, *overrides: str) -> float:
     """Return the share of the first EPISODES evaluation episodes in which the expert succeeds."""
-    config = environment(compose("train", [f"task={task}"]))
+    config = environment(compose("train", [f"task={task}", *overrides]))
     engine = Engine(config, EPISODES, 0, evaluation=load_evaluation_set())
     state = engine.reset()
     expert = Expert(engine.scene, config, engine.episodes.subtask)
@@ -49,6 +49,11 @@ def success(task: str) -> float:
 @pytest.mark.parametrize("task", TASKS)
 def test_the_expert_solves_the_task_beside_a_walking_person(task: str) -> None:
     assert success(task) >= 0.9
+
+
+def test_the_expert_brakes_a_rated_arm_before_furniture_that_stands_anywhere() -> None:
+    rated = ("robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact")
+    assert success("place", "cell=varied", "human=none", "task.arrival_speed_rad_s=0.5", *rated) == 1.0
 
 
 def test_the_expert_does_the_same_with_any_subset_of_rows() -> None:
@@ -110,7 +115,7 @@ def exhaustive(expert: Expert, joints: Array, person: Array, goal: Goal, price: 
     first_steps, first_risk = expert._weigh(joints, ways, person)
     steps_on, risk_on = expert._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
     clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))
-    clear[: len(expert._here.upright)] &= expert._clear(goal)[:, safest]
+    clear[: len(expert._here.upright)] &= expert._clear(goal, safest)
     onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
     exposed = expert._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
     waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed

@@ -10,12 +10,15 @@ import pytest
 import torch
 
 from hrl_comfort.composition.compose import compose, compose_environment
-from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.humans import split_set
 from hrl_comfort.scene.layout import reach
+from hrl_comfort.scene.workcell import scene_of, tool_at
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.starts import recorded_starts
+from hrl_comfort.sim.variation.layouts import SERVED_M, Layouts
+from hrl_comfort.sim.variation.postures import Postures
 from hrl_comfort.tasks import Start
 
 ROWS = 12
@@ -42,7 +45,8 @@ def test_layouts_keep_to_their_ranges_and_to_each_other() -> None:
     assert (draw.places[..., 2] >= vary.height_m[0]).all() and (draw.places[..., 2] <= vary.height_m[1]).all()
     ground = np.concatenate([draw.places, draw.obstacles], axis=1)[..., :2]
     apart = np.linalg.norm(ground[:, :, None] - ground[:, None], axis=-1) + 10 * np.eye(ground.shape[1])
-    assert (apart >= vary.apart_m).all()
+    here = ground[..., 0] < FAR_AWAY_M / 2  # an obstacle may be absent
+    assert (apart >= vary.apart_m)[here[:, :, None] & here[:, None]].all()
     assert np.abs(draw.home - begun().scene.home).max() <= np.radians(vary.home_deg) + 1e-12
     shoulder, most = reach(config.robot.name)
     assert (np.linalg.norm(draw.kind_places - shoulder, axis=-1) < most).all()
@@ -67,6 +71,25 @@ def test_the_tool_begins_at_the_object_of_its_own_layout_and_ends_home_at_its_ow
     home = begun().episodes.state
     assert home is not None and torch.allclose(home.joint_pos, home.joint_home)
     assert torch.allclose(home.tcp_pos, home.tcp_home, atol=1e-9)
+
+
+def test_the_arm_can_serve_every_layout_clear_of_everything() -> None:
+    config = varied()
+    scene = scene_of(config)
+    layouts, solver = Layouts(scene, config), Postures(scene.xml, scene.home, 0.9 * SERVED_M)
+    for number in range(8):
+        layout = layouts.numbered("train", number)
+        solver.stand(layout.home, np.concatenate([layout.places, layout.obstacles]), scene.first_furniture)
+        assert solver.turns()
+        ends = [
+            *zip(layout.arrives, layout.at_arrival, strict=True),
+            *zip(layout.belongs, layout.at_place, strict=True),
+        ]
+        for goal, postures in ends:
+            assert len(postures)
+            for posture in postures:
+                assert np.linalg.norm(tool_at(scene, posture) - goal) < config.task.precision.grasp_tolerance_m
+                assert solver.free(posture) and solver.rises(posture)
 
 
 def test_an_obstacle_that_is_not_there_is_far_away() -> None:

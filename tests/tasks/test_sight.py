@@ -133,3 +133,19 @@ def test_the_nearest_surface_is_the_nearest_point_of_a_top() -> None:
     assert torch.allclose(below[:, :2], torch.zeros(24, 2, dtype=torch.float64), atol=1e-9)
     alone = task.observations["surfaces"](state.with_(tops=state.tops[:, :1]))
     assert (alone[:, 3:] == FARTHEST_M).all()
+
+
+def test_clearance_is_one_at_a_touch_points_there_and_ends_where_nothing_is_near() -> None:
+    task, state = seen()
+    top = state.tops[:1, :1].expand(24, 1, -1).clone()
+    top[..., 3:] = torch.tensor([0.08, 0.08, 0.0])
+    above = top[..., :3] + torch.tensor([0.0, 0.0, 0.05])
+    beside = top[..., :3] + torch.tensor([0.08 + 0.2, 0.0, -0.3])
+    away = top[..., :3] + torch.tensor([0.0, 0.0, 0.5])
+    ends = torch.cat([above, beside, away], dim=1)
+    arm = torch.cat([ends, ends, torch.full_like(ends[..., :1], 0.05)], dim=-1)
+    near = task.observations["clearances"](state.with_(tops=top, arm_body=arm)).reshape(24, 3, 3)
+    down = torch.tensor([0.0, 0.0, -1.0], dtype=near.dtype).expand(24, 3)
+    torch.testing.assert_close(near[:, 0], down)
+    torch.testing.assert_close(near[:, 1].norm(dim=-1), torch.full((24,), 0.5, dtype=near.dtype))
+    assert (near[:, 1, 2].abs() < 1e-6).all() and not near[:, 2].any()

@@ -25,8 +25,12 @@ BEHIND_M = 0.4
 """Distance of people's stations behind the places."""
 ATTEMPTS, TRIES = 300, 12
 """Draws of a layout before it is given up, and of a posture for one of its goals."""
+POSTURES = 4
+"""Largest number of postures for each goal of a layout that is drawn."""
 REACHED = 0.92
 """Part of the arm's reach within which goals are drawn."""
+SERVED_M = 0.04
+"""Distance to everything that stands there with which the arm can serve a layout that is drawn."""
 COUNT = 96
 """Number of postures for each goal of a cell that does not vary."""
 SPLITS = ("train", "validation", "test")
@@ -72,7 +76,7 @@ class Layouts:
         self._scene, self._cell, self._precision = scene, config.cell, config.task.precision
         self._jitter = config.task.object_jitter_m
         self._shoulder, self._reach = reach(config.robot.name, config.robot.end_effector, config.robot.gripper)
-        self._solver = Postures(scene.planning_xml, scene.home)
+        self._solver = Postures(scene.planning_xml, scene.home, SERVED_M)
         self._known: dict[tuple[str, int], Layout] = {}
         self._hand_postures: dict[tuple[bytes, Start, int], Array] = {}
 
@@ -136,7 +140,10 @@ class Layouts:
         )
 
     def _drawn(self, vary: VaryConfig, number: int, rng: np.random.Generator) -> Layout | None:
-        """Return a layout whose goals and home posture are free of contacts, if this draw is one."""
+        """Return a layout that the arm can serve SERVED_M away from everything, if this draw is one.
+
+        At each goal there is a posture from which it can rise straight to home, turn there and come down elsewhere.
+        """
         count, standing = len(self._cell.places), len(self._cell.obstacles)
         ground = self._ground(vary, count + standing, rng)
         places, obstacles = (each.copy() for each in np.split(self._scene.layout, [count]))
@@ -155,7 +162,7 @@ class Layouts:
         if max(np.linalg.norm(end - self._shoulder) for end in ends) > REACHED * self._reach:
             return None
         self._solver.stand(home, np.concatenate([places, obstacles]), self._scene.first_furniture)
-        if not self._solver.free(home):
+        if not self._solver.free(home) or not self._solver.turns():
             return None
         near = self._precision.grasp_tolerance_m, self._precision.place_tolerance_m
         solved: dict[bytes, Array] = {}
@@ -163,7 +170,7 @@ class Layouts:
         for goals, tolerance, postures in zip(*every, strict=True):
             for goal in goals:
                 if goal.tobytes() not in solved:
-                    solved[goal.tobytes()] = self._solver.solve(goal, tolerance, 1, TRIES, rng)
+                    solved[goal.tobytes()] = self._solver.solve(goal, tolerance, POSTURES, TRIES, rng, rising=True)
                 if not len(solved[goal.tobytes()]):
                     return None
                 postures.append(solved[goal.tobytes()])

@@ -25,6 +25,8 @@ SURFACES = 3
 """Number of surfaces that are seen, the nearest to the tool."""
 FARTHEST_M = 1.0
 """Largest coordinate of a surface that is seen."""
+NEAR_M, ALONG = 0.3, 5
+"""Distance from which on nothing is near a part of the arm, and points along the part that are measured."""
 AWAY_M = 100.0
 """Largest coordinate, m, and speed, m/s, that is reckoned with; nobody is farther away."""
 
@@ -62,21 +64,45 @@ def surfaces(state: State) -> Tensor:
 
     Surfaces are the tops of places and obstacles; where there are fewer, the others are far away.
     """
-    tops = state.tops
-    away = state.tcp_pos[:, None] - tops[..., :3]
-    cos, sin = tops[..., 5].cos(), tops[..., 5].sin()
-    along, across = cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]
-    u, v = (
-        torch.minimum(torch.maximum(each, -half), half)
-        for each, half in ((along, tops[..., 3]), (across, tops[..., 4]))
-    )
-    nearest = torch.stack([cos * u - sin * v, sin * u + cos * v, torch.zeros_like(u)], dim=-1) - away
+    nearest = to_tops(state.tcp_pos[:, None], state.tops)[:, 0]
     order = vector_norm(nearest, dim=-1).argsort(dim=1)[:, :SURFACES]
     seen = turned(state, nearest).gather(1, order[..., None].expand(-1, -1, 3)).clamp(-FARTHEST_M, FARTHEST_M)
     missing = SURFACES - seen.shape[1]
     if missing > 0:
         seen = torch.cat([seen, torch.full_like(seen[:, :1], FARTHEST_M).expand(-1, missing, -1)], dim=1)
     return seen.flatten(1)
+
+
+def to_tops(points: Tensor, tops: Tensor) -> Tensor:
+    """Return the vectors (N, Q, F, 3) m from points (N, Q, 3) m to the nearest point of each of `State.tops`."""
+    tops = tops[:, None]
+    away = points[:, :, None] - tops[..., :3]
+    cos, sin = tops[..., 5].cos(), tops[..., 5].sin()
+    along, across = cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]
+    u, v = (
+        torch.minimum(torch.maximum(each, -half), half)
+        for each, half in ((along, tops[..., 3]), (across, tops[..., 4]))
+    )
+    return torch.stack([cos * u - sin * v, sin * u + cos * v, torch.zeros_like(u)], dim=-1) - away
+
+
+def clearances(state: State) -> Tensor:
+    """Return (N, 3 A): how near each part of the arm is to what stands there: a vector, 1 long at a touch.
+
+    It points to the nearest place or obstacle and is 0 from `NEAR_M` on; each counts as solid from its top down.
+    """
+    arm = state.arm_body.clamp(-AWAY_M, AWAY_M)
+    shares = torch.linspace(0.0, 1.0, ALONG, dtype=arm.dtype)[:, None]
+    points = arm[:, :, None, :3] + shares * (arm[:, :, None, 3:6] - arm[:, :, None, :3])
+    vector = to_tops(points.flatten(1, 2), state.tops)
+    # Below a top the way out is up, which this least rise says where the vector is 0.
+    vector = torch.cat([vector[..., :2], vector[..., 2:].clamp(max=0.0) + 1e-9], dim=-1)
+    vector = vector.unflatten(1, (arm.shape[1], ALONG)).flatten(2, 3)
+    length = vector_norm(vector, dim=-1)
+    apart, nearest = length.min(dim=-1)
+    nearness = (1 - (apart - arm[..., 6]) / NEAR_M).clamp(0.0, 1.2)
+    nearest_vector = vector.gather(2, nearest[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
+    return turned(state, nearest_vector / apart[..., None] * nearness[..., None]).flatten(1)
 
 
 def people(stages: tuple[Stage, ...]) -> StateFunction:
@@ -151,6 +177,7 @@ def sight(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
         "tool": tool,
         "goal_offset": goal(stages),
         "surfaces": surfaces,
+        "clearances": clearances,
         "people": people(stages),
     }
     if len(stages) > 1:
