@@ -13,11 +13,6 @@ from hrl_comfort.files.provenance import RESUMABLE, step_files
 from hrl_comfort.files.state_file import load, save
 
 
-def step_path(folder: Path, policy_steps: int) -> Path:
-    """Return the name of the light checkpoint after so many decisions."""
-    return folder / f"step_{policy_steps:09d}.pt"
-
-
 def keep_newest(folder: Path, count: int) -> None:
     """Delete all but the newest `count` light checkpoints."""
     for path in step_files(folder)[:-count]:

@@ -94,7 +94,8 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
     config = freeze(cls, node)
     if isinstance(config, EnvConfig):
         for group, section in NAMES.items():
-            part_name(section, str(attrgetter(section)(config)), choices(group))
+            if hasattr(config, group):
+                part_name(section, str(attrgetter(section)(config)), choices(group))
     if isinstance(config, HierarchyTrainConfig) and words:
         config = dataclasses.replace(config, hierarchy=_with_controller(config, words))
     if not isinstance(config, TrainConfig):

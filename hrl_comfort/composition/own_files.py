@@ -1,4 +1,4 @@
-"""Files of a user's own in the place of a choice of conf/."""
+"""Files of a user's own in the place of a choice of conf/, and checkpoints by their name."""
 
 from __future__ import annotations
 
@@ -9,15 +9,33 @@ from pathlib import Path
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.overrides import choices, override
 from hrl_comfort.files.documents import read_yaml
+from hrl_comfort.files.provenance import policy_steps, step_files, step_path
+
+POLICY = re.compile(r"\+*(policy|policies(\.\w+)?|beside|initial_policy|agent\.next_skill)=")
+CHECKPOINT = re.compile(r"([^,:=\s'\"\[\]{}][^,:='\"\[\]{}]*)@(?:best|step=(\d+))(?=$|[,'\"\]}])")
 
 
 def with_own_files(overrides: Iterable[str]) -> list[str]:
     """Return `overrides` with `cell=FILE.yaml` and `human=FILE.yaml` replaced by what the files hold.
 
+    As a policy, `RUN@best` and `RUN@step=N` are replaced by the checkpoints' files.
+
     Raises:
       ConfigError: there is no such file, or it is damaged.
     """
-    return [each for line in overrides for each in _of_file(line)]
+    named = (CHECKPOINT.sub(_checkpoint, line) if POLICY.match(line) else line for line in overrides)
+    return [each for line in named for each in _of_file(line)]
+
+
+def _checkpoint(asked: re.Match[str]) -> str:
+    """Return the file of a checkpoint `RUN@…`; raise ConfigError if there is none."""
+    folder = Path(asked[1]) / "checkpoints"
+    file = folder / "best.pt" if asked[2] is None else step_path(folder, int(asked[2]))
+    if not file.is_file():
+        there = [f"step={policy_steps(each)}" for each in step_files(folder)]
+        there += ["best"] * (folder / "best.pt").is_file()
+        raise ConfigError(f"{asked[0]}: {folder} holds no such checkpoint; it has {', '.join(there) or 'none'}")
+    return str(file)
 
 
 def _of_file(line: str) -> list[str]:

@@ -84,14 +84,16 @@ class EvaluateConfig(EnvConfig):
 
     meta_controller: MetaControllerConfig
     policy: str | None
-    """Without a meta-controller: run folder, checkpoint, policy file, `package.module:callable`, `sb3:FILE.zip`,
-    `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or `random`."""
+    """Without a meta-controller: run folder, checkpoint (a file, `RUN@best` or `RUN@step=40000`), policy file,
+    `package.module:callable`, `sb3:FILE.zip`, `onnx:FILE`, `expert`, `potential_field`, `predictive_sampling` or
+    `random`."""
     policies: dict[str, str]
     """With a meta-controller: the policy of each subtask (`policies.pick=…` and so on); for a learned controller, also
     its run folder or file (`policies.meta_controller=…`)."""
-    checkpoints: Annotated[str, choice("none", "all")]
+    checkpoints: Annotated[str, choice("none", "all", "grid")]
     """`all` evaluates every checkpoint of the run in `policy`, or of the runs in `policies`: at each checkpoint of the
-    one that has most, the others join with the checkpoint nearest in fraction of their own training."""
+    one that has most, the others join with the checkpoint nearest in fraction of their own training. `grid` evaluates
+    every combination of the checkpoints of the runs in `policies`."""
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
     `validation` has people of its own. `test`: people, layouts and arm starts that no training with
@@ -128,10 +130,11 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
-        if self.checkpoints == "all" and (self.record or self.terminal_states is not None):
-            raise ConfigError("checkpoints=all goes with record=false and without terminal_states=")
-        if self.checkpoints == "all" and self.split == "test":
-            raise ConfigError("checkpoints=all chooses among checkpoints, which split=test is not for; use validation")
+        several = f"checkpoints={self.checkpoints}"
+        if self.checkpoints != "none" and (self.record or self.terminal_states is not None):
+            raise ConfigError(f"{several} goes with record=false and without terminal_states=")
+        if self.checkpoints != "none" and self.split == "test":
+            raise ConfigError(f"{several} chooses among checkpoints, which split=test is not for; use validation")
         if self.terminal_states is not None and self.split == "test":
             raise ConfigError("terminal_states= records training data, which split=test is not for; leave split= out")
         if self.levels:

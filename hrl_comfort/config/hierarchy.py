@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hrl_comfort.config.checks import Widths, between, choice, unique, within
+from hrl_comfort.config.checks import Widths, between, choice, named, unique, within
 
-SORTERS = ("scripted", "cautious", "random")
-"""Controllers of `sort` that are not learned."""
-CONTROLLERS = ("none", *SORTERS, "learned")
+TOPS = ("scripted", "cautious", "patient", "fixed", "random", "learned")
+"""Built-in meta-controllers."""
 META_OBSERVATIONS = ("default", "proximity")
 
 
@@ -17,8 +16,9 @@ META_OBSERVATIONS = ("default", "proximity")
 class MetaControllerConfig:
     """The meta-controller, which sequences frozen policies."""
 
-    name: Annotated[str, choice(*CONTROLLERS)]
-    """Kind of controller; `none` runs the one policy of `policy=`."""
+    name: Annotated[str, named("meta_controller.name", "none", *TOPS)]
+    """A built-in controller, one that an installed package offers as an entry point (both by name), or
+    `package.module:name`; `none` runs the one policy of `policy=`."""
     options: list[str]
     """Subtasks in the order in which the scripted controller runs them."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
@@ -34,7 +34,9 @@ class MetaControllerConfig:
     is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
-    current level. `scripted` and `cautious` give every skill the first of them."""
+    current level. `scripted`, `cautious`, `patient` and `fixed` give every skill the first of them."""
+    order: Annotated[list[str], unique]
+    """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
 
 @dataclass(frozen=True)

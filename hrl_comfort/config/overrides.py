@@ -56,7 +56,10 @@ SHARED = {
     "bench update": "train", "bench train": "train", "bench studio": "studio",
 }  # fmt: skip
 """Root of each command that has the configuration of another one."""
-NAMES = {"task": "task.name", "human": "human.motion", "robot": "robot.name", "gripper": "robot.gripper.name"}
+NAMES = {
+    "task": "task.name", "human": "human.motion", "robot": "robot.name", "gripper": "robot.gripper.name",
+    "meta_controller": "meta_controller.name",
+}  # fmt: skip
 """Key that names a part, by group: a part of another package has no file in the group."""
 MOST_JOBS = 10_000
 """Largest sweep: Hydra lists every job before the first begins."""

@@ -102,11 +102,11 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
 
     rows = len(entries.episode)
     engine = Engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
-    executor, choose = make_executor(config, None, engine, int(entries.episode_seed[0]))
+    executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
     state = engine.reset()
     observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []
     infos = [_infos(state.level, state.stage, torch.full((rows,), NO_OPTION))]
-    for executed in execute(engine, executor, choose):
+    for executed in execute(engine, executor, top):
         result = executed.result
         observations.append(engine.episodes.observe())
         actions.append(executed.action)
@@ -135,7 +135,7 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
             infos={name: of([each[name] for each in infos], row, steps + 1).tolist() for name in infos[0]},
         )
         for row, steps in enumerate(lengths)
-    ], [option.name for option in executor.options]
+    ], executor.table.names
 
 
 def _infos(

@@ -28,6 +28,8 @@ def export(config: ExportConfig) -> Path:
     if config.task.action != "joint":
         raise ConfigError(f"task.action={config.task.action}: only policies of joint increments can be exported")
     sources: dict[str, str | None] = {**config.policies} or {config.task.name: config.policy}
+    if "meta_controller" in sources:
+        raise ConfigError("policies.meta_controller: export writes skills, not what chooses among them; leave it out")
     output, options = Path(config.output), []
     with output_folder(output, ExportConfig, "config.yaml"), all_or_none():
         for name, source in sources.items():

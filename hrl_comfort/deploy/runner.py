@@ -123,7 +123,7 @@ class Run:
         self.result = Result([], [], [])
         self._config, self._link, self._entries = config, link, open_split(config).entries
         self._engine = RobotEngine(environment(config), link, self._entries, interrupted, endure)
-        self._executor, self._choose = make_executor(config, None, self._engine, config.first_seed)
+        self._executor, self._top = make_executor(config, None, self._engine, config.first_seed)
 
     def all(self) -> None:
         """Run every episode; bring the arm to rest at the end, and where one is stopped.
@@ -145,12 +145,12 @@ class Run:
 
     def _episode(self, index: int) -> None:
         old, entries = self._executor, self._entries.part(index, index + 1)
-        executor = OptionExecutor(old.options, old.time_limit, self._engine.episodes, old.retries)
+        executor = OptionExecutor(old.table, self._engine.episodes, old.retries)
         recorder = EpisodeRecorder(self._config, None, self._engine, entries, self.result)
         taken: list[ExecutedStep] = []
         try:
             recorder.begin(self._engine.start(index))
-            for executed in execute(self._engine, executor, self._choose):
+            for executed in execute(self._engine, executor, self._top):
                 taken.append(executed)  # told afterwards: the next plan has no time for tables
             self._link.rest()
             if self._link.report.stopped:

@@ -35,7 +35,9 @@ RECORDED_EPISODES = 2000
 """Episodes, drawn as in training, of which terminal states are recorded."""
 FAR = 3.0
 """Standard deviations from the mean in training beyond which an observation counts as far."""
-LONE = MetaControllerConfig(name="none", options=[], time_limit_steps=1, retries=0, max_waits=None, level_override=[])
+LONE = MetaControllerConfig(
+    name="none", options=[], time_limit_steps=1, retries=0, max_waits=None, level_override=[], order=[]
+)
 
 
 def handover(config: EvaluateConfig) -> Path:

@@ -97,12 +97,12 @@ def _run_batch(
     """Run episodes side by side, one a row, to their ends; append them to `result`."""
     env, rows = environment(config), len(entries.episode)
     engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-    executor, choose = make_executor(config, policy, engine, int(entries.episode_seed[0]))
+    executor, top = make_executor(config, policy, engine, int(entries.episode_seed[0]))
     recorder = EpisodeRecorder(config, policy, engine, entries, result)
     before = [episode.success for episode in result.episodes]
     recorder.begin(engine.reset())
     due = time.monotonic()
-    for executed in execute(engine, executor, choose):
+    for executed in execute(engine, executor, top):
         if config.realtime:
             steps = int((executed.result.valid & executed.active[:, None]).sum(dim=1).max())
             due = max(due + steps * CONTROL_STEP_S, time.monotonic())  # what is late is not made up for

@@ -54,10 +54,10 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
 def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
     """Run an episode, drawn as in training, in each of `rows` cells; return kind and last state of successes."""
     engine = Engine(environment(config), rows, seed)
-    executor, choose = make_executor(config, None, engine, seed)
+    executor, top = make_executor(config, None, engine, seed)
     engine.reset()
     found = []
-    for executed in execute(engine, executor, choose):
+    for executed in execute(engine, executor, top):
         state = executed.result.state
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
         if config.human.motion != "none":

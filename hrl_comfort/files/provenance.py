@@ -84,6 +84,11 @@ def unfinished(folder: Path) -> str | None:
     return f"the training in {folder} is not finished{reached}"
 
 
+def step_path(checkpoints: Path, policy_steps: int) -> Path:
+    """Return the light checkpoint after so many policy steps in the folder `checkpoints` of a run."""
+    return checkpoints / f"step_{policy_steps:09d}.pt"
+
+
 def step_files(checkpoints: Path) -> list[Path]:
     """Return the light checkpoints in the folder `checkpoints` of a run, oldest first."""
     return sorted(path for path in checkpoints.glob("step_*.pt") if STEP_FILE.fullmatch(path.name))

@@ -38,6 +38,7 @@ NEEDED: dict[str, dict[str, str]] = {
     "timing": {"seconds": "float"},
     "episodes": {"episode": "int", "success": "bool"},
     "checkpoints": {"policy_steps": "int", "success": "float"},
+    "grid": {"policy_steps": "int"} | dict.fromkeys(("success", "contact", "unsafe_contact"), "float"),
     "options": {"episode": "int", "option": "text", "termination": "text", "start_step": "int", "end_step": "int"},
     "paths": dict.fromkeys(("episode", "step"), "int")
     | dict.fromkeys(("tcp_x", "tcp_y", "tcp_z"), "float")
@@ -47,6 +48,7 @@ NEEDED: dict[str, dict[str, str]] = {
     "chain": {"options": "int", "success": "float"},
 }
 """Columns that a table cannot do without, by the stem of its file."""
+OF_CHECKPOINTS = {"task": "text?", "human": "text?", "split": "text?", "comfort_level": "int?"}
 KNOWN: dict[str, dict[str, str]] = {
     "metrics": {"stage": "text?"},
     "episodes": dict.fromkeys(("task", "policy", "split", "object", "human", "other_collision"), "text?")
@@ -55,7 +57,8 @@ KNOWN: dict[str, dict[str, str]] = {
         ("steps", "policy_steps", "objects_placed", "protective_stops", "human_beyond_bound", "drops"), "int?"
     )
     | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated", "object_lost", "diverged"), "bool?"),
-    "checkpoints": {"task": "text?", "human": "text?", "split": "text?", "comfort_level": "int?"},
+    "checkpoints": OF_CHECKPOINTS,
+    "grid": OF_CHECKPOINTS,
     "options": {"comfort_level": "int?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""

@@ -22,6 +22,8 @@ TASK = {"colour": "object", "balls": "objects", "ball_jitter_m": "object_jitter_
 """Keys of the section `task` that were renamed."""
 CONTROLLER = {"balls": "objects"}
 """Keys that were renamed in the `spec` of a controller's file."""
+EXECUTOR = {"_first": "stage"}
+"""Parts of a controller's training in progress: the first stage of an option stands for the one at which it started."""
 COLUMNS = {
     "colour": "object", "balls_placed": "objects_placed", "balls_lost": "objects_lost",
     "balls_per_min": "objects_per_min",

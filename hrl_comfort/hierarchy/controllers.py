@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
-from hrl_comfort.hierarchy.executor import Choose, OptionExecutor
-from hrl_comfort.hierarchy.meta_controllers import CHOICES, in_order
-from hrl_comfort.hierarchy.options import Option, chain
-from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.options import OptionTable, chain, skill
+from hrl_comfort.hierarchy.sort import sorting_table
+from hrl_comfort.hierarchy.tops import Top, in_order, make_top
 from hrl_comfort.policies.load import Source, make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import Subtask, subtask
@@ -14,7 +14,7 @@ from hrl_comfort.tasks import Subtask, subtask
 
 def make_executor(
     config: EvaluateConfig, policy: Source | None, engine: Engine, seed: int
-) -> tuple[OptionExecutor, Choose]:
+) -> tuple[OptionExecutor, Top]:
     """Return the options of a lone policy, a chain, `sort` or `shift`, and what chooses among them.
 
     `seed` is for random ones.
@@ -28,19 +28,20 @@ def make_executor(
         source = config.policy if policy is None else policy
         if source is None:
             raise ConfigError(f"policy=null: give {POLICIES}")
-        rounds = len(task.stages) if task.repeats else 0
-        alone = Option(task.name, task, make_policy(source, task, engine.scene, env, seed), round_stages=rounds)
-        return OptionExecutor([alone], config.task.max_episode_steps, episodes, retries=0), in_order
-    limit = meta_controller.time_limit_steps
+        rounds, act = len(task.stages) if task.repeats else 0, make_policy(source, task, engine.scene, env, seed)
+        alone = skill(task, act, config.task.max_episode_steps, round_stages=rounds)
+        return OptionExecutor(OptionTable([alone]), episodes, retries=0), Top("none", in_order)
     if task.name in SORTING:
-        options = sorting_options(meta_controller, config.policies, engine.scene, env, seed)
-        return OptionExecutor(options, limit, episodes), _sorter(config, [option.name for option in options], seed)
+        table, retries = sorting_table(meta_controller, config.policies, engine.scene, env, seed), None
+    else:
+        table, retries = _chain(config, engine, seed), meta_controller.retries
+    return OptionExecutor(table, episodes, retries, seed), make_top(config, table, seed)
+
+
+def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
+    """Return the options of a task that is a chain of subtasks."""
+    env, task, meta_controller = engine.episodes.config, engine.episodes.subtask, config.meta_controller
     check_given(config)
-    if meta_controller.name != "scripted":
-        raise ConfigError(
-            f"meta_controller={meta_controller.name} is for task=sort and shift; "
-            f"task={task.name} takes meta_controller=scripted"
-        )
     for key, off in ("level_override", "[]"), ("max_waits", "null"):
         if (value := getattr(meta_controller, key)) not in (None, []):
             key = f"meta_controller.{key}"
@@ -48,7 +49,7 @@ def make_executor(
     parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
-    return OptionExecutor(chain(skills), limit, episodes, meta_controller.retries), in_order
+    return chain(skills, meta_controller.time_limit_steps)
 
 
 def check_given(config: EvaluateConfig) -> None:
@@ -66,15 +67,3 @@ def check_stages(parts: list[Subtask], task: Subtask) -> None:
             f"meta_controller.options={[part.name for part in parts]} do the stages {[s.name for s in stages]}; "
             f"task.name={task.name} needs {[stage.name for stage in task.stages]}"
         )
-
-
-def _sorter(config: EvaluateConfig, options: list[str], seed: int) -> Choose:
-    """Return the meta-controller of `sort` that `config` names."""
-    if config.meta_controller.name != "learned":
-        return CHOICES[config.meta_controller.name](seed)
-    if "meta_controller" not in config.policies:
-        raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
-    from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl
-
-    found, limit = config.policies["meta_controller"], config.meta_controller.max_waits
-    return load_choice(found, config.comfort.levels, options, limit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.hierarchy.options import IdleOption, Option, Termination, act
+from hrl_comfort.files.versions import EXECUTOR, renamed
+from hrl_comfort.hierarchy.decision import Decision, Top
+from hrl_comfort.hierarchy.options import NONE, Begun, OptionTable, Termination
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -19,19 +21,6 @@ from hrl_comfort.tasks import State
 TERMINATIONS = tuple(Termination)
 """Meaning of the numbers in `EndedOptions.termination`."""
 _SUCCESS, _FAILURE, _PREEMPTED = range(len(TERMINATIONS))
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Input of a meta-controller in N cells, in some of which an option has just ended."""
-
-    state: State
-    mask: Tensor
-    """(N, K) bool, options that can start."""
-
-
-Choose = Callable[[Decision], Tensor]
-"""Meta-controller: decision -> options to start (N,) int64, used in the rows that decide."""
 
 
 @dataclass(frozen=True)
@@ -62,70 +51,67 @@ class OptionExecutor:
     """Options in force in N cells.
 
     Args:
-      options: of which each cell runs one at a time.
-      time_limit: control steps after which a skill is preempted; longer where `comfort` lets an episode last longer.
+      table: of which each cell runs one choice at a time.
       episodes: of the cells.
       retries: consecutive further attempts of an option that ran out of time; None: any number.
+      seed: of the ends of options whose termination is a probability.
     """
 
-    _TENSORS = ("option", "started", "attempt", "_first", "_last", "_preempted")
+    _TENSORS = ("option", "started", "stage", "attempt", "_preempted")
 
-    def __init__(
-        self, options: Sequence[Option | IdleOption], time_limit: int, episodes: Episodes, retries: int | None = None
-    ) -> None:
-        self.options, self.time_limit, self.retries, self._episodes = list(options), time_limit, retries, episodes
-        for name in ("option", "started", "attempt", "_first", "_last"):
+    def __init__(self, table: OptionTable, episodes: Episodes, retries: int | None = None, seed: int = 0) -> None:
+        self.table, self.retries, self._episodes = table, retries, episodes
+        for name in ("option", "started", "stage", "attempt"):
             setattr(self, name, torch.zeros(episodes.rows, dtype=torch.int64))
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
         """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
-        retreats = [(k, o.done) for k, o in enumerate(options) if isinstance(o, IdleOption) and o.done is not None]
-        self._retreat = retreats[0] if retreats else None
-        self._limited = [
-            (k, o.max_runs) for k, o in enumerate(options) if isinstance(o, IdleOption) and o.max_runs is not None
-        ]
+        self._generator = torch.Generator().manual_seed(seed)
 
     option: Tensor
-    """(N,) int64, option in force."""
+    """(N,) int64, index of the choice in force."""
     started: Tensor
     """(N,) int64, control step of the episode at which it started."""
+    stage: Tensor
+    """(N,) int64, stage of the task at which it started."""
     attempt: Tensor
     """(N,) int64, how often it has been started in a row."""
-    _first: Tensor
-    """(N,) int64, the option is preempted if the task falls back to a stage before this one."""
-    _last: Tensor
-    """(N,) int64, the option has succeeded at this stage."""
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
-        return {name: getattr(self, name) for name in self._TENSORS}
+        return {name: getattr(self, name) for name in self._TENSORS} | {"generator": self._generator.get_state()}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
+        saved = renamed(saved, EXECUTOR)
         for name in self._TENSORS:
             setattr(self, name, saved[name])
+        if "generator" in saved:
+            self._generator.set_state(saved["generator"])
 
     def available(self, state: State) -> Tensor:
-        """Return (N, K) bool: options that can start; all of them where none can (the episode is over).
+        """Return (N, K) bool: choices that can start; all of them where none can (the episode is over).
 
         A preempted or failed skill leaves the arm where no skill was trained to start, and may be stuck: if one
-        of the options goes home, it alone can start until the arm is there.
+        of the options recovers, it alone can start until the arm is home.
         """
-        mask = torch.stack([option.can_start(state) for option in self.options], dim=-1)
-        for index, most in self._limited:
-            mask[:, index] &= torch.where((self.option == index) & (state.steps > 0), self.attempt, 0) < most
-        if self._retreat is not None:
-            index, home = self._retreat
-            astray = self._preempted & ~home(state)
-            mask[astray] = False
-            mask[astray, index] = True
+        mask = self.table.can_start(state)
+        for index, option in enumerate(self.table.options):
+            mine = self.table.option == index
+            if option.max_runs is not None:
+                runs = torch.where(mine[self.option] & (state.steps > 0), self.attempt, 0)
+                mask[:, mine] &= (runs < option.max_runs)[:, None]
+            if option.recovers:
+                astray = self._preempted & ~self._ends(index, state)
+                mask[astray] = mine
         return mask | ~mask.any(dim=-1, keepdim=True)
 
-    def decision(self, state: State) -> Decision:
-        """Return what a meta-controller decides on."""
-        return Decision(state, self.available(state))
+    def decision(self, state: State, deciding: Tensor | None = None) -> Decision:
+        """Return what a top decides on in the rows `deciding` (N,) bool, all by default."""
+        rows = torch.ones_like(self._preempted) if deciding is None else deciding
+        return Decision(state, self.table, self.available(state), rows, self._episodes.config.comfort.levels)
 
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
-        """Start the options `chosen` (N,) in `rows` (N,) bool; return the state, the objects chosen as targets.
+        """Start the choices `chosen` (N,) in `rows` (N,) bool; return the state, the objects chosen as targets.
 
         Raises:
           ValueError: one of them cannot start now.
@@ -135,17 +121,15 @@ class OptionExecutor:
         allowed = self.available(state).gather(1, chosen[:, None]).squeeze(1)
         if bool((rows & ~allowed).any()):
             row = int(torch.nonzero(rows & ~allowed)[0])
-            raise ValueError(f"row {row}: option {self.options[int(chosen[row])].name} cannot start now")
+            raise ValueError(f"row {row}: option {self.table.names[int(chosen[row])]} cannot start now")
         again = torch.where((chosen == self.option) & (state.steps > 0), self.attempt + 1, 1)
         self.attempt = torch.where(rows, again, self.attempt)
         self.option = torch.where(rows, chosen, self.option)
         self.started = torch.where(rows, state.steps, self.started)
-        for index, option in enumerate(self.options):
-            here = torch.nonzero(rows & (chosen == index)).squeeze(-1)
-            if len(here):
-                self._first[here], self._last[here] = option.stages(state.stage[here])
-                if option.object is not None:
-                    self._episodes.aim(here, torch.full_like(here, option.object))
+        self.stage = torch.where(rows, state.stage, self.stage)
+        objects = self.table.object[chosen]
+        if len(aiming := torch.nonzero(rows & (objects != NONE)).squeeze(-1)):
+            self._episodes.aim(aiming, objects[aiming])
         assert self._episodes.state is not None
         return self._episodes.state
 
@@ -155,25 +139,23 @@ class OptionExecutor:
         Rows not `acting` (N,) bool stand still.
         """
         everyone = torch.ones_like(self.option, dtype=torch.bool)
-        state = self._episodes.observed(state)
-        return act(self.options, self.option, state, everyone if acting is None else acting)
+        return self.table.act(self.option, self._episodes.observed(state), everyone if acting is None else acting)
 
     def ended(self, result: StepResult) -> EndedOptions:
         """Return the options that ended with a decision, and how.
 
-        An idle option succeeds when its time is up or it is done. A skill succeeds once its stages are done,
-        and is preempted at its time limit. Either is preempted where the task falls back to an earlier stage
-        (the object is lost) and where the episode is truncated.
+        An option succeeds where its termination says so, and is preempted at its time limit, where the task falls
+        back to an earlier stage (the object is lost) and where the episode is truncated.
         """
-        state = result.state
-        lasted = state.steps - self.started
-        late = lasted >= max_episode_steps(result.level, self.time_limit, self._episodes.config.comfort)
-        succeeded = state.stage >= self._last
-        for index, option in enumerate(self.options):
-            if isinstance(option, IdleOption):
-                here = self.option == index
-                succeeded, late = torch.where(here, option.is_over(state, lasted), succeeded), late & ~here
-        lost = state.stage < self._first
+        state, begun = result.state, self._begun(result.state)
+        succeeded, late, lost = (torch.zeros_like(self._preempted) for _ in range(3))
+        for index, option in enumerate(self.table.options):
+            mine = self.table.option[self.option] == index
+            succeeded |= mine & self._ends(index, state)
+            lost |= mine & option.fallen_back(state, begun)
+            if option.time_limit is not None:
+                limit = max_episode_steps(result.level, option.time_limit, self._episodes.config.comfort)
+                late |= mine & (begun.lasted >= limit)
         # The success of the whole episode is that of whichever option was running.
         succeeded = (succeeded & ~lost) | result.success
         ended = succeeded | result.done | result.failed | late | lost
@@ -186,11 +168,19 @@ class OptionExecutor:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
         return EndedOptions(ended, torch.where(ended, termination, 0), given_up)
 
+    def _begun(self, state: State) -> Begun:
+        return Begun(self.stage, state.steps - self.started)
+
+    def _ends(self, option: int, state: State) -> Tensor:
+        """Return (N,) bool: an option terminates, drawn where its termination is a probability."""
+        ends = self.table.options[option].termination(state, self._begun(state))
+        return ends if ends.dtype == torch.bool else torch.rand(len(ends), generator=self._generator) < ends
+
     def run_of(self, row: int, ended: EndedOptions, end_step: int) -> OptionRun:
         """Return the run that ended in `row`."""
         return OptionRun(
             row,
-            self.options[int(self.option[row])].name,
+            self.table.names[int(self.option[row])],
             int(self.attempt[row]),
             int(self.started[row]),
             end_step,
@@ -215,18 +205,19 @@ class ExecutedStep:
     """Option runs that ended with it."""
 
 
-def execute(engine: Engine, executor: OptionExecutor, choose: Choose) -> Iterator[ExecutedStep]:
+def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[ExecutedStep]:
     """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended.
 
-    `choose` decides wherever an option has ended.
+    `top` decides wherever an option has ended.
     """
     state = engine.episodes.state
     assert state is not None
     active = torch.ones(engine.num_envs, dtype=torch.bool)
     deciding = active
+    top.begin(deciding)
     while bool(active.any()):
         if bool(deciding.any()):
-            chosen = torch.where(deciding, choose(executor.decision(state)), executor.option)
+            chosen = torch.where(deciding, top(executor.decision(state, deciding)), executor.option)
             state = executor.begin(deciding, chosen)
         action, option = executor.act(state, active), executor.option
         result = engine.step(action.numpy(), np.flatnonzero(active.numpy()))

@@ -19,13 +19,13 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.envs.inputs import episode_seed
 from hrl_comfort.hierarchy.executor import OptionExecutor
-from hrl_comfort.hierarchy.options import IdleOption, Option
+from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.subtask import StateFunction
 
-MakeOptions = Callable[[Engine], list[Option | IdleOption]]
+MakeOptions = Callable[[Engine], OptionTable]
 
 
 class OptionEnv(EnvBase):
@@ -44,14 +44,13 @@ class OptionEnv(EnvBase):
         self,
         config: EnvConfig,
         make_options: MakeOptions,
-        time_limit: int,
         rows: int,
         seed: int,
         gamma: float,
         observe: StateFunction | None = None,
         disturbance: str = "none",
     ) -> None:
-        """Limit skills to `time_limit` control steps; gamma discounts a control step.
+        """Discount a control step by `gamma`.
 
         `observe` is the meta-controller's observation, the task's own by default.
 
@@ -60,7 +59,7 @@ class OptionEnv(EnvBase):
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = Engine(config, rows, episode_seed(seed), disturbance=disturbance)
-        self.executor = OptionExecutor(make_options(self.engine), time_limit, self.engine.episodes)
+        self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes, seed=seed)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe
         self._begin_rows = torch.ones(rows, dtype=torch.bool)
@@ -76,7 +75,7 @@ class OptionEnv(EnvBase):
         self.engine.episodes.rewind()
 
     def _make_specs(self) -> None:
-        n, count = self.batch_size[0], len(self.executor.options)
+        n, count = self.batch_size[0], len(self.executor.table)
         flag, number = Binary(1, shape=(n, 1), dtype=torch.bool), Unbounded(shape=(n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=self._origin.shape, dtype=torch.float32),

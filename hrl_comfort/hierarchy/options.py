@@ -1,26 +1,30 @@
-"""Options: one frozen subtask policy each, run until it succeeds, fails or is preempted.
+"""Options as values (Sutton, Precup, Singh 1999), and tables of them with their arguments, from which a top chooses.
 
-The options framework (Sutton, Precup, Singh 1999): an option acts by its policy until its termination.
+An option has an initiation set, a policy and a termination. Its arguments are passed down when it is chosen: the object
+that becomes the target, and the comfort level that the policy sees.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import product
 
 import torch
 from torch import Tensor
 
+from hrl_comfort.config import ConfigError
 from hrl_comfort.policies.load import Act
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.subtask import StateFunction
 
-NEVER = 2**62
+NONE = -1
+"""In `OptionTable.object`: no object."""
 
 
 class Termination(Enum):
-    """Ways in which an option ends."""
+    """Ways in which an option ends: as its own termination says, in a failure of the task, or cut short."""
 
     SUCCESS = "success"
     FAILURE = "failure"
@@ -28,109 +32,172 @@ class Termination(Enum):
 
 
 @dataclass(frozen=True)
-class Option:
-    """A subtask with a frozen policy for it, the skill of some stages of a longer task."""
+class Begun:
+    """How the options in force began, (N,) int64 each."""
 
-    name: str
-    subtask: Subtask
-    policy: Act
-    first: int = 0
-    """First of its stages in the longer task; the policy sees stages counted from here."""
-    round_stages: int = 0
-    """Stages of a round, in a task of several rounds (`sort`)."""
-    object: int | None = None
-    """Index of the object that a pick is for."""
-    level: float | None = None
-    """Comfort level that the policy is given instead of the one in force."""
+    stage: Tensor
+    """Stage of the task then."""
+    lasted: Tensor
+    """Control steps since."""
 
-    @property
-    def last(self) -> int:
-        """One past its last stage, in the first round."""
-        return self.first + len(self.subtask.stages)
 
-    def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: one of its stages is in force, and its object is not placed."""
-        stage = state.stage - self._round(state.stage)
-        able = (stage >= self.first) & (stage < self.last)
-        return able if self.object is None else able & ~state.placed[:, self.object]
-
-    def stages(self, stage: Tensor) -> tuple[Tensor, Tensor]:
-        """Return its first stage and one past its last, in the round of the stages (N,) in force."""
-        start = self._round(stage)
-        return start + self.first, start + self.last
-
-    def own_stage(self, stage: Tensor) -> Tensor:
-        """Return the stages (N,) int64 counted from the option's first, in this round."""
-        return (stage - self._round(stage) - self.first).clamp(min=0)
-
-    def _round(self, stage: Tensor) -> Tensor:
-        return stage - stage % self.round_stages if self.round_stages else torch.zeros_like(stage)
+Terminates = Callable[[State, Begun], Tensor]
+"""Termination: (N,) bool, the option ends now; or a float in [0, 1], the probability that it does."""
 
 
 @dataclass(frozen=True)
-class IdleOption:
-    """An option that does not advance the task: it lasts `max_steps` control steps, or until `done`.
+class Stages:
+    """Stages [first, last) of a longer task, in each of its rounds of `round_stages`; 0: it has one round."""
 
-    One with a `done` takes the arm home; it follows every preempted skill (`OptionExecutor.available`).
-    """
+    first: int
+    last: int
+    round_stages: int = 0
+
+    def start(self, stage: Tensor) -> Tensor:
+        """Return the first of them (N,) in the round of the stages (N,) in force."""
+        return (stage - stage % self.round_stages if self.round_stages else torch.zeros_like(stage)) + self.first
+
+    def in_force(self, state: State) -> Tensor:
+        """Return (N,) bool: one of them is in force."""
+        own = state.stage - self.start(state.stage)
+        return (own >= 0) & (own < self.last - self.first)
+
+    def done(self, state: State, begun: Begun) -> Tensor:
+        """Return (N,) bool: those of the round in which the option began are done."""
+        return state.stage >= self.start(begun.stage) + self.last - self.first
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option; its policy may be frozen or may go on learning."""
 
     name: str
     policy: Act
-    fits: StateFunction
-    """(N,) bool, where it can be chosen."""
-    max_steps: int = NEVER
+    initiation: StateFunction
+    """(N,) bool, it can start."""
+    termination: Terminates
+    stages: Stages | None = None
+    """Stages of the task that it does; the policy sees them counted from the first. None: it does not advance the task,
+    and the policy sees stage 0."""
+    time_limit: int | None = None
+    """Control steps after which it is preempted; more where `comfort` lets an episode last longer. None: never."""
     max_runs: int | None = None
     """Times in a row that it can be chosen; None: any number."""
-    done: StateFunction | None = None
-    object: None = None
-    level: None = None
+    recovers: bool = False
+    """It alone can start after an option that was cut short, until its termination holds."""
+
+    def fallen_back(self, state: State, begun: Begun) -> Tensor:
+        """Return (N,) bool: the task is at a stage before those that the option began with."""
+        return state.stage < (begun.stage if self.stages is None else self.stages.start(begun.stage))
+
+
+def skill(subtask: Subtask, policy: Act, time_limit: int | None, first: int = 0, round_stages: int = 0) -> Option:
+    """Return the option that does a subtask, from stage `first` on of a longer task."""
+    stages = Stages(first, first + len(subtask.stages), round_stages)
+    return Option(subtask.name, policy, stages.in_force, stages.done, stages, time_limit)
+
+
+def lasts(steps: int) -> Terminates:
+    """Return the termination after `steps` control steps."""
+    return lambda state, begun: begun.lasted >= steps
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An option and its arguments."""
+
+    option: Option
+    object: int | None = None
+    """Index of the object that becomes the target; one that is placed cannot be chosen."""
+    level: int | None = None
+    """Comfort level that the policy sees instead of the one in force."""
+
+    @property
+    def name(self) -> str:
+        """Name of the option, with its arguments: `pick_1_as_6`."""
+        suffix = "" if self.object is None else f"_{self.object + 1}"
+        return self.option.name + suffix + ("" if self.level is None else f"_as_{self.level}")
+
+
+class OptionTable:
+    """The K choices of a top, and their arguments as tensors (K,).
+
+    Args:
+      choices: in the order of their indices; a bare option has no arguments.
+
+    Raises:
+      ValueError: two choices have one name.
+    """
+
+    def __init__(self, choices: Sequence[Choice | Option]) -> None:
+        self._choices = tuple(each if isinstance(each, Choice) else Choice(each) for each in choices)
+        self.names = [each.name for each in self._choices]
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"choices must have names of their own, not {', '.join(self.names)}")
+        self.options = tuple(dict.fromkeys(each.option for each in self._choices))
+        self.option = torch.tensor([self.options.index(each.option) for each in self._choices])
+        """int64, index into `options`."""
+        self.object = torch.tensor([NONE if each.object is None else each.object for each in self._choices])
+        """int64, index of the object; NONE without one."""
+        levels = [torch.nan if each.level is None else each.level for each in self._choices]
+        self.level = torch.tensor(levels, dtype=torch.float64)
+        """Level that the policy sees; NaN for the one in force."""
+        self.advances = torch.tensor([each.option.stages is not None for each in self._choices])
+        """bool, it advances the task."""
+
+    def __len__(self) -> int:
+        return len(self._choices)
+
+    def __getitem__(self, index: int) -> Choice:
+        return self._choices[index]
+
+    def __iter__(self) -> Iterator[Choice]:
+        return iter(self._choices)
+
+    def position(self, name: str) -> int:
+        """Return the index of the choice `name`; raise ConfigError if there is none."""
+        if name not in self.names:
+            raise ConfigError(f"there is no option {name!r}; choose one of {', '.join(self.names)}")
+        return self.names.index(name)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N,) bool: it fits, and is not done already."""
-        fits = self.fits(state)
-        return fits if self.done is None else fits & ~self.done(state)
+        """Return (N, K) bool: the state is in the initiation set, and the object is not placed."""
+        able = torch.stack([each.initiation(state) for each in self.options], dim=-1)[:, self.option]
+        return able & ((self.object == NONE) | ~state.placed[:, self.object.clamp(min=0)])
 
-    def is_over(self, state: State, lasted: Tensor) -> Tensor:
-        """Return (N,) bool: it is done, or has lasted (N,) its control steps."""
-        over = lasted >= self.max_steps
-        return over if self.done is None else over | self.done(state)
+    def act(self, chosen: Tensor, state: State, acting: Tensor) -> Tensor:
+        """Return the actions (N, A) of the choices in force, `chosen` (N,) int64; rows not `acting` stand still.
 
-    def stages(self, stage: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the stage in force and one that is never reached, (N,) each."""
-        return stage, torch.full_like(stage, NEVER)
+        Choices of one option act in one batch.
+        """
+        given, option = self.level[chosen], self.option[chosen]
+        seen = state.with_(level=torch.where(given.isnan(), state.level, given))
+        action = state.joint_pos.new_zeros(0)
+        for index, each in enumerate(self.options):
+            rows = torch.nonzero((option == index) & acting).squeeze(-1)
+            if len(rows):
+                mine = seen.rows(rows)
+                own = mine.stage - (mine.stage if each.stages is None else each.stages.start(mine.stage))
+                wanted = each.policy(mine.with_(stage=own.clamp(min=0))).to(action.dtype)
+                if not len(action):
+                    action = wanted.new_zeros(len(option), wanted.shape[-1])
+                action[rows] = wanted
+        return action
 
-    def own_stage(self, stage: Tensor) -> Tensor:
-        """Return zeros (N,) int64: it has no stages."""
-        return torch.zeros_like(stage)
+
+def grid(options: Sequence[Option], objects: dict[str, int], levels: Sequence[int]) -> list[Choice]:
+    """Return each option at the level in force and at each of `levels`, and at each of its `objects`, by name."""
+    return [
+        Choice(option, number, level)
+        for level, option in product((None, *levels), options)
+        for number in (range(objects[option.name]) if option.name in objects else (None,))
+    ]
 
 
-def chain(skills: Sequence[tuple[Subtask, Act]]) -> list[Option]:
-    """Return an option a skill, each with the stages after those of the one before."""
+def chain(skills: Sequence[tuple[Subtask, Act]], time_limit: int | None) -> OptionTable:
+    """Return the table of an option a skill, each with the stages after those of the one before."""
     options: list[Option] = []
     for subtask, policy in skills:
-        options.append(Option(subtask.name, subtask, policy, options[-1].last if options else 0))
-    return options
-
-
-def act(options: Sequence[Option | IdleOption], option: Tensor, state: State, acting: Tensor) -> Tensor:
-    """Return the actions (N, A) of the options in force, `option` (N,) int64; rows not `acting` stand still.
-
-    Options that share a policy act in one batch.
-    """
-    stage, level, policy = state.stage.clone(), state.level.clone(), torch.full_like(option, -1)
-    policies = list(dict.fromkeys(each.policy for each in options))
-    for index, each in enumerate(options):
-        rows = (option == index) & acting
-        stage = torch.where(rows, each.own_stage(stage), stage)
-        policy[rows] = policies.index(each.policy)
-        if each.level is not None:
-            level[rows] = each.level
-    seen, action = state.with_(stage=stage, level=level), state.joint_pos.new_zeros(0)
-    for index, acts in enumerate(policies):
-        rows = torch.nonzero(policy == index).squeeze(-1)
-        if len(rows):
-            chosen = acts(seen.rows(rows)).to(action.dtype)
-            if not len(action):
-                action = chosen.new_zeros(len(option), chosen.shape[-1])
-            action[rows] = chosen
-    return action
+        stages = options[-1].stages if options else None
+        options.append(skill(subtask, policy, time_limit, stages.last if stages else 0))
+    return OptionTable(options)

@@ -22,7 +22,7 @@ from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig
 from hrl_comfort.files.versions import CONTROLLER, renamed
-from hrl_comfort.hierarchy.executor import Choose, Decision
+from hrl_comfort.hierarchy.decision import Choose, Decision
 from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 

@@ -1,4 +1,4 @@
-"""The options of `sort` and `shift`."""
+"""The table of options of `sort` and `shift`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
-from hrl_comfort.hierarchy.options import IdleOption, Option
+from hrl_comfort.hierarchy.options import Option, OptionTable, grid, lasts, skill
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
@@ -26,9 +26,9 @@ REST_RAD_S = 0.1
 """Joint speed below which a joint is at rest."""
 
 
-def sorting_options(
+def sorting_table(
     meta_controller: MetaControllerConfig, policies: dict[str, str], scene: Scene, config: EnvConfig, seed: int
-) -> list[Option | IdleOption]:
+) -> OptionTable:
     """Return a pick for each object, place and return, for each level they may be given, then wait and retreat.
 
     Policies, by subtask name, see the level in force or, in further options, one of
@@ -53,23 +53,19 @@ def sorting_options(
                 f"comfort.levels={comfort.levels}; "
                 "choose among the levels of a source, or meta_controller.level_override=[]"
             )
-    pick, place, back = (make_policy(policies[skill.name], skill, scene, config, seed) for skill in SKILLS)
-    skills: list[Option | IdleOption] = []
-    for level in (None, *meta_controller.level_override):
-        suffix = "" if level is None else f"_as_{level}"
-        skills += [Option(f"pick_{k + 1}{suffix}", PICK, pick, 0, ROUND, k, level) for k in range(config.task.objects)]
-        skills += [
-            Option(f"place{suffix}", PLACE, place, 1, ROUND, level=level),
-            Option(f"return{suffix}", RETURN, back, 2, ROUND, level=level),
-        ]
-    home = Expert(scene, config, RETURN)
-    return [
-        *skills,
-        # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
-        # does not retreat, for a place is trained to begin where a pick ends.
-        IdleOption("wait", stop(config.task), lambda state: ~has_placed(state), WAIT_STEPS, meta_controller.max_waits),
-        IdleOption("retreat", home.act, has_placed, done=RETURN_STAGE.done),
-    ]
+    limit, waits = meta_controller.time_limit_steps, meta_controller.max_waits
+    acts = [make_policy(policies[part.name], part, scene, config, seed) for part in SKILLS]
+    skills = [skill(part, acts[k], limit, k, ROUND) for k, part in enumerate(SKILLS)]
+    home, at_home = Expert(scene, config, RETURN), RETURN_STAGE.done
+    # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
+    # does not retreat, for a place is trained to begin where a pick ends.
+    wait = Option("wait", stop(config.task), lambda state: ~has_placed(state), lasts(WAIT_STEPS), max_runs=waits)
+    retreat = Option(
+        "retreat", home.act, lambda state: has_placed(state) & ~at_home(state), lambda state, _: at_home(state),
+        recovers=True,
+    )  # fmt: skip
+    choices = grid(skills, {PICK.name: config.task.objects}, meta_controller.level_override)
+    return OptionTable([*choices, wait, retreat])
 
 
 def has_placed(state: State) -> Tensor:

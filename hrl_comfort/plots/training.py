@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import cycle
+from itertools import combinations, cycle
 from typing import Any
 
 import matplotlib
@@ -137,4 +137,28 @@ def by_checkpoint(tables: Mapping[str, DataFrame]) -> Figure:
             names = ["no level" if np.isnan(level) else f"level {level:g}" for level in levels]
             lines = [Line2D([], [], color=colour, marker=marker, markersize=4) for colour, marker in looks.values()]
             figure.legend(lines, names, loc="outside upper right", ncols=5)
+        return figure
+
+
+def checkpoint_grid(table: DataFrame, parts: Sequence[str]) -> Figure:
+    """Draw the success of every combination of two parts' checkpoints, the mean over all else: a panel a pair of parts.
+
+    Args:
+      table: rows of grid.csv.
+      parts: its columns of parts with several checkpoints.
+    """
+    pairs = [*combinations(parts, 2)]
+    with styled():
+        figure = Figure(figsize=(1.0 + 3.1 * len(pairs), 3.0))
+        axes = figure.subplots(1, len(pairs), squeeze=False)[0]
+        for axis, (below, beside) in zip(axes, pairs, strict=True):
+            means = 100 * table.pivot_table(values="success", index=beside, columns=below)
+            image = axis.imshow(means, origin="lower", vmin=0, vmax=100, cmap="viridis", aspect="auto")
+            for (y, x), share in np.ndenumerate(means.to_numpy()):
+                axis.text(x, y, f"{share:.0f}", ha="center", va="center", size=7, path_effects=[OUTLINE])
+            for ticks, steps in (axis.set_xticks, means.columns), (axis.set_yticks, means.index):
+                ticks(range(len(steps)), labels=[f"{each / 1000:g}" for each in steps])
+            axis.set(xlabel=f"{below} (thousand policy steps)", ylabel=f"{beside} (thousand policy steps)")
+            axis.grid(visible=False)
+        figure.colorbar(image, ax=axes.tolist(), label="success (%)")
         return figure

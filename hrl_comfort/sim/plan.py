@@ -12,7 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
@@ -116,8 +118,9 @@ class Plan:
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
         grips = None if grip is None else [grip]
         planned = self._planned([fresh], measured[:, None], points, steps, grips, bodies)
+        standing = draw.layout(rows), objects, draw.kinds[rows], draw.points[rows, : self._subtask.points]
         control = self._with_grip(targets[:, None], grip, grip)
-        return planned, self._controls(draw, control, fresh.limbs, objects, draw.kinds[rows], rows)[:, 0]
+        return planned, pack_controls(self._scene, control, fresh.limbs, *standing)[:, 0]
 
     def accepted(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin the drive of `rows` (r,), whose episodes begin beside people with `limbs` (r, L, 7)."""
@@ -147,6 +150,7 @@ class Plan:
         self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations, held))
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
+        standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
             part.begin_decision()
         points, crowd, waiting = [set_points(state)], self.people.now, list[Array]()
@@ -172,7 +176,7 @@ class Plan:
             if self._gripping is not None and grips is not None:
                 grips.append(self._gripping.fingers.follow(grips[-1], command))
                 followed = self._with_grip(followed, *grips[-2:])
-            waiting.append(self._controls(draw, followed, crowd.limbs, objects, kinds))
+            waiting.append(pack_controls(self._scene, followed, crowd.limbs, *standing))
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
@@ -211,7 +215,7 @@ class Plan:
         radius = self._separation.person.radius
         return {
             "humans_body": capsules(self._ends[..., rows], radius),
-            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(radius), 6),
+            "humans_body_vel": capsules(self._pace[..., rows], np.empty(0)),
         }
 
     def shown(self, places: Array) -> Array:
@@ -228,7 +232,7 @@ class Plan:
         They are `measured` at (N, K, P, 2) m, by default where they are.
         """
         places, yaw, velocity = (
-            np.stack([getattr(crowd, name) for crowd in crowds], axis=1) for name in ("places", "yaw", "velocity")
+            instants([getattr(crowd, name) for crowd in crowds]) for name in ("places", "yaw", "velocity")
         )
         measured = places if measured is None else measured
         seen = self.shown(measured)
@@ -254,10 +258,10 @@ class Plan:
 
         `steps` (N, K) are the control steps of the episodes, `grips` the K set-points of the hands.
         """
-        moving = {name: np.stack([getattr(each, name) for each in points], axis=1) for name in vars(points[0])}
+        moving = {name: instants([getattr(each, name) for each in points]) for name in vars(points[0])}
         named = {SET_POINTS.get(name, name): value for name, value in moving.items()}
-        limbs = np.stack([crowd.limbs for crowd in crowds], axis=1)
-        hand = {} if grips is None else {"grip_target": np.stack(grips, axis=1)}
+        limbs = instants([crowd.limbs for crowd in crowds])
+        hand = {} if grips is None else {"grip_target": instants(grips)}
         return Planned({**named, **self.people_fields(crowds, measured), "steps": steps, **hand}, limbs, bodies)
 
     def _ramp(self, before: Array, increment: Array, k: int, steps: NDArray[np.int64]) -> tuple[Array, SetPoints]:
@@ -269,19 +273,6 @@ class Plan:
         lowest, highest = self._scene.joint_range.T
         targets = np.minimum(np.maximum(before[:, None] + ramp[:, None] * increment[:, None], lowest), highest)
         return targets, SetPoints.unshielded(targets[:, -1], increment / CONTROL_STEP_S, steps)
-
-    def _controls(
-        self,
-        draw: Draw,
-        targets: Array,
-        limbs: Array,
-        objects: Array,
-        kinds: NDArray[np.int64],
-        rows: Any = slice(None),
-    ) -> Array:
-        """Return the controls of `rows` over a control step; see `pack_controls`."""
-        points = draw.points[rows, : self._subtask.points]
-        return pack_controls(self._scene, targets, limbs, draw.layout(rows), objects, kinds, points)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
@@ -298,9 +289,19 @@ class Plan:
 
 
 def capsules(ends: Array, radius: Array) -> Array:
-    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,)."""
-    both = ends.transpose(3, 1, 2, 0).reshape(ends.shape[3], -1, 6)
-    return np.concatenate([both, np.broadcast_to(radius[:, None], (*both.shape[:2], 1))], axis=2)
+    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,).
+
+    Without radii return the ends (N, C, 6) alone.
+    """
+    return kernels.capsules(*contiguous(ends, radius))
+
+
+def instants(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return values (N, K, ...) of K instants from those (N, ...) of each; faster than `np.stack` on short arrays."""
+    values = np.empty((len(each[0]), len(each), *each[0].shape[1:]), each[0].dtype)
+    for index, value in enumerate(each):
+        values[:, index] = value
+    return values
 
 
 def set_points(state: State) -> SetPoints:

@@ -149,12 +149,12 @@ class Session:
     @property
     def option(self) -> str:
         """Name of the option in force."""
-        return self.executor.options[int(self.executor.option)].name
+        return self.executor.table.names[int(self.executor.option)]
 
     @property
     def options(self) -> list[str]:
         """Names of all options."""
-        return [option.name for option in self.executor.options]
+        return self.executor.table.names
 
     def play(self, config: StudioConfig) -> None:
         """Begin an episode under the policies of `config`; its cell and person stay as they are.
@@ -162,13 +162,13 @@ class Session:
         Raises:
           ConfigError: a policy is missing or does not fit; the session goes on as it was.
         """
-        self.executor, self._choose = make_executor(config, None, self.engine, config.first_seed)
+        self.executor, self._top = make_executor(config, None, self.engine, config.first_seed)
         self.config = replace(
             self.config, policy=config.policy, policies=config.policies, meta_controller=config.meta_controller
         )
         self.reset()
         with torch.no_grad():
-            read = [inputs_of(option.policy, self.state) for option in self.executor.options]
+            read = [inputs_of(option.policy, self.state) for option in self.executor.table.options]
         self.observes_level = any("level" in names for names in read)
         """Whether a policy acts on the comfort level."""
 
@@ -185,9 +185,10 @@ class Session:
             kept = self._beside_arm(kept)
             episodes.stand(replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step)))
         old = self.executor
-        self.executor = OptionExecutor(old.options, old.time_limit, episodes, old.retries)
+        self.executor = OptionExecutor(old.table, episodes, old.retries)
         self.over = False
-        self._begin(self._choose(self.executor.decision(self.state)))
+        self._top.begin(ROW)
+        self._begin(self._top(self.executor.decision(self.state)))
 
     def _beside_arm(self, walk: humans.Walk) -> humans.Walk:
         """Return `walk` farther from the base, where the arm begins inside the person; MuJoCo would fling it."""
@@ -222,7 +223,7 @@ class Session:
         self.seconds += clip.duration_s
         if not self.over:
             if runs:
-                self._begin(self._choose(self.executor.decision(self.state)))
+                self._begin(self._top(self.executor.decision(self.state)))
             else:
                 self._decide()
         return Step(clip, before, result, runs, self.over)

@@ -14,7 +14,7 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.q_learning import QLearner
-from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.hierarchy.sort import sorting_table
 from hrl_comfort.training.logger import OptionsLog
 from hrl_comfort.training.loop import Collected, TrainingLoop
 from hrl_comfort.training.resume import train_in_folder
@@ -81,10 +81,9 @@ class ControllerTraining(TrainingLoop):
         env_config, levels, agent = environment(config), config.comfort.levels, config.meta_controller_agent
         env = OptionEnv(
             env_config,
-            lambda engine: sorting_options(
+            lambda engine: sorting_table(
                 config.meta_controller, config.policies, engine.scene, env_config, config.episode_seed
             ),
-            config.meta_controller.time_limit_steps,
             config.engine.num_envs,
             config.episode_seed,
             agent.gamma,
@@ -125,7 +124,7 @@ class ControllerTraining(TrainingLoop):
         spec = {
             "levels": self.config.comfort.levels,
             "objects": self.config.task.objects,
-            "names": [option.name for option in self.collector.env.executor.options],
+            "names": self.collector.env.executor.table.names,
             "max_waits": self.config.meta_controller.max_waits,
         }
         self.learner.save(self.folder / "meta_controller.pt", spec)

@@ -11,6 +11,7 @@ import torch
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import TrainConfig
+from hrl_comfort.files.provenance import step_path
 from hrl_comfort.files.run_config import environment, stored_config
 from hrl_comfort.policies.actor import load_initial_policy, save_policy
 from hrl_comfort.training.collector import SkillCollector, make_collector
@@ -147,7 +148,7 @@ class Training(TrainingLoop):
             "updates": self.learner.updates,
             "precision_m": self.curriculum.precision_m,
         }
-        paths = [checkpoint.step_path(self.checkpoints, self.steps), self.folder / "policy.pt"]
+        paths = [step_path(self.checkpoints, self.steps), self.folder / "policy.pt"]
         if self._is_best():
             paths.append(self.checkpoints / "best.pt")
         for path in paths:

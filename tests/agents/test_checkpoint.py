@@ -15,7 +15,7 @@ from hrl_comfort.agents.sac import SAC
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.atomic import write_atomically
-from hrl_comfort.files.provenance import step_files, unfinished
+from hrl_comfort.files.provenance import step_files, step_path, unfinished
 from hrl_comfort.files.state_file import FORMAT
 from hrl_comfort.policies.actor import load_initial_policy, load_policy, policy_file, save_policy
 
@@ -130,7 +130,7 @@ def test_a_failing_write_leaves_the_old_file_as_it_was(tmp_path):
 
 def test_only_the_newest_are_kept_in_order(tmp_path):
     for policy_steps in (5, 10, 200, 1000):
-        checkpoint.save(checkpoint.step_path(tmp_path, policy_steps), {"policy_steps": policy_steps})
+        checkpoint.save(step_path(tmp_path, policy_steps), {"policy_steps": policy_steps})
     checkpoint.save(tmp_path / "best.pt", {})
     checkpoint.keep_newest(tmp_path, 2)
     assert [p.name for p in step_files(tmp_path)] == ["step_000000200.pt", "step_000001000.pt"]
@@ -172,9 +172,9 @@ def test_a_run_folder_means_its_policy_or_else_its_newest_good_checkpoint(tmp_pa
     with pytest.raises(ConfigError, match="a run folder with a policy"):
         policy_file(tmp_path)
     for policy_steps in (10, 20):
-        write_policy(checkpoint.step_path(tmp_path / "checkpoints", policy_steps))
+        write_policy(step_path(tmp_path / "checkpoints", policy_steps))
     assert policy_file(tmp_path).name == "step_000000020.pt"
-    cut(checkpoint.step_path(tmp_path / "checkpoints", 20))
+    cut(step_path(tmp_path / "checkpoints", 20))
     with pytest.warns(UserWarning, match="step_000000020"):
         assert policy_file(tmp_path).name == "step_000000010.pt"
     write_policy(tmp_path / "policy.pt")

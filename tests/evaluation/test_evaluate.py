@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_comfort.agents import checkpoint
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError, EvaluateConfig
 from hrl_comfort.config.overrides import override
-from hrl_comfort.evaluation.evaluate import checkpoints_of, evaluate
+from hrl_comfort.evaluation.checkpoints import checkpoints_of
+from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.rollout import path_columns
-from hrl_comfort.files.provenance import policy_steps
+from hrl_comfort.files.provenance import policy_steps, step_path
 from hrl_comfort.files.run_folder import Recorded, read_run, recorded
 
 
@@ -230,6 +230,7 @@ def test_a_folder_that_cannot_be_written_is_found_out_before_the_work(
     tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hrl_comfort.evaluation.evaluate.rollout", None)
+    monkeypatch.setattr("hrl_comfort.evaluation.checkpoints.rollout", None)
     (tmp_path / "file").touch()
     (tmp_path / "run" / "checkpoints").mkdir(parents=True)
     (tmp_path / "run" / "checkpoints" / "step_000000001.pt").touch()
@@ -242,7 +243,7 @@ def test_checkpoints_of_a_chain_are_taken_at_equal_fractions_of_training(tmp_pat
     for part, steps in kept.items():
         (tmp_path / part / "checkpoints").mkdir(parents=True)
         for at in steps:
-            checkpoint.step_path(tmp_path / part / "checkpoints", at).touch()
+            step_path(tmp_path / part / "checkpoints", at).touch()
     words = [override(f"policies.{part}", tmp_path / part) for part in kept]
     config = compose("evaluate", ["task=cycle", "meta_controller=scripted", "checkpoints=all", *words])
     assert isinstance(config, EvaluateConfig)

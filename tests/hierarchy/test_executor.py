@@ -16,14 +16,16 @@ from hrl_comfort.config import ComfortConfig, ConfigError
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import check_stages
+from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
-from hrl_comfort.hierarchy.meta_controllers import in_order
-from hrl_comfort.hierarchy.options import Option, act, chain
+from hrl_comfort.hierarchy.options import OptionTable, chain, skill
+from hrl_comfort.hierarchy.tops import in_order
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Array, Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State, subtask
 
+IN_ORDER = Top("in_order", in_order)
 COMFORT = environment(compose("train", ["task=cycle"])).comfort
 
 
@@ -31,8 +33,8 @@ def constant(value: float):
     return lambda state: torch.full((len(state.steps), 6), value, dtype=torch.float64)
 
 
-def three() -> list[Option]:
-    return chain([(subtask(n), constant(v)) for n, v in (("pick", 0.1), ("place", 0.2), ("return", 0.3))])
+def three(limit: int = 10) -> OptionTable:
+    return chain([(subtask(n), constant(v)) for n, v in (("pick", 0.1), ("place", 0.2), ("return", 0.3))], limit)
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +65,12 @@ NO = torch.zeros(3, dtype=torch.bool)
 
 
 def test_options_take_over_where_the_one_before_ends() -> None:
-    spans = [(option.name, option.first, option.last) for option in three()]
-    assert spans == [("pick", 0, 1), ("place", 1, 2), ("return", 2, 3)]
-    two = chain([(subtask("pick_place"), constant(0)), (subtask("return"), constant(0))])
-    assert [(o.first, o.last) for o in two] == [(0, 2), (2, 3)]
+    def spans(table: OptionTable) -> list[tuple[str, int, int]]:
+        return [(each.name, each.stages.first, each.stages.last) for each in table.options if each.stages]
+
+    assert spans(three()) == [("pick", 0, 1), ("place", 1, 2), ("return", 2, 3)]
+    two = chain([(subtask("pick_place"), constant(0)), (subtask("return"), constant(0))], 10)
+    assert spans(two) == [("pick_place", 0, 2), ("return", 2, 3)]
 
 
 def test_options_that_do_not_cover_the_task_are_refused() -> None:
@@ -76,15 +80,14 @@ def test_options_that_do_not_cover_the_task_are_refused() -> None:
 
 def test_an_option_sees_its_stages_counted_from_its_own(state: State) -> None:
     seen = []
-    place = Option("place", subtask("place"), lambda s: seen.append(s.stage.tolist()) or s.joint_pos, first=1)
-    act([place], torch.zeros(3, dtype=torch.int64), at(state, [5, 5, 5], [1, 1, 1]), ~NO)
+    place = skill(subtask("place"), lambda s: seen.append(s.stage.tolist()) or s.joint_pos, None, first=1)
+    OptionTable([place]).act(torch.zeros(3, dtype=torch.int64), at(state, [5, 5, 5], [1, 1, 1]), ~NO)
     assert seen == [[0, 0, 0]]
 
 
 def played(
     results: list[StepResult],
-    options: list[Option],
-    limit: int = 10,
+    table: OptionTable,
     retries: int = 1,
     comfort: ComfortConfig = COMFORT,
 ) -> tuple[list[Array], list[ExecutedStep]]:
@@ -99,9 +102,9 @@ def played(
         episodes.state = result.state
         return result
 
-    executor = OptionExecutor(options, limit, episodes, retries)  # type: ignore[arg-type]
+    executor = OptionExecutor(table, episodes, retries)  # type: ignore[arg-type]
     engine = SimpleNamespace(episodes=episodes, num_envs=3, step=step)
-    return actions, list(islice(execute(engine, executor, in_order), len(results)))  # type: ignore[arg-type]
+    return actions, list(islice(execute(engine, executor, IN_ORDER), len(results)))  # type: ignore[arg-type]
 
 
 def test_rows_run_different_options_and_report_how_each_ended(state: State) -> None:
@@ -145,7 +148,7 @@ def test_an_options_time_grows_with_the_episodes_where_speed_counts(state: State
 def test_a_finished_cycle_ends_with_success(state: State) -> None:
     yes = ~NO
     results = [outcome(at(state, [5 * stage] * 3, [stage] * 3), NO, NO, NO) for stage in (1, 2)]
-    _, steps = played([*results, outcome(at(state, [15] * 3, [3] * 3), yes, yes, NO)], three(), limit=500)
+    _, steps = played([*results, outcome(at(state, [15] * 3, [3] * 3), yes, yes, NO)], three(500))
     ends = [(r.option, r.termination) for step in steps for r in step.runs if r.row == 1]
     assert ends == [("pick", "success"), ("place", "success"), ("return", "success")]
     assert steps[-1].ended.all()
@@ -179,7 +182,7 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
     config, task = environment(compose("train", ["task=cycle"])), subtask("cycle")
     engine = Engine(config, 6, 0)
     expert = make_policy("expert", task, engine.scene, config, 0)
-    executor = OptionExecutor([Option(task.name, task, expert)], config.task.max_episode_steps, engine.episodes)
+    executor = OptionExecutor(OptionTable([skill(task, expert, config.task.max_episode_steps)]), engine.episodes)
     engine.reset()
     run, stepped = engine.physics.run, []
 
@@ -188,5 +191,5 @@ def test_episodes_that_have_ended_cost_no_physics(monkeypatch: pytest.MonkeyPatc
         return run(control, rows)
 
     monkeypatch.setattr(engine.physics, "run", counted)
-    active = [int(step.active.sum()) for step in execute(engine, executor, in_order)]
+    active = [int(step.active.sum()) for step in execute(engine, executor, IN_ORDER)]
     assert stepped == active and 0 < active[-1] < active[0] == 6

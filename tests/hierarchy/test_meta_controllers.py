@@ -11,9 +11,10 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import Decision, OptionExecutor
-from hrl_comfort.hierarchy.meta_controllers import WAIT, at_random, cautious, nearest
-from hrl_comfort.hierarchy.sort import sorting_options
+from hrl_comfort.hierarchy.decision import Decision
+from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.sort import sorting_table
+from hrl_comfort.hierarchy.tops import cautious, scripted
 from hrl_comfort.sim.engine import Engine
 from tests.hierarchy.test_sort import EXPERTS, META, STILL, config
 
@@ -22,26 +23,20 @@ from tests.hierarchy.test_sort import EXPERTS, META, STILL, config
 def asked() -> Decision:
     engine = Engine(config(), 8, 0)
     state = engine.reset()
-    options = sorting_options(META, STILL, engine.scene, engine.episodes.config, 0)
-    return OptionExecutor(options, 500, engine.episodes).decision(state)
-
-
-def test_a_random_controller_chooses_what_can_start(asked: Decision) -> None:
-    choose = at_random(3)
-    for _ in range(20):
-        assert asked.mask.gather(1, choose(asked)[:, None]).all()
+    options = sorting_table(META, STILL, engine.scene, engine.episodes.config, 0)
+    return OptionExecutor(options, engine.episodes).decision(state)
 
 
 def test_nearest_takes_the_nearest_object(asked: Decision) -> None:
     away = (asked.state.objects - asked.state.tcp_pos[:, None]).norm(dim=-1)
-    assert torch.equal(nearest(asked), away.argmin(dim=1))
+    assert torch.equal(scripted(asked), away.argmin(dim=1))
 
 
 def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decision) -> None:
     here = asked.state.with_(humans_pos=asked.state.objects[:, :1, :2])
-    wait, patient = asked.mask.shape[1] + WAIT, asked.mask.clone()
+    wait, patient = asked.table.position("wait"), asked.mask.clone()
     assert (cautious(replace(asked, state=here)) == wait).all()
-    patient[:, WAIT] = False
+    patient[:, wait] = False
     assert (cautious(replace(asked, state=here, mask=patient)) != wait).all()
 
 
@@ -49,7 +44,7 @@ def test_cautious_waits_for_whoever_is_at_the_goal(asked: Decision) -> None:
     goal = asked.state.objects[:, 0, :2]
     for people in ([goal, goal + 9.0], [goal + 9.0, goal]):
         here = asked.state.with_(humans_pos=torch.stack(people, dim=1))
-        assert (cautious(replace(asked, state=here)) == asked.mask.shape[1] + WAIT).all()
+        assert (cautious(replace(asked, state=here)) == asked.table.position("wait")).all()
 
 
 def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
@@ -57,14 +52,14 @@ def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
     state, everyone = engine.reset(), torch.ones(2, dtype=torch.bool)
     chosen = compose("evaluate", ["task=sort", "meta_controller=cautious"])
     assert isinstance(chosen, EvaluateConfig)
-    options = sorting_options(chosen.meta_controller, STILL, engine.scene, engine.episodes.config, 0)
-    executor, waits = OptionExecutor(options, 500, engine.episodes), []
+    options = sorting_table(chosen.meta_controller, STILL, engine.scene, engine.episodes.config, 0)
+    executor, waits = OptionExecutor(options, engine.episodes), []
     for count in range(8):
         beside = state.with_(humans_pos=state.objects[:, :1, :2], steps=torch.full((2,), 25 * count))
         engine.episodes.state = beside
         option = cautious(executor.decision(beside))
         executor.begin(everyone, option)
-        waits.append((option == len(options) + WAIT).tolist())
+        waits.append((option == options.position("wait")).tolist())
     assert waits == [[True, True]] * 6 + [[False, False], [True, True]]
 
 
@@ -83,7 +78,7 @@ def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_m
         asked = executor.decision(engine.episodes.state)
         if near:
             asked = replace(asked, state=asked.state.with_(humans_pos=asked.state.objects[:, :1, :2]))
-        found.append([executor.options[each].name for each in choose(asked).tolist()])
+        found.append([executor.table.names[each] for each in choose(asked).tolist()])
     plain, told = found
     assert told == [each if each in ("wait", "retreat") else f"{each}_as_6" for each in plain]
     assert ("wait" in plain) == (name == "cautious")

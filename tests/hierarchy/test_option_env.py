@@ -15,7 +15,7 @@ from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.executor import TERMINATIONS
 from hrl_comfort.hierarchy.option_env import OptionEnv
-from hrl_comfort.hierarchy.options import Option, Termination, chain
+from hrl_comfort.hierarchy.options import OptionTable, Termination, chain, skill
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import subtask
@@ -27,14 +27,14 @@ def config(*overrides: str) -> EnvConfig:
     return environment(compose("train", ["task=cycle", "human=random_walk", *overrides]))
 
 
-def experts(engine: Engine) -> list[Option]:
+def experts(engine: Engine) -> OptionTable:
     parts = [subtask(name) for name in ("pick", "place", "return")]
     env = engine.episodes.config
-    return chain([(part, Expert(engine.scene, env, part).act) for part in parts])
+    return chain([(part, Expert(engine.scene, env, part).act) for part in parts], 500)
 
 
-def still(engine: Engine) -> list[Option]:
-    return chain([(subtask(n), lambda s: torch.zeros_like(s.joint_pos)) for n in ("pick", "place", "return")])
+def still(engine: Engine) -> OptionTable:
+    return chain([(subtask(n), lambda s: torch.zeros_like(s.joint_pos)) for n in ("pick", "place", "return")], 20)
 
 
 def choose(env: OptionEnv, td: TensorDict) -> Tensor:
@@ -43,30 +43,29 @@ def choose(env: OptionEnv, td: TensorDict) -> Tensor:
 
 def test_it_is_a_sound_torchrl_environment() -> None:
     # Random actions of the check would choose options that cannot start: one option can always.
-    def one(engine: Engine) -> list[Option]:
-        task = subtask("pick")
-        return [Option("pick", task, lambda s: torch.zeros_like(s.joint_pos))]
+    def one(engine: Engine) -> OptionTable:
+        return OptionTable([skill(subtask("pick"), lambda s: torch.zeros_like(s.joint_pos), 10)])
 
-    check_env_specs(OptionEnv(environment(compose("train", ["task=pick"])), one, 10, 3, 0, GAMMA))
+    check_env_specs(OptionEnv(environment(compose("train", ["task=pick"])), one, 3, 0, GAMMA))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, 2**32])
 def test_a_seed_that_no_front_takes_is_refused(seed: int) -> None:
     message = "must be a whole number from 0 to 4294967295"
     with pytest.raises(ConfigError, match=message):
-        OptionEnv(config("human=none"), still, 20, 2, seed, GAMMA)
+        OptionEnv(config("human=none"), still, 2, seed, GAMMA)
     with pytest.raises(ConfigError, match=message):
-        OptionEnv(config("human=none"), still, 20, 2, 0, GAMMA)._set_seed(seed)
+        OptionEnv(config("human=none"), still, 2, 0, GAMMA)._set_seed(seed)
 
 
 def test_no_seed_draws_an_evaluation_episode() -> None:
-    env = OptionEnv(config("human=none"), still, 20, 2, 0, GAMMA)
+    env = OptionEnv(config("human=none"), still, 2, 0, GAMMA)
     env.set_seed(1_000_000)
     assert env.engine.episodes.sampler.seed > 2**31
 
 
 def test_experts_do_the_cycle_one_option_after_the_other() -> None:
-    env = OptionEnv(config(), experts, 500, 4, 0, GAMMA)
+    env = OptionEnv(config(), experts, 4, 0, GAMMA)
     td, terminal_states, done = env.reset(), [[] for _ in range(4)], torch.zeros(4, dtype=torch.bool)
     while not done.all():
         chosen = choose(env, td)
@@ -78,9 +77,9 @@ def test_experts_do_the_cycle_one_option_after_the_other() -> None:
 
 
 def test_an_option_earns_its_rewards_discounted_by_the_control_step() -> None:
-    env = OptionEnv(config(), experts, 500, 3, 0, GAMMA)
+    env = OptionEnv(config(), experts, 3, 0, GAMMA)
     twin = Engine(config(), 3, 0)
-    option, state = experts(twin)[0], twin.reset()
+    option, state = experts(twin).options[0], twin.reset()
     td = env.reset()
     lengths, returns, waiting = torch.zeros(3, dtype=torch.int64), torch.zeros(3), torch.ones(3).bool()
     while waiting.any():
@@ -106,7 +105,7 @@ def test_an_option_earns_its_rewards_discounted_by_the_control_step() -> None:
 
 
 def test_an_option_that_gets_nowhere_is_preempted_at_its_limit() -> None:
-    env = OptionEnv(config("human=none"), still, 20, 2, 0, GAMMA)
+    env = OptionEnv(config("human=none"), still, 2, 0, GAMMA)
     td = env.reset()
     td = env.step(td.set("action", choose(env, td)))["next"]
     assert td["deciding"].all() and (td["steps_to_next_obs"] == 20).all()
@@ -115,7 +114,7 @@ def test_an_option_that_gets_nowhere_is_preempted_at_its_limit() -> None:
 
 
 def test_an_option_that_cannot_start_is_masked_and_refused() -> None:
-    env = OptionEnv(config(), still, 20, 2, 0, GAMMA)
+    env = OptionEnv(config(), still, 2, 0, GAMMA)
     td = env.reset()
     assert td["action_mask"].tolist() == [[True, False, False]] * 2
     with pytest.raises(ValueError, match="row 1: option return cannot start"):
@@ -123,7 +122,7 @@ def test_an_option_that_cannot_start_is_masked_and_refused() -> None:
 
 
 def test_rows_that_go_on_keep_their_option_whatever_is_chosen() -> None:
-    env = OptionEnv(config(), experts, 500, 6, 0, GAMMA)
+    env = OptionEnv(config(), experts, 6, 0, GAMMA)
     td = env.step(env.reset().set("action", torch.zeros(6, dtype=torch.int64)))["next"]
     deciding = td["deciding"].squeeze(-1)
     assert deciding.any() and not deciding.all()
@@ -133,7 +132,7 @@ def test_rows_that_go_on_keep_their_option_whatever_is_chosen() -> None:
 
 
 def test_transitions_hold_the_option_from_where_it_began_to_where_it_ended() -> None:
-    env = OptionEnv(config(), experts, 500, 6, 0, GAMMA)
+    env = OptionEnv(config(), experts, 6, 0, GAMMA)
     start = env.reset()
     after = env.step(start.clone().set("action", torch.zeros(6, dtype=torch.int64)))["next"]
     rows = torch.nonzero(after["deciding"].squeeze(-1)).squeeze(-1)
@@ -186,7 +185,7 @@ def test_two_states_reach_the_value_that_has_a_closed_form() -> None:
 
 
 def test_rows_in_mid_option_keep_their_return_and_origin_while_others_begin_anew() -> None:
-    env = OptionEnv(config(), experts, 500, 6, 0, 1.0)
+    env = OptionEnv(config(), experts, 6, 0, 1.0)
     td = env.reset()
     begun, seen = td["observation"].clone(), torch.zeros(6)
     earned, steps = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,10 @@ from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
-from hrl_comfort.hierarchy.meta_controllers import nearest
 from hrl_comfort.hierarchy.observation import observation_dim
+from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.hierarchy.q_learning import QLearner
+from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import go_on, rendered_positions
 from hrl_comfort.tasks import subtask
@@ -47,9 +49,9 @@ def rows(tmp_path: Path, *overrides: str) -> list[dict[str, str]]:
 def test_a_shift_lasts_its_time_and_objects_of_both_kinds_keep_arriving() -> None:
     asked = shift("human=none", "task.objects=2", "task.max_episode_steps=900")
     engine = Engine(environment(asked), 3, 0)
-    executor, _ = make_executor(asked, None, engine, 0)
+    executor, top = make_executor(asked, None, engine, 0)
     engine.reset()
-    steps = list(execute(engine, executor, nearest))
+    steps = list(execute(engine, executor, top))
     state = steps[-1].result.state
     assert (state.steps == 900).all() and steps[-1].result.truncated.all() and not steps[-1].result.terminated.any()
     placed = SHIFT.released(state.stage)
@@ -100,14 +102,13 @@ def test_a_failure_begins_once() -> None:
 def test_an_arm_that_hits_something_is_brought_home_and_goes_on() -> None:
     asked = shift("human=none", "task.max_episode_steps=1500")
     engine = Engine(environment(asked), 2, 0)
-    executor, _ = make_executor(asked, None, engine, 0)
+    executor, top = make_executor(asked, None, engine, 0)
     falling = torch.tensor([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    executor.options[:4] = [
-        type(option)(option.name, option.subtask, lambda s: falling.expand(len(s.steps), 6), 0, 3, option.object)
-        for option in executor.options[:4]
-    ]
+    falls = replace(executor.table.options[0], policy=lambda state: falling.expand(len(state.steps), 6))
+    choices = [each if each.object is None else replace(each, option=falls) for each in executor.table]
+    executor.table = OptionTable(choices)
     engine.reset()
-    steps = list(execute(engine, executor, nearest))
+    steps = list(execute(engine, executor, top))
     runs = [run for step in steps for run in step.runs if run.row == 0]
     failures = [index for index, run in enumerate(runs) if run.termination == "failure"]
     assert len(failures) >= 2, "it fails, goes home and fails again"
@@ -127,12 +128,12 @@ def test_terms_see_the_stages_of_a_round() -> None:
     assert SHIFT.rewards["place"](later, later.with_(stage=later.stage + 1)).tolist() == [0.0, 1.0, 0.0]
 
 
-@pytest.mark.parametrize("controller", ["scripted", "cautious", "random", "learned", "none"])
+@pytest.mark.parametrize("controller", [*TOPS, "none"])
 def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, controller: str) -> None:
     policies = []
     if controller == "learned":
         asked = shift()
-        names = [each.name for each in make_executor(asked, None, Engine(environment(asked), 1, 0), 0)[0].options]
+        names = make_executor(asked, None, Engine(environment(asked), 1, 0), 0)[0].table.names
         agent = compose(
             "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
         ).meta_controller_agent

@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.hierarchy.meta_controllers import WAIT, Decision
+from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.observation import observation_dim
+from hrl_comfort.hierarchy.options import Option, OptionTable, lasts
 from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
 from hrl_comfort.policies.actor import load_policy
 from tests.agents.test_checkpoint import write_policy
@@ -112,6 +113,7 @@ def test_no_policy_file_with_other_things_in_it_crashes(
 
 
 OPTIONS = ["pick_1", "place", "return", "wait", "retreat"]
+TABLE = OptionTable([Option(name, lambda s: s.joint_pos, lambda s: s.steps >= 0, lasts(1)) for name in OPTIONS])
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +138,7 @@ def test_no_controllers_file_with_other_things_in_it_crashes_and_what_is_loaded_
     file = with_something_else(controller, which, thing, gone, scale, fresh)
     rng = np.random.default_rng(which)
     mask = torch.from_numpy(rng.random((ROWS, len(OPTIONS))) < 0.5)
-    mask[:, WAIT] = True
-    decision = Decision(random_state(rng, (-3, 1)), mask)
+    mask[:, OPTIONS.index("wait")] = True
+    decision = Decision(random_state(rng, (-3, 1)), TABLE, mask, torch.ones(ROWS, dtype=torch.bool), 10)
     chosen = tried(lambda: load_choice(str(file), COMFORT.levels, OPTIONS)(decision))
     assert chosen is None or mask[torch.arange(ROWS), chosen].all()

@@ -22,7 +22,7 @@ def overrides_of(root: str, config: EnvConfig) -> dict[str, str]:
     fields = groups(root).keys() | {"policy", "policies"}
     values = {name: value for name, value in asdict(config).items() if name in fields}
     cell = _cell_lines(root, config) if values.pop("cell", None) else {}
-    chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items()}
+    chosen = {group: str(attrgetter(key)(config)) for group, key in NAMES.items() if group in values}
     lines = {group: f"{group}={name}" for group, name in chosen.items() if name in choices(group)}
     default, plainest = dict(flat(values_of(root, lines.values()))), dict(flat(values_of(root)))
     lines = {group: line for group, line in lines.items() if plainest[NAMES[group]] != chosen[group]}

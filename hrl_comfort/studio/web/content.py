@@ -30,6 +30,7 @@ from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.view import body_meshes
 from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
+from hrl_comfort.tasks import subtask
 
 EPISODES = 8
 """Episodes after which the page begins again with the first."""
@@ -59,10 +60,10 @@ def content(config: StudioConfig) -> dict[str, Any]:
     engine, episodes, state = session.engine, session.engine.episodes, session.state
     scene, task, env = engine.scene, episodes.subtask, episodes.config
     sources = config.policies or {task.name: str(config.policy)}
-    options = [_option(each, sources[each.name], session) for each in session.executor.options]
+    options = [_option(each, sources[each.name], session) for each in session.executor.table.options]
     seen = sorted(inputs_of(task.next_stage, state))
     levels = torch.arange(1, env.comfort.levels + 1, dtype=torch.float64)
-    limits = {"episode": env.task.max_episode_steps, "option": session.executor.time_limit}
+    limits = {"episode": env.task.max_episode_steps, "option": session.executor.table.options[0].time_limit or 0}
     made = {
         "xml": re.sub(r'(<texture[^>]*) class="/"', r"\1", scene.xml),  # MuJoCo 3.14 refuses it
         "assets": {name: base64.b64encode(file).decode() for name, file in scene.assets.items()},
@@ -135,6 +136,8 @@ def refuse(config: StudioConfig) -> None:
     for key, value, only in allowed:
         if value != only:
             raise ConfigError(f"{key}={value}: a page of export= has {key}={'null' if only is None else only} alone")
+    if (top := config.meta_controller.name) not in ("none", "scripted"):
+        raise ConfigError(f"meta_controller={top}: a page of export= runs options in order, and carries no controller")
     if config.task.name in SORTING:
         raise ConfigError(f"task={config.task.name}: a page of export= shows one policy, or a chain of them, once")
     for source in [config.policy] if config.policy else config.policies.values():
@@ -142,21 +145,21 @@ def refuse(config: StudioConfig) -> None:
             raise ConfigError(f"policy={source!r}: export= takes a run folder, a checkpoint or a policy.pt")
 
 
-def _option(option: Any, source: str, session: Session) -> dict[str, Any]:
-    """Return an option: its stages, the levels it was trained for, and its policy."""
-    assert isinstance(option, Option)
+def _option(option: Option, source: str, session: Session) -> dict[str, Any]:
+    """Return a skill: its stages, the levels it was trained for, and its policy."""
+    assert option.stages is not None
     env = environment(session.config)
     env = replace(env, task=replace(env.task, name=option.name))
     policy = load_policy(source)
-    task = observed_by(policy, source, option.subtask, env)
+    task = observed_by(policy, source, subtask(option.name), env)
     inputs = inputs_of(task.observe, session.state)
     if missing := set(inputs) - FIELDS:
         raise ConfigError(f"policy={source!r} observes {', '.join(sorted(missing))}, which a page does not have")
     graph = PolicyGraph(policy, task, inputs, math.radians(env.task.max_step_deg))
     return {
         "name": option.name,
-        "first": option.first,
-        "last": option.last,
+        "first": option.stages.first,
+        "last": option.stages.last,
         "levels": policy.spec["environment"].get("levels"),
         "graph": traced(graph, session.state, inputs),
     }
