@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
-from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig
+from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig, GripperConfig
 from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.expert import Expert
@@ -29,6 +29,10 @@ Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, A) in [-1, 1]."""
 Source = str | Function
 """Value of `policy=`; from Python also a map from observations to actions."""
+
+
+NO_GRIPPER = GripperConfig().name
+"""Of policies that do not say what their gripper was, too."""
 
 
 def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:
@@ -150,6 +154,11 @@ def check_trained(spec: dict[str, Any], source: str, task: Subtask, config: EnvC
         "task.action": config.task.action,
         "task.action_repeat": config.task.action_repeat,
     }
+    own, there = config.robot.gripper.name, spec.get("gripper", NO_GRIPPER)
+    if (own == NO_GRIPPER) != (there == NO_GRIPPER):
+        raise ConfigError(
+            f"robot.gripper.name={own}, but policy={source!r} was trained with gripper={there}; choose that"
+        )
     levels = spec.get("levels")
     if levels is not None and config.comfort.source == "none":
         raise ConfigError(

@@ -182,6 +182,7 @@ class Training(TrainingLoop):
                 "action": task.action,
                 "observation": task.observation,
                 "robot": self.config.robot.name,
+                "gripper": self.config.robot.gripper.name,
                 "levels": None if self.config.comfort.source == "none" else self.config.comfort.levels,
                 "shield": self.config.safety.kind != "none",
                 "train_seed": self.config.train_seed,

@@ -127,6 +127,15 @@ def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
 
 
+def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:
+    trained = str(Path(__file__).parents[2] / "runs" / "reference" / "comfort_shift" / "off0" / "pick")
+    config = compose_environment("evaluate", [f"policy={trained}", "gripper=two_finger"])
+    assert config.robot.gripper.name == "two_finger"
+    engine = Engine(config, 1, 0)
+    with pytest.raises(ConfigError, match="was trained with gripper=none; choose that"):
+        make_policy(trained, engine.episodes.subtask, engine.scene, config, 0)
+
+
 def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them() -> None:
     config = cell("task=pick", "human=still")
     scene = scene_of(config)
