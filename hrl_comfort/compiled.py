@@ -1,8 +1,9 @@
 """Compiled twins of numpy functions.
 
-The numpy function is the definition: it also obeys numpy's protocols, by which the page is recorded. Its kernel does
-the same operations in the same order, so that both agree in every bit. Sines, exponentials and products of matrices
-stay in numpy: its vector instructions round them in another way than the compiler's library.
+The numpy function is the definition: where it also obeys numpy's protocols, by which the page is recorded, it is kept
+in the package; elsewhere it is in the tests. Its kernel does the same operations in the same order, so that both agree
+in every bit, but for sines and exponentials, which numpy's vector instructions round in another way than the
+compiler's library.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 
 Kernel = Callable[..., Any]
@@ -21,13 +23,16 @@ FLOAT = np.dtype(np.float64)
 def kernel(function: Kernel) -> Kernel:
     """Return `function` compiled when it is first called.
 
-    The machine code is kept beside the module or in the user's cache folder. Where neither can be written, every
-    process compiles anew.
+    The machine code is kept beside the module or in the user's cache folder until the module, or that of a kernel that
+    it calls, changes. Where neither folder can be written, every process compiles anew.
     """
     try:
         compiled: Kernel = njit(function, cache=True, error_model="numpy")
     except RuntimeError:  # no folder for the cache
-        compiled = njit(function, error_model="numpy")
+        return njit(function, error_model="numpy")  # type: ignore[no-any-return]
+    called = [function.__globals__.get(name) for name in function.__code__.co_names]
+    kept = [each._cache._cache_file for each in (compiled, *called) if isinstance(each, Dispatcher)]
+    kept[0]._source_stamp = tuple(each._source_stamp for each in kept)  # numba's own is of the module alone
     return compiled
 
 
@@ -36,6 +41,6 @@ def plain(*arrays: Any) -> bool:
     return all([type(array) is np.ndarray and array.dtype == FLOAT for array in arrays])  # noqa: C419, faster
 
 
-def contiguous(*arrays: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def contiguous(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
     """Return `arrays` in C order, for which alone kernels are compiled; without a copy where they are."""
     return [array if array.flags.c_contiguous else np.ascontiguousarray(array) for array in arrays]

@@ -118,7 +118,7 @@ SIZES = {
     "joint_pos": (6,), "joint_vel": (6,), "joint_target": (6,), "joint_home": (6,), "points": (2, 3),
     "humans_pos": (1, 2), "humans_seen": (1, 2), "humans_vel": (1, 2), "humans_yaw": (1,), "grasp_tolerance": (),
     "place_tolerance": (), "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (),
-    "human_beyond_bound": (), "arm_distance": (),
+    "human_beyond_bound": (), "arm_distance": (), "home_distance": (),
     "level": (), "objects": (1, 3), "layout": (3, 7), "tops": (3, 6),
     "kind_places": (2, 3), "arm_body": (4, 7), "humans_body": (5, 7), "humans_body_vel": (5, 6),
 }  # fmt: skip

@@ -36,6 +36,9 @@ class Level(TypedDict):
     objects_per_min: Estimate
     discomfort_per_min: Estimate
     unsafe_contacts_per_h: Estimate
+    avoidable_discomfort_per_min: NotRequired[Estimate | None]
+    idle_discomfort_per_min: NotRequired[Estimate | None]
+    excess_closeness_mean_m: NotRequired[Estimate | None]
     contacts_per_h: NotRequired[Estimate | None]
     other_collisions_per_h: NotRequired[Estimate | None]
     protective_stops_per_min: NotRequired[Estimate | None]
@@ -61,17 +64,21 @@ RATE = (0.0, math.inf)
 QUANTITIES = {
     "objects_per_min": Quantity("objects a minute", digits=2, bounds=RATE),
     "discomfort_per_min": Quantity("discomfort, s a minute", digits=2, bounds=RATE),
+    "avoidable_discomfort_per_min": Quantity("avoidable discomfort, s a minute", digits=2, bounds=RATE),
+    "idle_discomfort_per_min": Quantity("discomfort of an idle arm, s a minute", digits=2, bounds=RATE),
     "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2, bounds=RATE),
     "contacts_per_h": Quantity("contacts an hour", digits=1, bounds=RATE),
     "other_collisions_per_h": Quantity("other collisions an hour", digits=1, bounds=RATE),
     "protective_stops_per_min": Quantity("protective stops a minute", digits=2, bounds=RATE),
     "arm_distance_mean_m": Quantity("arm distance, m", digits=2),
+    "excess_closeness_mean_m": Quantity("nearer than an idle arm, m", digits=2),
     "tool_speed_beside_m_s": Quantity("tool speed within 1 m, m/s", digits=2),
     "person_level_mean": Quantity("level of a frightened person", digits=2),
 }
 """Columns of the table."""
 HEADLINE = (
-    "objects_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
+    "objects_per_min", "discomfort_per_min", "avoidable_discomfort_per_min", "tool_speed_beside_m_s",
+    "arm_distance_mean_m", "unsafe_contacts_per_h",
 )  # fmt: skip
 """Quantities of the short table."""
 ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "objects_per_min")

@@ -18,7 +18,7 @@ from hrl_comfort.files.tables import write_table
 Size = TypeVar("Size", int, tuple[str, int])
 Rate = Callable[[], float]
 """() -> calls a second, measured now."""
-SECONDS = 2.0
+SECONDS = 1.0
 """Least duration of a measurement."""
 ROUNDS = 7
 

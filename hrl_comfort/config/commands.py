@@ -80,7 +80,7 @@ class EvaluateConfig(EnvConfig):
     every combination of the checkpoints of the runs in `policies`."""
     split: Annotated[str, choice(*SPLITS)]
     """`paper`: the committed evaluation set. `train`, `validation`: drawn as in training; if `human.partitioned`,
-    `validation` has people and places of its own. `test`: people, places, arm starts that no training with
+    `validation` has people of its own. `test`: people, layouts and arm starts that no training with
     `human.partitioned` sees; each look at it is a line of runs/ledger.csv."""
     episodes: int
     """Number of episodes; with `levels`, at each level."""

@@ -72,8 +72,8 @@ class HumanConfig:
     `{colleague: {motion: patrol}}`; there are at most three people in all. `masked`, `clipping` and `partitioned` are
     the same for all of them, and only the first can be moved by hand."""
     partitioned: bool
-    """Whether `train`, `validation` and `test` each have their own sectors around the robot, traits of people,
-    recordings and arm starts. If so, training sees those of `train` alone."""
+    """Whether `train`, `validation` and `test` each have their own traits of people, recordings and arm starts. If so,
+    training sees those of `train` alone."""
     file: str | None
     """`recorded`: a CSV of t (s), x (m), y (m) and yaw (rad), a BVH file, or a folder of such files. `live`:
     udp://HOST:PORT, lsl:NAME or package.module:callable; null is the person that viewers of `hrl-comfort studio`

@@ -14,12 +14,17 @@ from hrl_comfort.comfort.trajectory import Trajectory
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig
 
 MINUTE_S, HOUR_S = 60.0, 3600.0
+DISCOMFORTS = (
+    "discomfort_per_min", "avoidable_discomfort_per_min", "idle_discomfort_per_min", "excess_closeness_mean_m",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Course(Trajectory):
     """Further fields of `State` over the T + 1 instants of an episode, and what it came to."""
 
+    home_distance: NDArray[np.float64]
+    """(T + 1,) m, smallest distance between any link and any body part if the arm were at home."""
     level: NDArray[np.float64]
     stage: NDArray[np.int64]
     touching: NDArray[np.bool_]
@@ -39,14 +44,27 @@ class Course(Trajectory):
         }
 
 
-def discomfort_per_min(course: Course, config: EvaluateConfig) -> float | None:
-    """Return the integral over time of `comfort.terms.discomfort`, s a minute; None without a level or a person."""
-    level = torch.from_numpy(course.level[1:])
-    if not course.human_here or bool(level.isnan().any()):
-        return None
-    increment = np.degrees(np.abs(np.diff(course.joint_target, axis=0)).max(axis=-1))
-    told = torch.from_numpy(course.arm_distance[1:]), torch.from_numpy(increment), level
-    return float(discomfort(*told, config.task.max_step_deg, config.comfort).mean()) * MINUTE_S
+def discomforts(course: Course, config: EvaluateConfig) -> dict[str, float | None]:
+    """Return discomfort by its column; None without a person, or without a level where one is needed.
+
+    Integrals over time of `comfort.terms.discomfort`, s a minute: of the arm, of one that rests at home beside the same
+    people, and what the arm could avoid by resting: where it is nearer than home, and its speed.
+    """
+    level, found = torch.from_numpy(course.level[1:]), dict.fromkeys(DISCOMFORTS)
+    if not course.human_here:
+        return found
+    home, arm = (torch.from_numpy(each[1:]) for each in (course.home_distance, course.arm_distance))
+    found["excess_closeness_mean_m"] = float((home - arm).mean())
+    if bool(level.isnan().any()):
+        return found
+    increment = torch.from_numpy(np.degrees(np.abs(np.diff(course.joint_target, axis=0)).max(axis=-1)))
+    own, near, idle = (
+        discomfort(*told, level, config.task.max_step_deg, config.comfort)
+        for told in ((arm, increment), (arm, torch.zeros_like(increment)), (home, torch.zeros_like(increment)))
+    )
+    avoidable = own - torch.minimum(near, idle)
+    rates = dict(zip(DISCOMFORTS, (own, avoidable, idle), strict=False))
+    return found | {name: float(each.mean()) * MINUTE_S for name, each in rates.items()}
 
 
 def shift_rates(course: Course, shielded: bool) -> dict[str, float | None]:

@@ -19,7 +19,7 @@ from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTra
 from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
-from hrl_comfort.evaluation.rates import Course, discomfort_per_min, shift_rates
+from hrl_comfort.evaluation.rates import Course, discomforts, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
@@ -38,7 +38,8 @@ STALE = ("summary.json", "episodes.parquet", "options.csv", "paths.csv", "video.
 """Files of an earlier evaluation, deleted when a new one is written."""
 SEEN = ("tcp_pos", "humans_pos")
 COURSE = (
-    "joint_target", "arm_distance", "level", "stage", "touching", "unsafe_contact", "table_collision", "self_collision",
+    "joint_target", "arm_distance", "home_distance", "level", "stage", "touching", "unsafe_contact", "table_collision",
+    "self_collision",
 )  # fmt: skip
 """Fields of `State` that are kept of every instant, those of `Course` among them."""
 
@@ -190,7 +191,7 @@ class EpisodeRecorder:
             kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
             through = Course(tool=tool, people=people, **kept, protective_stops=stops)
             values = metrics(through)
-            values["discomfort_per_min"] = discomfort_per_min(through, self.config)
+            values |= discomforts(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
             if self.engine.episodes.subtask.repeats:
                 values |= shift_rates(through, shielded)

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.compiled import contiguous, plain
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, ConfigError, HumanConfig
+from hrl_comfort.compiled import contiguous
+from hrl_comfort.config import FAR_AWAY_M, ConfigError, HumanConfig
 from hrl_comfort.humans import kernels
 from hrl_comfort.humans.evaluation import (
     MOTION_STREAM,
-    SHARES,
     EvaluationSet,
     drawn_set,
-    in_sector,
     load_evaluation_set,
     share_of,
     split_set,
 )
-from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, bounds, free, motion
+from hrl_comfort.humans.motions import CARRIERS, COMPILED, MOTIONS, STEERED, UNBOUNDED, Compiled, bounds, free, motion
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import pose_at
-from hrl_comfort.humans.retreat import retreat
+from hrl_comfort.humans.retreat import retreat_limits
 from hrl_comfort.humans.steering import POSTURE
 from hrl_comfort.humans.walk import (
     MEMORY,
@@ -89,76 +87,55 @@ def _members(config: HumanConfig, traits: Array) -> list[tuple[NDArray[np.int64]
     return [(rows, member) for rows, member in found if len(rows)]
 
 
+class Motions:
+    """How a person moves, or people who each draw a motion of a mixture."""
+
+    def __init__(self, config: HumanConfig) -> None:
+        self._members = config.people if config.mixture else [config]
+        self._compiled = Compiled(self._members)
+        self._limits = np.array([
+            (float(free(each)), each.bound_m, *retreat_limits(each)) for each in self._members
+        ])  # fmt: skip
+        self._others = [
+            (index, each, motion(each.motion))
+            for index, each in enumerate(self._members) if each.motion not in COMPILED
+        ]  # fmt: skip
+
+    def advance(self, walk: Walk, noise: Array, seen: Surroundings) -> Walk:
+        """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1).
+
+        A step beyond `bound_m` from the spawn ends at that distance. A step into a keep-out disc slides along its rim.
+        The human stays in place if the slide ends in another disc or beyond `bound_m`. Motions that are `free` keep to
+        neither.
+        """
+        there, facing, bent, kept = self._compiled(walk, noise, seen)
+        for index, member, move in self._others:
+            rows: Any = slice(None)
+            if len(self._members) > 1:
+                rows = np.flatnonzero((walk.traits[:, 0] * len(self._members)).astype(np.int64) == index)
+            proposed = move(member, walk.part(rows), noise[rows], seen.part(rows))
+            stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
+            there[rows], facing[rows] = stride.position, stride.yaw
+            if stride.limbs is not None:
+                bent[rows] = stride.limbs
+            if stride.memory is not None:
+                kept[rows] = stride.memory
+        arm = seen.arm()[0] if walk.retreat.any() else np.empty((len(noise), 0, 3))
+        discs, points = contiguous(seen.keep_out.centres, arm)
+        velocity, walked, speed, steps, left = kernels.settle(
+            there, facing, bent, kept, self._limits,
+            *walk.arrays(
+                "position", "yaw", "spawn", "walked_m", "speed_m_s", "step", "velocity", "limbs", "memory", "traits",
+                "retreat",
+            ),
+            discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
+        )  # fmt: skip
+        return Walk(there, facing, walk.spawn, walked, speed, steps, velocity, bent, kept, walk.traits, left)
+
+
 def advance(config: HumanConfig, walk: Walk, noise: Array, seen: Surroundings) -> Walk:
-    """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1).
-
-    A step beyond `bound_m` from the spawn
-    ends at that distance. A step into a keep-out disc slides along its rim. The human stays in place if the slide
-    ends in another disc or beyond `bound_m`. Motions that are `free` keep to neither.
-    """
-    parts = _members(config, walk.traits)
-    if len(parts) == 1:
-        return _walked(walk, *_proposed(parts[0][1], walk, noise, seen))
-    # Sorted by motion, each motion's rows are a slice.
-    order = np.concatenate([rows for rows, _ in parts])
-    walk, noise, seen = walk.rows(order), noise[order], seen.part(order)
-    begins = np.cumsum([0, *(len(rows) for rows, _ in parts)])
-    slices = [slice(first, last) for first, last in pairwise(begins)]
-    found = [
-        _proposed(member, walk.part(at), noise[at], seen.part(at))
-        for at, (_, member) in zip(slices, parts, strict=True)
-    ]
-    return _walked(walk, *(np.concatenate(each) for each in zip(*found, strict=True))).rows(np.argsort(order))
-
-
-def _proposed(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, ...]:
-    """Return position (n, 2) m, yaw (n,) rad, limbs and memory after a control step of one motion; see `advance`."""
-    proposed = motion(config.motion)(config, walk, noise, around)
-    stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
-    stride = retreat(config, walk, stride, around)
-    position = stride.position if free(config) else _held(stride.position, walk, around.keep_out, config.bound_m)
-    limbs = walk.limbs if stride.limbs is None else stride.limbs
-    return position, stride.yaw, limbs, walk.memory if stride.memory is None else stride.memory
-
-
-def _walked(walk: Walk, position: Array, yaw: Array, limbs: Array, memory: Array) -> Walk:
-    """Return the walk after the control step that ends there; see `_proposed`."""
-    velocity, walked, speed = _gone(position, yaw, walk)
-    left = np.maximum(walk.retreat - 1, 0)
-    return Walk(position, yaw, walk.spawn, walked, speed, walk.step + 1, velocity, limbs, memory, walk.traits, left)
-
-
-def _held(position: Array, walk: Walk, keep_out: KeepOut, bound_m: float) -> Array:
-    """Return the proposed `position` (n, 2) m as `advance` bounds it."""
-    if plain(position):
-        at = contiguous(position, walk.position, walk.spawn, keep_out.centres)
-        return kernels.held(*at, float(keep_out.radius_m), float(bound_m))
-    offset = position - walk.spawn
-    shrink = np.minimum(1.0, bound_m / np.maximum(length(offset), 1e-9))
-    position = walk.spawn + offset * shrink[:, None]
-    (blocked,) = keep_out.entered(position).nonzero()
-    if len(blocked):
-        discs = KeepOut(keep_out.centres.take(blocked, axis=0), keep_out.radius_m)
-        slid = discs.rim(position.take(blocked, axis=0))
-        too_far = length(slid - walk.spawn.take(blocked, axis=0)) > bound_m + 1e-9
-        stays = discs.entered(slid) | too_far
-        position[blocked] = np.where(stays[:, None], walk.position.take(blocked, axis=0), slid)
-    return position
-
-
-def _gone(position: Array, yaw: Array, walk: Walk) -> tuple[Array, Array, Array]:
-    """Return velocity (n, 3), distance walked (n,) m and smoothed speed (n,) m/s of people who are now at `position`.
-
-    (n, 2) m, `yaw` (n,) rad.
-    """
-    if plain(position, yaw):
-        at = contiguous(position, yaw, walk.position, walk.yaw, walk.walked_m, walk.speed_m_s)
-        return kernels.gone(*at, SPEED_SMOOTHING)
-    moved = position - walk.position
-    way = length(moved)
-    speed = walk.speed_m_s + SPEED_SMOOTHING * (way / CONTROL_STEP_S - walk.speed_m_s)
-    turned = (yaw - walk.yaw + np.pi) % (2 * np.pi) - np.pi
-    return np.concatenate([moved, turned[:, None]], axis=1) / CONTROL_STEP_S, walk.walked_m + way, speed
+    """See `Motions.advance`."""
+    return Motions(config).advance(walk, noise, seen)
 
 
 def moved_spawns(config: HumanConfig, goals: Array) -> Array:
@@ -191,12 +168,10 @@ def training_spawn(
     spawns: Array,
     keep_out: KeepOut,
     rng: np.random.Generator,
-    share: tuple[float, float] = SHARES["all"],
 ) -> tuple[int, Array]:
     """Draw a training spawn as `config.spawn` says: index into `spawns` (-1: anywhere) and position (2,) m.
 
-    The position lies in the sector of `share`, outside the keep-out discs and at least `spawn_margin_m` from held-out
-    `spawns` (s, 2) m.
+    The position lies outside the keep-out discs and at least `spawn_margin_m` from held-out `spawns` (s, 2) m.
 
     Raises:
       ConfigError: no free position in MAX_SPAWN_DRAWS draws.
@@ -213,7 +188,6 @@ def training_spawn(
             radius, bearing = rng.uniform(nearest, farthest), rng.uniform(-np.pi, np.pi)
             place = radius * np.array([np.cos(bearing), np.sin(bearing)])
         clear = (np.linalg.norm(held_out - place, axis=-1) >= config.spawn_margin_m).all()
-        clear &= in_sector(place[None], share)[0]
         if clear and not keep_out.entered(place[None])[0]:
             return index, place
     raise ConfigError(
@@ -227,7 +201,6 @@ def spawns_apart(
     spawns: Sequence[Array],
     keep_out: KeepOut,
     rngs: Sequence[np.random.Generator],
-    share: tuple[float, float],
     first: Array,
 ) -> Array:
     """Draw training spawns of the others as `training_spawn` does, APART_M from the `first` (2,) m and each other.
@@ -243,7 +216,7 @@ def spawns_apart(
         taken = [first]
         for (person, discs), own, rng in zip(others, spawns[1:], rngs, strict=True):
             for _ in range(SPAWN_TRIES):
-                _, place = training_spawn(person, own, discs, rng, share)
+                _, place = training_spawn(person, own, discs, rng)
                 if all(length(place - each) >= apart_m for each in taken):
                     taken.append(place)
                     break
@@ -277,8 +250,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
-    "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "in_sector",
+    "Motions", "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait",
     "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of",
-    "spawns_apart",
-    "split_set", "training_spawn", "training_spawns",
+    "spawns_apart", "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -29,6 +29,8 @@ STRETCH = 0.97
 POLE = np.stack([np.full(2, -0.3), 0.5 * SIDES, np.full(2, -0.8)], axis=-1)
 """(2, 3), where the elbows point, in the person's frame."""
 
+NEAREST_M, FARTHEST_M = abs(UPPER_ARM_M - FOREARM_M) + 0.05, STRETCH * (UPPER_ARM_M + FOREARM_M)
+"""Distances of the hands from the shoulders."""
 HANGING = SHOULDERS - [0.0, 0.0, STRETCH * (UPPER_ARM_M + FOREARM_M)]
 """(2, 3) m, the hands of hanging arms, in the person's frame."""
 
@@ -43,13 +45,12 @@ def reaching(hands: Array) -> Array:
 
     Two-link inverse kinematics; the elbows point down and outwards. A hand that is out of reach stops on the way.
     """
-    nearest, farthest = abs(UPPER_ARM_M - FOREARM_M) + 0.05, STRETCH * (UPPER_ARM_M + FOREARM_M)
     if plain(hands):
-        return kernels.reaching(*contiguous(hands), SHOULDERS, POLE, UPPER_ARM_M, FOREARM_M, nearest, farthest)
+        return kernels.reaching(*contiguous(hands), SHOULDERS, POLE, UPPER_ARM_M, FOREARM_M, NEAREST_M, FARTHEST_M)
     offset = hands - SHOULDERS
     distance = np.linalg.norm(offset, axis=-1, keepdims=True)
     along = offset / np.maximum(distance, 1e-9)
-    distance = np.clip(distance, nearest, farthest)
+    distance = np.clip(distance, NEAREST_M, FARTHEST_M)
     forth = (distance**2 + UPPER_ARM_M**2 - FOREARM_M**2) / (2 * distance)
     aside = np.sqrt(UPPER_ARM_M**2 - forth**2)
     out = POLE - (POLE * along).sum(axis=-1, keepdims=True) * along

@@ -1,4 +1,4 @@
-"""Evaluation splits: the committed set of 1,000 spawns, motion and episode seeds, and draws in parts of the world."""
+"""Evaluation splits: the committed set of 1,000 spawns, motion and episode seeds, and draws of each split's own."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from hrl_comfort.config import FIRST_SEED, SPLITS
 
 SHARES = {"all": (0.0, 1.0), "train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
-"""Share of everything that is parted that belongs to a split: of the full turn around the robot, of the traits of
-people, of recordings, of arm starts."""
-FIRST_BEARING_RAD = np.radians(31.0)
-"""Bearing at which the sector of `train` begins: it holds two tables, that of `test` the third, `validation` none."""
+"""Share of the traits of people, of recordings and of arm starts that belongs to a split. Where people stand and walk
+is not parted: a policy that sees them learns bearings by heart if some are missing."""
 MOTION_STREAM = 7
 """Second word of the random key of a motion; it keeps motions and episodes on separate streams."""
 
@@ -63,16 +61,9 @@ def split_set(split: str, episodes: int, first_seed: int | None = None) -> Evalu
 
 
 def share_of(split: str | None, partitioned: bool) -> tuple[float, float]:
-    """Return the share of the world that a split draws from; None is training. `test` always keeps to its own."""
+    """Return the share, one of SHARES, that a split draws from; None is training. `test` always keeps to its own."""
     parted = split == "test" or (partitioned and split != "paper")
     return SHARES[(split or "train") if parted else "all"]
-
-
-def in_sector(position: NDArray[np.float64], share: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return whether positions (n, 2) m lie in the sector around the robot that is this share of the full turn."""
-    bearing = np.arctan2(position[:, 1], position[:, 0]) - FIRST_BEARING_RAD
-    turn = np.minimum(bearing / (2 * np.pi) % 1.0, 1.0 - 1e-9)
-    return np.asarray((share[0] <= turn) & (turn < share[1]))
 
 
 def drawn_set(split: str, seed: int, episodes: int) -> EvaluationSet:

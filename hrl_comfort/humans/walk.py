@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
 
 Array = NDArray[np.float64]
@@ -48,12 +49,16 @@ class Walk:
     retreat: NDArray[np.int64]
     """(n,) control steps left of a retreat from the arm."""
 
+    def arrays(self, *names: str) -> list[Array]:
+        """Return the fields `names`, in C order."""
+        return contiguous(*[getattr(self, name) for name in names])
+
     def rows(self, index: NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `index`."""
         return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
-    def part(self, at: slice) -> Walk:
-        """Return the walks of the rows `at`, without copying them."""
+    def part(self, at: slice | NDArray[np.int64]) -> Walk:
+        """Return the walks of the rows `at`; without copying those of a slice."""
         return Walk(**{name: value[at] for name, value in vars(self).items()})
 
     def put(self, index: NDArray[np.int64], other: Walk) -> Walk:

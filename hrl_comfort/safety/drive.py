@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
+from hrl_comfort.safety import drive_kernels
 from hrl_comfort.safety.allowances import check_allowances, largest_lateness
 from hrl_comfort.safety.geometry import ArmPose, gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
-from hrl_comfort.safety.shield import Motion, Shield
+from hrl_comfort.safety.shield import Memory, Motion, Shield
 from hrl_comfort.scene.ratings import RATINGS
 from hrl_comfort.scene.servos import SERVO_LAG_S
 from hrl_comfort.scene.workcell import Scene
@@ -94,6 +96,15 @@ class Drive:
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
+        limits = (0.0,) * 9 if self.shield is None else self.shield.limits
+        self._constants = [
+            *self.arm.compiled, self.arm.radius, self.arm.lever, separation.person.radius,
+            np.stack([
+                self._rating.speed_rad_s, self._rating.acceleration_rad_s2, self._low, self._high, self.following_rad
+            ]),
+            np.array([self._rating.tool_speed_m_s, self._late_s, takes_back, self.shield is not None, *limits]),
+        ]  # fmt: skip
+        """The fields of `drive_kernels.Arm` and `Limits`, as the kernel takes them."""
 
     def begin(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin an episode in `rows` (r,), beside people at `limbs` (r, L, 7)."""
@@ -130,6 +141,8 @@ class Drive:
         velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
         instead, if given.
         """
+        if plain(joints, now.apart):
+            return self._stepped(before, asked, joints, now, now if limbs is None else self._seen(now, limbs))
         measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
         error = before.angles - measured
         held = (np.abs(error) / self.following_rad).max(axis=1) > 1.0
@@ -159,11 +172,26 @@ class Drive:
         share_sum, beyond = before.share_sum + share, before.human_beyond_bound
         return begin, SetPoints(angles, wanted, share, share_sum, braking, stops, beyond)
 
+    def _stepped(
+        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, seen: Encounter
+    ) -> tuple[Array, SetPoints]:
+        """Return what `step` does, by its kernel; `seen` are the arms beside the people whom the shield sees."""
+        shield, pose = self.shield, now.pose
+        memory = Memory(now.person, np.zeros((len(self.arm.radius), 1, 1))) if shield is None else shield.memory
+        given = contiguous(
+            before.angles, before.velocity, before.share_sum, before.braking, before.protective_stops, asked, joints,
+            pose.axis, pose.anchor, pose.ends, now.person, now.apart, seen.person, seen.apart, *vars(memory).values(),
+        )  # fmt: skip
+        begin, angles, velocity, share, share_sum, braking, stops, trail = drive_kernels.drive(*given, *self._constants)
+        if shield is not None:
+            shield.remember(seen.person, trail)
+        return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
+
     def beside(self, points: SetPoints, now: Encounter, limbs: Array) -> SetPoints:
         """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
         if self.shield is None:
             return points
-        beyond = self.shield.beyond_bound(now, self._separation.person.ends(limbs))
+        beyond = self.shield.beyond_bound(now, limbs)
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:

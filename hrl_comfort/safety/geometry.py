@@ -57,7 +57,8 @@ class ArmGeometry:
         self.radius = np.array([part[2] for part in found])
         """(C,) m."""
         steps = np.ascontiguousarray(self._steps[..., 0])
-        self._compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
+        self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
+        """What kernels take of it."""
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
         self.lever = self._levers()
@@ -72,7 +73,7 @@ class ArmGeometry:
         """Return the arm at `angles` (N, J) rad."""
         if plain(angles):
             sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
-            return ArmPose(*kernels.pose(sine, versine, *self._compiled))
+            return ArmPose(*kernels.pose(sine, versine, *self.compiled))
         rotation, anchor, origins = self._frames(angles)
         local = self._local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
@@ -164,6 +165,8 @@ class PersonGeometry:
         self._local = np.stack([part[1] for part in found])
         self.radius = np.array([part[2] for part in found])
         """(P,) m."""
+        self.compiled = self._limb, self._local
+        """What kernels take of it."""
 
     def ends(self, limbs: Array) -> Array:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hrl_comfort.compiled import kernel
 
 Array = NDArray[np.float64]
+Geometry = tuple[Array, Array, Array, Array, NDArray[np.int64], Array]
 
 
 @kernel
@@ -71,6 +72,17 @@ def pose(
                     there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
                     ends[i, part, end, m] = origins[i, j, m] + there
     return axes, anchors, ends
+
+
+@kernel
+def posed(angles: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
+    """See `ArmGeometry.pose`: of `angles` (N, J), of an arm that is `geometry` as `pose` takes it."""
+    n, joints = angles.shape
+    sine, versine = np.empty((joints, n)), np.empty((joints, n))
+    for j in range(joints):
+        for m in range(n):
+            sine[j, m], versine[j, m] = np.sin(angles[m, j]), 1 - np.cos(angles[m, j])
+    return pose(sine, versine, *geometry)
 
 
 @kernel
@@ -208,6 +220,17 @@ def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> 
 
 
 @kernel
+def encounter(
+    angles: Array, limbs: Array, steps: Array, offset: Array, axis: Array, anchor: Array, link: NDArray[np.int64],
+    local: Array, arm_radius: Array, limb: NDArray[np.int64], limb_local: Array, person_radius: Array,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """See `Separation.encounter`."""
+    axes, anchors, ends = posed(angles, (steps, offset, axis, anchor, link, local))
+    person = limb_ends(limbs, limb, limb_local)
+    return axes, anchors, ends, person, gaps(ends, person, arm_radius, person_radius)
+
+
+@kernel
 def farthest(ends: Array, before: Array) -> Array:
     """See `geometry.farthest`."""
     n, most = ends.shape[3], np.zeros(ends.shape[3])
@@ -223,128 +246,73 @@ def farthest(ends: Array, before: Array) -> Array:
 
 
 @kernel
-def brake(velocity: Array, acceleration: Array, step_s: float) -> Array:
-    """See `Rating.brake`."""
-    left = np.empty_like(velocity)
-    for m in range(len(velocity)):
-        stopping = step_s
-        for j in range(velocity.shape[1]):
-            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
-        for j in range(velocity.shape[1]):
-            left[m, j] = velocity[m, j] * (1 - step_s / stopping)
-    return left
+def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, person_radius: Array) -> float:
+    """Return the distance, m, of one capsule of the arm of cell `m` from the nearest person; see `gaps`."""
+    nearest = np.inf
+    px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
+    dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
+    aa = max(dx * dx + dy * dy + dz * dz, 1e-12)
+    for other in range(limbs.shape[1]):
+        qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
+        ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
+        rx, ry, rz = px - qx, py - qy, pz - qz
+        ee = max(ex * ex + ey * ey + ez * ez, 1e-12)
+        b = dx * ex + dy * ey + dz * ez
+        c = dx * rx + dy * ry + dz * rz
+        f = ex * rx + ey * ry + ez * rz
+        denominator = aa * ee - b * b
+        s = (b * f - c * ee) / denominator if denominator > 1e-12 else 0.0
+        t = min(max((b * min(max(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
+        s = min(max((b * t - c) / aa, 0.0), 1.0)
+        ux, uy, uz = px + dx * s - (qx + ex * t), py + dy * s - (qy + ey * t), pz + dz * s - (qz + ez * t)
+        nearest = min(np.sqrt(ux * ux + uy * uy + uz * uz) - (arm_radius[part] + person_radius[other]), nearest)
+    return nearest
 
 
 @kernel
-def follow(before: Array, wanted: Array, acceleration: Array, step_s: float) -> Array:
-    """See `Rating.follow`."""
-    after = np.empty_like(wanted)
-    for m in range(len(wanted)):
-        needed = 0.0
-        for j in range(wanted.shape[1]):
-            needed = max(abs(wanted[m, j] - before[m, j]) / acceleration[j], needed)
-        needed = max(needed / step_s, 1.0)
-        for j in range(wanted.shape[1]):
-            after[m, j] = before[m, j] + (wanted[m, j] - before[m, j]) / needed
-    return after
+def met(
+    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
+    person_radius: Array,
+) -> Array:  # fmt: skip
+    """Return how far (N,) m arms are from people who went on to `limbs`; inf if those did not go as far as the arm was.
+
+    `person` are the ends of their capsules before, `apart` (C, N) m is how far each part of the arm was from them.
+    """
+    after = limb_ends(limbs, limb, local)
+    way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
+    for m in range(len(gap)):
+        if apart[:, m].min() <= way[m]:
+            for part in range(len(apart)):
+                gap[m] = min(apart_of(ends, part, after, m, arm_radius, person_radius), gap[m])
+    return gap
 
 
 @kernel
-def within(
-    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
-) -> Array:
-    """See `Rating.within`."""
-    after = np.empty_like(velocity)
-    for m in range(len(velocity)):
-        least = np.inf
-        for j in range(velocity.shape[1]):
-            rate, half = abs(velocity[m, j]), acceleration[j] * step_s / 2
-            room = high[j] - angles[m, j] if velocity[m, j] > 0 else angles[m, j] - low[j]
-            fastest = np.sqrt(max(half * half + 2 * acceleration[j] * room, 0.0)) - half
-            share = fastest / max(rate, rounding) if rate > fastest else 1.0
-            least = min(max(share, 0.0), least)
-        for j in range(velocity.shape[1]):
-            after[m, j] = velocity[m, j] * least
-    return after
+def approached(
+    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
+    person_radius: Array, most_m: float,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
+    after = limb_ends(limbs, limb, local)
+    way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
+    for m in range(len(nearer)):
+        if way[m] > most_m:
+            for part in range(len(apart)):
+                then = apart_of(ends, part, after, m, arm_radius, person_radius)
+                nearer[m] |= apart[part, m] - then > most_m
+    return nearer
 
 
 @kernel
-def keeps(
-    low: Array, high: Array, angles: Array, velocity: Array, acceleration: Array, step_s: float, rounding: float
-) -> NDArray[np.bool_]:
-    """See `Rating.keeps`."""
-    inside = np.ones(len(velocity), dtype=np.bool_)
-    for m in range(len(velocity)):
-        stopping = 0.0
-        for j in range(velocity.shape[1]):
-            stopping = max(abs(velocity[m, j]) / acceleration[j], stopping)
-        steps = max(stopping / step_s, rounding)
-        whole = np.floor(steps)
-        time = step_s * (1 + whole * (2 * steps - whole - 1) / (2 * steps))
-        for j in range(velocity.shape[1]):
-            end = angles[m, j] + velocity[m, j] * time
-            inside[m] &= low[j] - rounding < end < high[j] + rounding
-    return inside
-
-
-@kernel
-def safe(
-    braking: Array,
-    bending: Array,
-    speeds: Array,
-    room: Array,
-    moving: Array,
-    pace: Array,
-    step_s: float,
-    settled_s: float,
-    servo_speed: float,
-    safe_speed: float,
-    delay_s: float,
-    margin_m: float,
-    human_speed: float,
-    human_acceleration: float,
-) -> NDArray[np.bool_]:
-    """See `Shield._safe`; `human_acceleration` is infinite where the bound does not depend on the measured speed."""
-    parts, n = speeds.shape
-    clear = np.ones(n, dtype=np.bool_)
-    for part in range(parts):
-        for m in range(n):
-            fastest = speeds[part, m] + bending[part, m] * (step_s + braking[m] / 2)
-            left = min(servo_speed / max(fastest, 1e-9), 1.0)
-            until = step_s + braking[m] * (1 - left) + settled_s if left < 1.0 else 0.0
-            travel = fastest * (step_s + braking[m] * (1 - left * left) / 2)
-            until = max(until, settled_s if moving[part, m] > safe_speed else 0.0)
-            if until == 0.0:
-                continue
-            time = until + delay_s
-            if human_acceleration == np.inf:
-                bound = human_speed * time
-            else:
-                speed = min(pace[m], human_speed)
-                rising = min(time, (human_speed - speed) / human_acceleration)
-                top = speed + human_acceleration * rising
-                bound = (speed + top) / 2 * rising + top * (time - rising)
-            clear[m] &= room[part, m] > travel + bound + margin_m
-    return clear
-
-
-@kernel
-def spread(
-    shares: Array, rows: NDArray[np.int64], brake: Array, wanted: Array, slow: Array, fast: Array, room: Array,
-    moving: Array, pace: Array,
-) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
-    """Return the arguments of `Shield._safe` for all shares of `rows` (r,) at once, those of a share together."""
-    n, joints, parts = len(rows), wanted.shape[1], len(slow)
-    count = n * len(shares)
-    velocity, speed = np.empty((count, joints)), np.empty(count)
-    speeds, free, real = np.empty((parts, count)), np.empty((parts, count)), np.empty((parts, count))
-    for index, share in enumerate(shares):
-        for m in range(n):
-            row, at = rows[m], index * n + m
-            speed[at] = pace[row]
-            for j in range(joints):
-                velocity[at, j] = brake[row, j] + share * (wanted[row, j] - brake[row, j])
-            for part in range(parts):
-                speeds[part, at] = slow[part, row] + share * (fast[part, row] - slow[part, row])
-                free[part, at], real[part, at] = room[part, row], moving[part, row]
-    return velocity, speeds, free, real, speed
+def capsules(ends: Array, radius: Array) -> Array:
+    """See `sim.plan.capsules`."""
+    (parts, _, n), width = ends.shape[1:], 7 if len(radius) else 6
+    found = np.empty((n, parts, width))
+    for m in range(n):
+        for part in range(parts):
+            for end in range(2):
+                for axis in range(3):
+                    found[m, part, 3 * end + axis] = ends[axis, part, end, m]
+            if len(radius):
+                found[m, part, 6] = radius[part]
+    return found

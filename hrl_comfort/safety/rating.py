@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.safety import kernels
 from hrl_comfort.safety.geometry import ArmGeometry, ArmPose
 
 Array = NDArray[np.float64]
@@ -38,8 +36,6 @@ class Rating:
 
     def brake(self, velocity: Array) -> Array:
         """Return the velocity (N, J) rad/s after one control step of rated braking, along its direction."""
-        if plain(velocity):
-            return kernels.brake(*contiguous(velocity), self.acceleration_rad_s2, CONTROL_STEP_S)
         left = 1 - CONTROL_STEP_S / np.maximum(self.stopping_time(velocity), CONTROL_STEP_S)
         return velocity * left[:, None]
 
@@ -52,8 +48,6 @@ class Rating:
 
     def follow(self, before: Array, wanted: Array) -> Array:
         """Return the velocity (N, J) rad/s of the next control step, on the way from `before` to `wanted` (N, J)."""
-        if plain(before, wanted):
-            return kernels.follow(*contiguous(before, wanted), self.acceleration_rad_s2, CONTROL_STEP_S)
         change = wanted - before
         needed = (np.abs(change) / self.acceleration_rad_s2).max(axis=1) / CONTROL_STEP_S
         return before + change / np.maximum(needed, 1.0)[:, None]
@@ -63,9 +57,6 @@ class Rating:
 
         `angles` (N, J) rad are those before the control step, `low` and `high` (J,) rad the range.
         """
-        if plain(angles, velocity):
-            moving = contiguous(low, high, angles, velocity)
-            return kernels.within(*moving, self.acceleration_rad_s2, CONTROL_STEP_S, ROUNDING)
         room = np.where(velocity > 0, high - angles, angles - low)
         half = self.acceleration_rad_s2 * CONTROL_STEP_S / 2
         fastest = np.sqrt(np.maximum(half * half + 2 * self.acceleration_rad_s2 * room, 0.0)) - half
@@ -78,9 +69,6 @@ class Rating:
         They run `velocity` (N, J) rad/s for a control step, and brake then. The brake slows all joints together, so
         that one may need more room than it would alone.
         """
-        if plain(angles, velocity):
-            moving = contiguous(low, high, angles, velocity)
-            return kernels.keeps(*moving, self.acceleration_rad_s2, CONTROL_STEP_S, ROUNDING)
         steps = np.maximum(self.stopping_time(velocity) / CONTROL_STEP_S, ROUNDING)
         whole = np.floor(steps)
         way = velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]

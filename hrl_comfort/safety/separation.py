@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_comfort.compiled import contiguous, plain
+from hrl_comfort.safety import kernels
 from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, dot, gaps, norm
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
@@ -43,8 +45,13 @@ class Separation:
 
     def encounter(self, angles: Array, limbs: Array) -> Encounter:
         """Return arms at `angles` (N, J) rad beside people at `limbs` (N, L, 7)."""
-        pose, person = self.arm.pose(angles), self.person.ends(limbs)
-        return Encounter(pose, person, gaps(self.arm, pose.ends, self.person, person))
+        arm, person = self.arm, self.person
+        if plain(angles, limbs):
+            constant = *arm.compiled, arm.radius, *person.compiled, person.radius
+            axis, anchor, ends, bodies, apart = kernels.encounter(*contiguous(angles, limbs), *constant)
+            return Encounter(ArmPose(axis, anchor, ends), bodies, apart)
+        pose, bodies = arm.pose(angles), person.ends(limbs)
+        return Encounter(pose, bodies, gaps(arm, pose.ends, person, bodies))
 
     def gap(self, angles: Array, limbs: Array) -> Array:
         """Return the distance (N,) m of arms at `angles` (N, J) rad from people at `limbs` (N, L, 7).

@@ -16,17 +16,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.compiled import contiguous, plain
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
+from hrl_comfort.safety.drive_kernels import SHARES
+from hrl_comfort.safety.geometry import ArmPose, farthest
 from hrl_comfort.safety.rating import ROUNDING, Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
 from hrl_comfort.safety.separation import Encounter, Separation
 
 Array = NDArray[np.float64]
-SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
-"""Shares that are tried where all is not safe; nothing else than the brake is share 0."""
 LAGS = 3.0
 """Lags until the arm's speed has followed its set-points."""
 SERVO_SHARE = 0.7
@@ -69,11 +68,12 @@ class Shield:
         """Share of a speed that the arm still has after a control step."""
         self._first = config.human_speed_m_s * CONTROL_STEP_S * np.array([0.0, 0.0, 1.0])[:, None, None, None]
         parts, sent = len(self._person.radius), int(np.ceil(config.latency_s / CONTROL_STEP_S - 1e-9))
-        self._limits = tuple(map(float, (
-            CONTROL_STEP_S, self._settled_s, SERVO_SHARE * config.safe_speed_m_s, config.safe_speed_m_s,
+        self.limits = (
+            self._settled_s, self._behind_s, self._trailing, SERVO_SHARE * config.safe_speed_m_s, config.safe_speed_m_s,
             config.delay_s, config.margin_m, config.human_speed_m_s,
             np.inf if config.bound == "worst" else config.human_acceleration_m_s2,
-        )))  # fmt: skip
+        )  # fmt: skip
+        """The last fields of `drive_kernels.Limits`."""
         self.memory = Memory(np.zeros((3, parts, 2, rows)), np.zeros((len(self.arm.radius), 1 + sent, rows)))
         self._decision: list[Memory] = []
         """The memory after each control step of a decision."""
@@ -89,6 +89,9 @@ class Shield:
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
         """Go back to the last valid control step (N,) of the decision in each row, counted from 0."""
+        if (last == last[0]).all():
+            self.memory = self._decision[last[0]]
+            return
         rows = np.arange(len(last))
         kept = ([getattr(memory, name) for memory in self._decision] for name in vars(self.memory))
         self.memory = Memory(*(np.stack(each)[last, ..., rows].transpose(*range(1, each[0].ndim), 0) for each in kept))
@@ -128,10 +131,6 @@ class Shield:
         def largest(rows: Rows) -> Array:
             """Return the largest of SHARES that is safe in `rows`, 0 if none is."""
             # All shares of all rows at once, those of a share together.
-            if isinstance(rows, np.ndarray) and plain(brake, wanted, slow, fast, room, moving, pace):
-                given = contiguous(brake, wanted, slow, fast, room, moving, pace)
-                safe = self._safe(*kernels.spread(SHARES, rows, *given)).reshape(len(SHARES), -1)
-                return np.where(safe, SHARES[:, None], 0.0).max(axis=0)
             start, change = (np.tile(each[rows], (len(SHARES), 1)) for each in (brake, wanted - brake))
             least, gained, free, real, speed = (
                 np.tile(each[..., rows], len(SHARES)) for each in (slow, fast - slow, room, moving, pace)
@@ -147,9 +146,13 @@ class Shield:
         velocity = brake + share[:, None] * (wanted - brake)
         sent = np.concatenate([trail, (slow + share * (fast - slow))[:, None]], axis=1)
         left = np.maximum(sent[:, :1] * self._trailing, sent[:, 1:2])
-        self.memory = Memory(now.person, np.concatenate([left, sent[:, 2:]], axis=1))
-        self._decision.append(self.memory)
+        self.remember(now.person, np.concatenate([left, sent[:, 2:]], axis=1))
         return velocity, share
+
+    def remember(self, seen: Array, trail: Array) -> None:
+        """Keep the fields of `Memory` after a control step."""
+        self.memory = Memory(seen, trail)
+        self._decision.append(self.memory)
 
     def reach(self, now: Encounter, velocity: Array) -> Array:
         """Return how far (N,) m any part of the person may get until arms at `velocity` (N, J) rad/s are slow.
@@ -159,20 +162,14 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, now: Encounter, person: Array) -> NDArray[np.bool_]:
+    def beyond_bound(self, now: Encounter, limbs: Array) -> NDArray[np.bool_]:
         """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
 
-        Their ends are at `person` (3, P, 2, N) m a control step after `now`.
+        They are at `limbs` (N, L, 7) a control step after `now`.
         """
-        most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
-
-        def nearer(rows: Rows) -> Array:
-            then = gaps(self.arm, now.pose.ends[..., rows], self._person, person[..., rows])
-            closed: Array = (now.apart[..., rows] - then).max(axis=0)
-            return closed
-
-        moved = farthest(person, now.person)
-        return self._in_rows(moved > most, nearer, moved) > most
+        most, person = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING, self._person
+        given = contiguous(now.pose.ends, now.apart, now.person, limbs)
+        return kernels.approached(*given, self.arm.radius, *person.compiled, person.radius, most)
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""
@@ -212,9 +209,6 @@ class Shield:
         from the person until the arm is at its set-points, `moving` (C, N) m/s speeds that the arm has or will have
         before, `pace` (N,) m/s that of the person's fastest part.
         """
-        if plain(velocity, speeds, room, moving, pace):
-            braking, bending = self._rating.stopping_time(velocity), self.arm.bending(velocity)
-            return kernels.safe(*contiguous(braking, bending, speeds, room, moving, pace), *self._limits)
         until, travel = self._plan(velocity, speeds)
         until = np.maximum(until, np.where(moving > self._config.safe_speed_m_s, self._settled_s, 0.0))
         clear = np.logical_or(until == 0.0, room > travel + self._bound(until, pace) + self._config.margin_m)

@@ -84,7 +84,10 @@ def limb_poses(
     z up. NaN is the direction of the gait.
     """
     if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
-        return _compiled(x, y, yaw, swing_rad * np.sin(phase), floor_z, directions)
+        given: Any = x, y, yaw, phase, swing_rad, directions
+        constants = float(np.asarray(floor_z)), _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
+        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), *constants)
+        return compiled
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
     )
@@ -111,17 +114,6 @@ def limb_poses(
     poses[..., _ELBOWS, 2] -= UPPER_ARM_M * cos_angle
     if directions is not None:
         _direct(poses, yaw, directions)
-    return poses
-
-
-def _compiled(x: Any, y: Any, yaw: Any, angle: Any, floor_z: Any, directions: Any) -> NDArray[np.float64]:
-    """Return `limb_poses` of n people whose legs would swing by `angle` (n,) rad."""
-    angle = np.where(np.isnan(directions[:, 0, 0]), angle, 0.0)
-    turns = np.stack([yaw, yaw / 2, angle, angle / 2])
-    waves = np.concatenate([np.cos(turns), np.sin(turns[[0, 1, 3]])])
-    arms = np.sin(angle[:, None] * _SWING[_SHOULDERS])
-    given = contiguous(x, y, waves, arms, directions)
-    poses: NDArray[np.float64] = kernels.limb_poses(*given, float(floor_z), _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M)
     return poses
 
 

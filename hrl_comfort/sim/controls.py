@@ -1,12 +1,12 @@
 """Control vectors of the compiled model."""
 
-from functools import cache
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.scene import kernels
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import Scene
 
@@ -29,30 +29,6 @@ def pack_controls(
     (n, F, 7) of places and obstacles, objects (n, B, 3) m, of kinds (n, B), and points (n, P, 3) m over all of them.
     Objects are absent if there are points.
     """
-    n, steps, joints = len(targets), len(limbs) // len(targets), targets.shape[-1]
-    places = joints + 3 * len(scene.mocap)
-    control = np.empty((n, steps, targets.shape[1] // steps, scene.ncontrol))
-    control[..., :joints] = targets.reshape(*control.shape[:3], joints)
-    # Whole runs of numbers at once: numpy is slow on many short ones.
-    position, quaternion = control[..., joints:places], control[..., places:]
-    people, first = len(scene.limbs), scene.first_prop
-    limbs, props = limbs.reshape(n, steps, 1, people, 7), len(scene.mocap) - first
-    position[..., : 3 * people] = limbs[..., :3].reshape(n, steps, 1, -1)
-    position[..., 3 * people : 3 * first] = layout[..., :3].reshape(n, 1, 1, -1)
-    position[..., 3 * first :] = _absent(props)[0]
-    quaternion[..., : 4 * people] = limbs[..., 3:].reshape(n, steps, 1, -1)
-    quaternion[..., 4 * people : 4 * first] = layout[..., 3:].reshape(n, 1, 1, -1)
-    quaternion[..., 4 * first :] = _absent(props)[1]
-    props_at = position[..., 3 * first :].reshape(*control.shape[:3], props, 3)
-    if count := points.shape[1]:
-        props_at[..., :count, :] = points[:, None, None]
-    else:
-        for index in range(objects.shape[1]):
-            props_at[np.arange(n), :, :, scene.object_prop(index, kinds[:, index])] = objects[:, index, None, None]
-    return control.reshape(n, -1, scene.ncontrol)
-
-
-@cache
-def _absent(props: int) -> tuple[Array, Array]:
-    """Return position (3 * props,) m and quaternion (4 * props,) of props that are not there."""
-    return np.tile((FAR_AWAY_M, 0.0, 0.0), props), np.tile((1.0, 0.0, 0.0, 0.0), props)
+    props = scene.object_prop(np.arange(kinds.shape[1]), kinds)
+    given = contiguous(targets, limbs, layout, objects, props, points)
+    return kernels.controls(*given, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)

@@ -153,7 +153,7 @@ class EpisodeSampler:
         noise = np.stack([noise, *self._walks(row, episode, motion_id)], axis=1)
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
-        low, high = share = self._share(row)
+        low, high = self._share(row)
         own = self.generator(row, episode, TRAIT_STREAM)
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
@@ -168,17 +168,17 @@ class EpisodeSampler:
             start = bank[rng.integers(len(bank))]
             if len(start) > self._arm + WITH_HUMAN:
                 layout = self._layouts.numbered("train", int(start[-1]))
-            spawn_id, spawn, points = self._spawn_and_points(row, rng, share, layout)
+            spawn_id, spawn, points = self._spawn_and_points(row, rng, layout)
             told = level.copy()
             person = start[None, self._arm : self._arm + 2]
             discs = self.keep_out(points[None], layout.goals[None])
             given = kept and len(start) > self._arm and self._drawn and np.isfinite(person).all()
-            if given and humans.in_sector(person, share)[0]:
+            if given:
                 spawn_id, spawn = -1, humans.outside(person, discs)[0]
                 own_level = start[self._arm + WITH_HUMAN - 1]
                 if not np.isnan(own_level):  # the draw that gives this level
                     told[0] = (own_level - 0.5) / self._config.comfort.levels
-            spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, share, spawn)
+            spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, spawn)
             ids = np.array(motion_id), np.array(spawn_id)
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
@@ -283,13 +283,11 @@ class EpisodeSampler:
         return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
 
     def _share(self, row: int) -> tuple[float, float]:
-        """Return the share of the world that the episodes of `row` draw from."""
+        """Return the share, see `humans.share_of`, that the episodes of `row` draw from."""
         split = None if self._evaluation is None else str(self._evaluation.split.take(row, mode="wrap"))
         return humans.share_of(split, self._config.human.partitioned)
 
-    def _spawn_and_points(
-        self, row: int, rng: np.random.Generator, share: tuple[float, float], layout: Layout
-    ) -> tuple[int, Array, Array]:
+    def _spawn_and_points(self, row: int, rng: np.random.Generator, layout: Layout) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task
         points = np.array([task.point_m, task.second_point_m])
         drawn = task.point == "random"
@@ -301,7 +299,7 @@ class EpisodeSampler:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
-            spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng, share)
+            spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng)
         spawn = humans.outside(spawn[None], discs)[0]
         return spawn_id, spawn, self._random_points(spawn, layout.goals, rng) if drawn else points
 

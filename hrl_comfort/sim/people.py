@@ -15,9 +15,11 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.retreat import begin_retreat
-from hrl_comfort.safety.geometry import PersonGeometry, farthest, gaps
+from hrl_comfort.safety import kernels
+from hrl_comfort.safety.geometry import PersonGeometry, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
@@ -86,6 +88,7 @@ class People:
         self._scene, self._separation, self._disturbance = scene, separation, disturbance
         self.everyone = list(config.everyone)
         """How each person moves now."""
+        self._motions = [humans.Motions(each) for each in self.everyone]
         self.now = self.crowd([humans.begin(each, np.zeros((rows, 2))) for each in self.everyone])
         """People as the decision begins."""
         self.course: list[Crowd] = []
@@ -119,8 +122,8 @@ class People:
         """
         before = self.course[-1]
         walks = [
-            humans.advance(human, walk, noise[:, index], self._around[index])
-            for index, (human, walk) in enumerate(zip(self.everyone, before.walks, strict=True))
+            motions.advance(walk, noise[:, index], self._around[index])
+            for index, (motions, walk) in enumerate(zip(self._motions, before.walks, strict=True))
         ]
         walks[0] = self._disturbance.walked(before.walks[0], walks[0], times)
         if now is None:
@@ -143,6 +146,7 @@ class People:
         live = [each.motion == "live" for each in self.everyone]
         hurried = zip(self.everyone, live, strict=True)
         self.everyone = [replace(each, speed_m_s=speed_m_s) if follows else each for each, follows in hurried]
+        self._motions = [humans.Motions(each) for each in self.everyone]
 
     def go_on_as(self, human: HumanConfig) -> None:
         """Let the first go on from where they are as `human` says; who was nobody comes in where they would begin."""
@@ -152,6 +156,7 @@ class People:
         elif human.motion != "none":
             walk = replace(walk, spawn=walk.position.copy())
         self.everyone[0], self.now = human.everyone[0], self.crowd([walk, *others])
+        self._motions[0] = humans.Motions(self.everyone[0])
 
     def state_dict(self) -> list[dict[str, Any]]:
         """Return what an exact continuation needs, of each person."""
@@ -200,14 +205,16 @@ def _stopped(
 ) -> tuple[humans.Walk, Array]:
     """Return the walk and the limbs (n, 7, 7) of one `person`, whose capsules are those of `now`."""
     arm, limbs = separation.arm, limbs_of(scene, walk)
-    ends, room = person.ends(limbs), now.apart.min(axis=0)  # somebody else may be nearer than this person
-    near = np.flatnonzero(room <= farthest(ends, now.person))
-    gap = gaps(arm, now.pose.ends[..., near], person, ends[..., near]).min(axis=0)
-    touched, gap = near[gap <= 0.0], gap[gap <= 0.0]
+    given = contiguous(now.pose.ends, now.apart, now.person, limbs)
+    gap = kernels.met(
+        *given, arm.radius, *person.compiled, person.radius
+    )  # somebody else may have been nearer than this person
+    touched = np.flatnonzero(gap <= 0.0)
     if not len(touched):
         return walk, limbs
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
+    gap = gap[touched]
     share = share_walked(gaps(arm, now.pose.ends[..., touched], person, now.person[..., touched]).min(axis=0), gap)
     stops = np.flatnonzero(share < 1.0)
     at, stood = touched[stops], stood.rows(stops)

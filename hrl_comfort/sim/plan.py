@@ -12,7 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
+from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
@@ -104,7 +106,8 @@ class Plan:
         self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
         planned = self._planned([fresh], measured[:, None], points, steps)
-        return planned, self._controls(draw, targets[:, None], fresh.limbs, objects, draw.kinds[rows], rows)[:, 0]
+        standing = draw.layout(rows), objects, draw.kinds[rows], draw.points[rows, : self._subtask.points]
+        return planned, pack_controls(self._scene, targets[:, None], fresh.limbs, *standing)[:, 0]
 
     def accepted(self, rows: NDArray[np.int64], limbs: Array) -> None:
         """Begin the drive of `rows` (r,), whose episodes begin beside people with `limbs` (r, L, 7)."""
@@ -131,6 +134,7 @@ class Plan:
         self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations, held))
         noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
+        standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
             part.begin_decision()
         points, crowd, waiting = [set_points(state)], self.people.now, list[Array]()
@@ -152,7 +156,7 @@ class Plan:
                 point = self.drive.beside(point, now, crowd.limbs)
             points.append(point)
             self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
-            waiting.append(self._controls(draw, self._servos.follow(targets), crowd.limbs, objects, kinds))
+            waiting.append(pack_controls(self._scene, self._servos.follow(targets), crowd.limbs, *standing))
             if self.drive is not None or k == self.steps - 1:  # set-points of a free arm do not depend on its motion
                 yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
                 waiting = []
@@ -184,7 +188,7 @@ class Plan:
         radius = self._separation.person.radius
         return {
             "humans_body": capsules(self._ends[..., rows], radius),
-            "humans_body_vel": self._pace[..., rows].transpose(3, 1, 2, 0).reshape(-1, len(radius), 6),
+            "humans_body_vel": capsules(self._pace[..., rows], np.empty(0)),
         }
 
     def shown(self, places: Array) -> Array:
@@ -201,7 +205,7 @@ class Plan:
         They are `measured` at (N, K, P, 2) m, by default where they are.
         """
         places, yaw, velocity = (
-            np.stack([getattr(crowd, name) for crowd in crowds], axis=1) for name in ("places", "yaw", "velocity")
+            instants([getattr(crowd, name) for crowd in crowds]) for name in ("places", "yaw", "velocity")
         )
         measured = places if measured is None else measured
         seen = self.shown(measured)
@@ -226,9 +230,9 @@ class Plan:
 
         `steps` (N, K) are the control steps of the episodes.
         """
-        moving = {name: np.stack([getattr(each, name) for each in points], axis=1) for name in vars(points[0])}
+        moving = {name: instants([getattr(each, name) for each in points]) for name in vars(points[0])}
         named = {SET_POINTS.get(name, name): value for name, value in moving.items()}
-        limbs = np.stack([crowd.limbs for crowd in crowds], axis=1)
+        limbs = instants([crowd.limbs for crowd in crowds])
         return Planned({**named, **self.people_fields(crowds, measured), "steps": steps}, limbs)
 
     def _ramp(self, before: Array, increment: Array, k: int, steps: NDArray[np.int64]) -> tuple[Array, SetPoints]:
@@ -240,19 +244,6 @@ class Plan:
         lowest, highest = self._scene.joint_range.T
         targets = np.minimum(np.maximum(before[:, None] + ramp[:, None] * increment[:, None], lowest), highest)
         return targets, SetPoints.unshielded(targets[:, -1], increment / CONTROL_STEP_S, steps)
-
-    def _controls(
-        self,
-        draw: Draw,
-        targets: Array,
-        limbs: Array,
-        objects: Array,
-        kinds: NDArray[np.int64],
-        rows: Any = slice(None),
-    ) -> Array:
-        """Return the controls of `rows` over a control step; see `pack_controls`."""
-        points = draw.points[rows, : self._subtask.points]
-        return pack_controls(self._scene, targets, limbs, draw.layout(rows), objects, kinds, points)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
@@ -269,9 +260,19 @@ class Plan:
 
 
 def capsules(ends: Array, radius: Array) -> Array:
-    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,)."""
-    both = ends.transpose(3, 1, 2, 0).reshape(ends.shape[3], -1, 6)
-    return np.concatenate([both, np.broadcast_to(radius[:, None], (*both.shape[:2], 1))], axis=2)
+    """Return capsules (N, C, 7), ends of the axis and radius, m, from their ends (3, C, 2, N) and radii (C,).
+
+    Without radii return the ends (N, C, 6) alone.
+    """
+    return kernels.capsules(*contiguous(ends, radius))
+
+
+def instants(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return values (N, K, ...) of K instants from those (N, ...) of each; faster than `np.stack` on short arrays."""
+    values = np.empty((len(each[0]), len(each), *each[0].shape[1:]), each[0].dtype)
+    for index, value in enumerate(each):
+        values[:, index] = value
+    return values
 
 
 def set_points(state: State) -> SetPoints:

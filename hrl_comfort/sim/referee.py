@@ -36,7 +36,7 @@ class Referee:
       subtask: of their episodes.
       source: of their comfort levels.
       disturbance: which may take objects out of the gripper.
-      measure_arm: whether to measure the distance between arm and people though no reward needs it.
+      measure_arm: whether to measure how far people are from the arm, and from one at home, though no reward needs it.
       pushing: whether people do not stop at a touch (`Sensors`).
     """
 
@@ -57,11 +57,11 @@ class Referee:
         self.weights = torch.tensor([weights[name] for name in subtask.rewards], dtype=torch.float64)
         comfort = config.comfort
         paid = comfort.source == "frightened" or (comfort.distance == "arm" and comfort.source != "none")
-        self.sensors = Sensors(scene, separation, measure_arm or paid, pushing)
+        self.sensors = Sensors(scene, separation, measure_arm or paid, measure_arm, pushing)
 
     def first(self, sensed: Array, planned: Planned, known: dict[str, Tensor]) -> State:
         """Return the state (r) in which episodes begin: from readings (r, nsensor), and fields that are drawn."""
-        return State(**self.sensors.read_first(sensed, planned), **known)
+        return State(**self.sensors.read_first(sensed, planned, known["joint_home"]), **known)
 
     def judge(
         self,

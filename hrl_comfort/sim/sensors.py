@@ -17,19 +17,31 @@ MEASURED = ("joint_pos", "joint_vel", "tcp_pos")
 
 
 class Sensors:
-    """Fields of State that the sensors give; `arm_distance` is NaN unless `measure_arm`.
+    """Fields of State that the sensors give.
+
+    `arm_distance` is NaN unless `measure_arm`, `home_distance` unless `measure_home`.
 
     People who are `pushing` do not stop at a touch: what the arm does afterwards is their doing, so that only the first
     pair of capsules that touches is judged.
     """
 
-    def __init__(self, scene: Scene, separation: Separation, measure_arm: bool, pushing: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        separation: Separation,
+        measure_arm: bool = False,
+        measure_home: bool = False,
+        pushing: bool = False,
+    ) -> None:
         self._at, self._separation = scene.sensors, separation
-        self._measure_arm, self._pushing = measure_arm, pushing
+        self._measure_arm, self._measure_home, self._pushing = measure_arm, measure_home, pushing
 
-    def read_first(self, sensed: Array, planned: Planned) -> dict[str, Tensor]:
-        """Return the fields (r, ...) of the first instants of episodes, from readings (r, nsensor)."""
-        fields = {name: value[:, 0] for name, value in self._read(sensed[:, None], planned).items()}
+    def read_first(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
+        """Return the fields (r, ...) of the first instants of episodes, from readings (r, nsensor).
+
+        `home` (r, J) rad are the joints at home.
+        """
+        fields = {name: value[:, 0] for name, value in self._read(sensed[:, None], planned, home).items()}
         return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
 
     def read_decision(
@@ -52,19 +64,27 @@ class Sensors:
         return fields
 
     def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> dict[str, Tensor]:
-        return self._read(readings[:, :, -1], planned) | self._contacts(readings, planned.limbs, before, limbs)
+        return self._read(readings[:, :, -1], planned, before.joint_home) | self._contacts(
+            readings, planned.limbs, before, limbs
+        )
 
-    def _read(self, sensed: Array, planned: Planned) -> dict[str, Tensor]:
+    def _read(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
         """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them."""
         fields = dict(planned.fields)
         fields |= {name: sensed[..., self._at[name]] for name in MEASURED}
         fields |= {name: np.asarray(sensed[..., self._at[key]].any(axis=-1)) for name, key in COLLISIONS.items()}
-        fields["arm_distance"] = np.full(sensed.shape[:2], np.nan)
-        if self._measure_arm:
-            angles, limbs = fields["joint_pos"], planned.limbs
-            gap = self._separation.gap(angles.reshape(-1, angles.shape[-1]), limbs.reshape(-1, *limbs.shape[2:]))
-            fields["arm_distance"] = gap.reshape(sensed.shape[:2])
+        resting = np.broadcast_to(home.numpy()[:, None], fields["joint_pos"].shape)
+        for name, angles, measured in (
+            ("arm_distance", fields["joint_pos"], self._measure_arm),
+            ("home_distance", resting, self._measure_home),
+        ):
+            fields[name] = self._gap(angles, planned.limbs) if measured else np.full(sensed.shape[:2], np.nan)
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
+
+    def _gap(self, angles: Array, limbs: Array) -> Array:
+        """Return the distance (n, K) m of arms at `angles` (n, K, J) rad from people at `limbs` (n, K, L, 7)."""
+        gap = self._separation.gap(angles.reshape(-1, angles.shape[-1]), limbs.reshape(-1, *limbs.shape[2:]))
+        return gap.reshape(angles.shape[:2])
 
     def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> dict[str, Tensor]:
         """Return `touching`, `contact` and `unsafe_contact` (n, K) of a decision, from all its physics steps.

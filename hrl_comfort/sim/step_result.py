@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm
@@ -83,23 +84,25 @@ def compute_step(
     `weights` (T,) are those of the subtask's reward terms, `max_episode_steps` (N,) the time limits. A decision
     ends where its stage or its episode does: the stage in force is the same in all its valid steps.
     """
-    begun = before.instants()
-    after = begun.with_(**moving)
-    after = after.with_(stage=subtask.next_stage(after))
-    earlier = {name: torch.cat([getattr(begun, name), value[:, :-1]], dim=1) for name, value in moving.items()}
-    previous = begun.with_(**earlier)
+    after = before.instants(**moving)
+    begun = {name: getattr(before, name).numpy()[:, None] for name in moving}
+    earlier = {name: np.concatenate([begun[name], value.numpy()[:, :-1]], axis=1) for name, value in moving.items()}
+    stage = subtask.next_stage(after)
+    previous = after.with_(**{name: torch.from_numpy(value) for name, value in earlier.items()})
+    after = after.with_(stage=stage)
 
-    count = after.steps.shape[1]
-    failing = subtask.failed(previous, after)
-    over = (after.stage > previous.stage) | failing | (after.steps >= max_episode_steps[:, None])
-    last = torch.where(over, torch.arange(count), count - 1).amin(dim=1)
-    valid = torch.arange(count) <= last[:, None]
-    gained = torch.stack([term(previous, after) for term in subtask.rewards.values()], dim=-1) * weights
-    earned = torch.where(valid[:, :, None], gained, 0.0)
+    failing, limits = subtask.failed(previous, after).numpy(), max_episode_steps.numpy()
+    over = (stage.numpy() > before.stage.numpy()[:, None]) | failing | (moving["steps"].numpy() >= limits[:, None])
+    rows, count = np.arange(len(over)), over.shape[1]
+    last = np.where(over.any(axis=1), over.argmax(axis=1), count - 1)
+    void = torch.from_numpy(np.arange(count) > last[:, None])
+    paid, nothing = zip(subtask.rewards.values(), weights.tolist(), strict=True), torch.zeros(void.shape).double()
+    gained = torch.stack([term(previous, after) if weight else nothing for term, weight in paid], dim=-1) * weights
+    earned = gained.masked_fill(void[:, :, None], 0.0)
 
-    at = torch.arange(len(last)), last
-    ended = before.with_(**{name: getattr(after, name)[at] for name in (*moving, "stage")})
-    failed, finished = failing[at], subtask.success(ended)
+    kept = {name: value.numpy()[rows, last] for name, value in {**moving, "stage": stage}.items()}
+    ended = before.with_(**{name: torch.from_numpy(value) for name, value in kept.items()})
+    failed, finished = torch.from_numpy(failing[rows, last]), subtask.success(ended)
     terminated = (failed | finished) & (not subtask.repeats)
     return StepResult(
         state=ended,
@@ -110,7 +113,7 @@ def compute_step(
         success=finished & ~failed,
         terminated=terminated,
         truncated=(ended.steps >= max_episode_steps) & ~terminated,
-        decision_steps=last + 1,
+        decision_steps=torch.from_numpy(last + 1),
         instants=after,
     )
 

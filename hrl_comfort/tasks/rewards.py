@@ -23,9 +23,10 @@ def progress(stages: tuple[Stage, ...], joint_space: bool) -> TransitionFunction
     def term(before: State, after: State) -> Tensor:
         gain = torch.zeros_like(after.tcp_pos[..., 0])
         for index, stage in enumerate(stages):
-            if stage.joint_space is joint_space:
+            others = before.stage != index
+            if stage.joint_space is joint_space and not others.all():
                 shrunk = stage.distance(before) - stage.distance(after)
-                gain = gain + torch.where(before.stage == index, shrunk, 0.0)
+                gain = gain + shrunk.masked_fill(others, 0.0)
         return gain
 
     return term
@@ -50,7 +51,7 @@ def arrival_speed(before: State, after: State) -> Tensor:
 
     The next policy takes over an arm in motion beside a table; after a fast arrival it often hits it.
     """
-    return torch.where(after.stage > before.stage, vector_norm(after.joint_vel, dim=-1), 0.0)
+    return vector_norm(after.joint_vel, dim=-1).masked_fill(after.stage <= before.stage, 0.0)
 
 
 def contact(before: State, after: State) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -94,6 +93,8 @@ class State:
     """(N,) comfort level in force, constant over a decision; NaN without one (`comfort.source=none`)."""
     arm_distance: Tensor
     """(N,) m, smallest distance between any robot link and any body part; NaN where it is not measured."""
+    home_distance: Tensor
+    """(N,) m, `arm_distance` if the arm were at home; NaN where it is not measured."""
     touching: Tensor
     """(N,) bool, robot touches human."""
     contact: Tensor
@@ -137,9 +138,10 @@ class State:
         index = torch.nonzero(index).squeeze(1) if index.dtype == torch.bool else index
         return State(**{name: value.index_select(0, index) for name, value in self.fields().items()})
 
-    def instants(self) -> State:
-        """Return this instant as the only one of several, (N, 1, ...)."""
-        return State(**{name: value[:, None] for name, value in self.fields().items()})
+    def instants(self, **moving: Tensor) -> State:
+        """Return instants (N, K, ...) of which the fields `moving` are given and others as in this one, K = 1."""
+        still = {name: value[:, None] for name, value in self.fields().items() if name not in moving}
+        return State.of(**still, **moving)
 
     def at(self, k: int) -> State:
         """Return instant `k` of several."""
@@ -147,12 +149,10 @@ class State:
 
     def with_(self, **changes: Tensor) -> Self:
         """Return a copy with the given fields replaced."""
-        changed = copy(self)
+        known = vars(self)
         if changes.keys() & OF_OBJECTS:
-            for name in vars(changed).keys() - State.__dataclass_fields__.keys():
-                del vars(changed)[name]
-        vars(changed).update(changes)
-        return changed
+            known = self.fields()
+        return self.of(**{**known, **changes})
 
     def put(self, index: Tensor, other: State) -> State:
         """Return a state whose rows at `index` (int64) are those of `other`; this one is unchanged."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,12 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.humans import body, steering
+from hrl_comfort.config import HumanConfig
+from hrl_comfort.humans import body
+from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
 from hrl_comfort.scene.human import limb_poses
+from tests.humans.motions import FUNCTIONS, advance
 
 Array = NDArray[np.float64]
 ROWS = pytest.mark.parametrize("rows", [1, 3, 200])
@@ -27,10 +31,6 @@ def same(compiled: Any, defined: Any) -> None:
     np.testing.assert_array_equal(compiled, np.asarray(defined), strict=True)
 
 
-def no_arm() -> tuple[Array, Array]:
-    raise AssertionError("steering does not ask for the arm")
-
-
 def people(rng: np.random.Generator, rows: int) -> tuple[Walk, KeepOut]:
     """Return people who walk among discs, some of them inside."""
     walk = humans.begin(compose("train", ["human=patrol"]).human, rng.uniform(-1.5, 1.5, (rows, 2)))
@@ -39,30 +39,32 @@ def people(rng: np.random.Generator, rows: int) -> tuple[Walk, KeepOut]:
     return walk, KeepOut(rng.uniform(-1, 1, (rows, 4, 2)), 0.4)
 
 
-@ROWS
-def test_steps_and_turns(rows: int) -> None:
-    rng, config = np.random.default_rng(rows), compose("train", ["human=reactive"]).human
-    for scale in (0.0, 0.5, 3.0):
-        walk, discs = people(rng, rows)
-        wanted = rng.normal(0, scale, (rows, 2))
-        for around in (None, Surroundings(wanted, discs, no_arm, discs.centres, np.full(rows, -1))):
-            same(*(steering.step(walk, each, config, around) for each in (wanted, wanted.view(Numpy))))
-        for heading in (rng.uniform(-20, 20, rows), walk.yaw, walk.yaw + np.pi):
-            same(*(steering.turn(walk, each) for each in (heading, heading.view(Numpy))))
+def lively(name: str, acceleration: float | None) -> HumanConfig:
+    config = compose("train", [f"human={name}", "human.bound_m=2"]).human
+    return replace(config, speed_m_s=1.3, curiosity=0.7 if acceleration else 0.2, acceleration_m_s2=acceleration)
 
 
 @ROWS
-def test_bounds_and_discs_of_a_step(rows: int) -> None:
-    rng = np.random.default_rng(rows)
-    walk, discs = people(rng, rows)
-    none = KeepOut(np.empty((rows, 0, 2)), 0.0)
-    for proposed in (walk.position + rng.normal(0, 0.5, (rows, 2)), walk.position, walk.spawn, discs.centres[:, 0]):
-        for keep_out in (discs, none):
-            held, defined = (humans._held(each, walk, keep_out, 0.4) for each in (proposed, proposed.view(Numpy)))
-            same(held, defined)
-        yaw = rng.uniform(-9, 9, rows)
-        for mine, theirs in zip(humans._gone(held, yaw, walk), humans._gone(held, yaw.view(Numpy), walk), strict=True):
-            same(mine, theirs)
+@pytest.mark.parametrize(
+    ("name", "acceleration"),
+    [*product(FUNCTIONS, (2.0,)), *product(("random_walk", "arc", "approach", "patrol"), (None,))],
+)
+def test_compiled_motions_are_those_of_numpy(rows: int, name: str, acceleration: float | None) -> None:
+    config, rng = lively(name, acceleration), np.random.default_rng(rows)
+    _, discs = people(rng, rows)
+    walk = humans.begin(config, rng.uniform(-1.5, 1.5, (rows, 2)), rng.random((rows, humans.TRAITS)))
+    stations, held = rng.uniform(-1.5, 1.5, (rows, 3, 2)), np.full(rows, -1)
+    for step in range(300):
+        points, moving = rng.normal(0, 0.5, (2, rows, 7, 3))
+        points[:, 0] = np.concatenate([walk.position, np.ones((rows, 1))], axis=1)  # at them
+        seen = Surroundings(points[:, -1, :2], discs, lambda: (points, moving), stations, held)  # noqa: B023
+        if step % 100 == 50:
+            walk = begin_retreat(walk, np.flatnonzero(rng.random(rows) < 0.5))
+        noise = rng.random((rows, humans.NOISE))
+        after, defined = humans.advance(config, walk, noise, seen), advance(config, walk, noise, seen)
+        for field, value in vars(defined).items():
+            np.testing.assert_allclose(getattr(after, field), value, rtol=0, atol=1e-12, strict=True, err_msg=field)
+        walk = after
 
 
 @ROWS
@@ -75,7 +77,8 @@ def test_poses_of_limbs_of_which_some_are_given(rows: int, given: float) -> None
     limbs[rng.random((rows, 6)) < 0.1] = 0.0, 0.0, 1.0  # straight up
     limbs[rng.random((rows, 6)) >= given] = np.nan
     limbs[rng.random(rows) < 0.3] = np.nan
-    same(*(limb_poses(each, y, yaw, phase, swing / 9, -0.75, limbs) for each in (x, x.view(Numpy))))
+    compiled, defined = (limb_poses(each, y, yaw, phase, swing / 9, -0.75, limbs) for each in (x, x.view(Numpy)))
+    np.testing.assert_allclose(compiled, np.asarray(defined), rtol=0, atol=1e-14, strict=True)
 
 
 @ROWS

@@ -176,7 +176,7 @@ def test_a_person_walks_beside_others_as_alone() -> None:
     assert going.sum() > 5
 
 
-def test_people_begin_apart_in_the_sector_of_their_split() -> None:
+def test_people_begin_apart_and_by_draws_of_their_own() -> None:
     words = "task=pick", "human=mixture", SECOND + "{}", "+human.others.third={motion: patrol}"
     for split in (None, "validation", "test"):
         entries = None if split is None else humans.split_set(split, 150)
@@ -184,8 +184,6 @@ def test_people_begin_apart_in_the_sector_of_their_split() -> None:
         places = state.humans_pos
         apart = torch.cdist(places, places) + 9 * torch.eye(3).double()
         assert apart.min() >= humans.APART_M[0]
-        share = humans.share_of(split, partitioned=True)
-        assert humans.in_sector(places.reshape(-1, 2).numpy(), share).all()
         assert len(torch.unique(places.reshape(-1, 2), dim=0)) == 450, "everybody has draws of their own"
 
 

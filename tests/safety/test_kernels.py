@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Callable
 from dataclasses import is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hrl_comfort import humans
 from hrl_comfort.compiled import kernel, plain
-from hrl_comfort.composition.compose import compose
-from hrl_comfort.safety.drive import rating_of
+from hrl_comfort.composition.compose import compose, compose_environment
+from hrl_comfort.safety import kernels
+from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
-from hrl_comfort.safety.separation import Encounter, Separation
-from hrl_comfort.safety.shield import Motion, Shield
-from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.scene.workcell import build_scene, scene_of
+from hrl_comfort.sim.controls import limbs_of
 
 Array = NDArray[np.float64]
 RATED = ["task=pick", "robot.rating=collaborative", "safety=ssm", "human=mixture", "task.terminate_on=unsafe_contact"]
@@ -92,51 +97,98 @@ def test_distances_of_capsules_that_cross_touch_lie_in_line_or_are_points(separa
     both(apart, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]] + 1e-7))
 
 
-def test_braking_and_limits_of_a_rated_arm(rows: int) -> None:
-    rating, rng = rating_of(compose("train", RATED).robot), np.random.default_rng(rows)
-    low, high = np.full(6, -1.0), np.full(6, 1.0)
-    for scale in (0.0, 0.01, 1.0, 20.0):
-        angles, before, wanted = rng.uniform(-1.1, 1.1, (rows, 6)), *rng.normal(0, scale, (2, rows, 6))
-        both(rating.brake, wanted)
-        both(rating.follow, before, wanted)
-        both(rating.follow, wanted, wanted)
-        for at in (angles, np.ones_like(angles)):
-            both(lambda *given: rating.within(low, high, *given), at, wanted)
-            both(lambda *given: rating.keeps(low, high, *given), at, wanted)
+def test_an_arm_beside_people(separation: Separation, rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    angles, limbs = rng.uniform(-4, 4, (rows, 6)), people(rng, rows)
+    compiled, defined = separation.encounter(angles, limbs), separation.encounter(angles.view(Numpy), limbs)
+    for mine, theirs in zip([*parts(compiled.pose), compiled.person, compiled.apart],
+                            [*parts(defined.pose), defined.person, defined.apart], strict=True):  # fmt: skip
+        np.testing.assert_allclose(mine, np.asarray(theirs), rtol=0, atol=1e-12, strict=True)
 
 
-@pytest.mark.parametrize("bound", ["worst", "observed"])
-def test_what_the_shield_holds_for_safe(separation: Separation, rows: int, bound: str) -> None:
-    config, rng = compose("train", [*RATED, f"safety.bound={bound}"]), np.random.default_rng(rows)
-    shield = Shield(separation, rating_of(config.robot), config.safety, rows)
-    found = []
-    for scale in (0.0, 0.1, 1.0):
-        velocity, speeds = rng.normal(0, scale, (rows, 6)), np.abs(rng.normal(0, scale, (10, rows)))
-        room, moving = rng.uniform(-0.1, 2.0, (10, rows)), np.abs(rng.normal(0, scale / 2, (10, rows)))
-        pace = rng.uniform(0, 2, rows)
-        both(shield._safe, velocity, speeds, room, moving, pace)
-        both(shield._safe, velocity, speeds, np.full_like(room, 3.0), moving, pace)
-        found += [*shield._safe(velocity, speeds, room, moving, pace)]
-    assert len(set(found)) == 2, "some are safe, some are not"
+def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) -> None:
+    rng, arm, person = np.random.default_rng(rows), separation.arm, separation.person
+    before = people(rng, rows)
+    before[..., 1] += 0.5
+    after, found = before + np.concatenate([rng.normal(0, 0.1, (rows, 7, 2)), np.zeros((rows, 7, 5))], axis=2), []
+    now = separation.encounter(rng.uniform(-3, 3, (rows, 6)), before)
+    then, way = gaps(arm, now.pose.ends, person, person.ends(after)), farthest(person.ends(after), now.person)
+    given = now.pose.ends, now.apart, now.person, after, arm.radius, *person.compiled, person.radius
+    met = np.where(now.apart.min(axis=0) <= way, then.min(axis=0), np.inf)
+    np.testing.assert_array_equal(kernels.met(*given), met)
+    for most in (0.0, 0.05, 0.1, 0.2):
+        nearer = (way > most) & ((now.apart - then).max(axis=0) > most)
+        np.testing.assert_array_equal(kernels.approached(*given, most), nearer)
+        found += [*nearer, *np.isfinite(met)]
+    assert rows < 64 or len(set(found)) == 2
 
 
-def test_the_share_that_the_shield_passes(separation: Separation) -> None:
-    rows, rng, config = 64, np.random.default_rng(0), compose("train", RATED)
-    angles, (before, wanted) = rng.uniform(-3, 3, (rows, 6)), rng.normal(0, 0.5, (2, rows, 6))
-    pose, person = separation.arm.pose(angles), rng.normal(0, 0.01, (3, 8, 2, rows))
-    now = Encounter(pose, person, rng.uniform(0.0, 1.5, (10, 1)) + rng.uniform(0.0, 0.1, (10, rows)))
-    motion = Motion(np.zeros((10, rows)), np.zeros((10, rows)))
+def test_capsules_one_after_the_other(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    ends, radius = rng.normal(size=(3, 5, 2, rows)), rng.random(5)
+    both = ends.transpose(3, 1, 2, 0).reshape(rows, 5, 6)
+    np.testing.assert_array_equal(kernels.capsules(ends, np.empty(0)), both)
+    np.testing.assert_array_equal(kernels.capsules(ends, radius)[..., :6], both)
+    assert (kernels.capsules(ends, radius)[..., 6] == radius).all()
 
-    def passed(before: Array, wanted: Array) -> Array:
-        shield = Shield(separation, rating_of(config.robot), config.safety, rows)
-        velocity, share = shield.step(now, motion, pose, before, wanted)
-        return np.concatenate([velocity, share[:, None]], axis=1)
 
-    both(passed, before, wanted)
-    assert len(set(passed(before, wanted)[:, -1])) > 3, "none of it, some of it, all of it"
+WORLDS = {
+    "worst": RATED, "observed": [*RATED, "safety.bound=observed"], "late": [*RATED, "safety.latency_s=0.05"],
+    "no shield": [*RATED[:2], "human=mixture"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("takes_back", [True, False])
+def test_a_control_step_of_the_drive(world: str, takes_back: bool) -> None:
+    config, rng, rows = compose_environment("train", WORLDS[world]), np.random.default_rng(0), 300
+    scene = scene_of(config)
+    separation = Separation(scene)
+    compiled, defined = (make_drive(scene, separation, config, rows, takes_back=takes_back) for _ in range(2))
+    assert compiled is not None and defined is not None
+    walk = humans.begin(config.human, rng.uniform(-1, 1, (rows, 2)), rng.random((rows, humans.TRAITS)))
+    limbs = limbs_of(scene, walk)
+    for drive in (compiled, defined):
+        drive.begin(np.arange(rows), limbs)
+    angles = scene.home + rng.uniform(-1.5, 1.5, (rows, 6))
+    points, found = SetPoints.unshielded(angles, np.zeros((rows, 6)), np.zeros(rows, np.int64)), []
+    for scale in np.tile([0.0, 0.01, 0.1, 1.0], 10):
+        joints = np.concatenate([points.angles, points.velocity], axis=1) + scale * rng.normal(0, 0.05, (rows, 12))
+        joints[: rows // 3, :6] += rng.normal(0, 0.05, (rows // 3, 6))  # some do not follow
+        limbs = limbs + np.concatenate([rng.normal(0, 0.01, (rows, 1, 2)), np.zeros((rows, 1, 5))], axis=2)
+        now, asked = separation.encounter(joints[:, :6], limbs), rng.normal(0, 1.0, (rows, 6))
+        asked[::7] = 0.0
+        seen = limbs if scale < 0.05 else limbs + 0.001
+        mine, theirs = compiled.step(points, asked, joints, now, seen), defined.step(
+            points, asked, joints.view(Numpy), now, seen
+        )  # fmt: skip
+        for one, other in zip([mine[0], *parts(mine[1])], [theirs[0], *parts(theirs[1])], strict=True):
+            np.testing.assert_allclose(one, np.asarray(other), rtol=0, atol=1e-12, strict=True)
+        if compiled.shield is not None and defined.shield is not None:
+            for one, other in zip(parts(compiled.shield.memory), parts(defined.shield.memory), strict=True):
+                np.testing.assert_allclose(one, np.asarray(other), rtol=0, atol=1e-12, strict=True)
+        points = mine[1]
+        found.append([now.apart.min(axis=0) <= 0.0, points.braking, ~points.braking & (points.share < 0.9)])
+    assert np.any(found, axis=(0, 2)).all(), "some touch, some brake, some are slowed"
 
 
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
     found: dict[str, Any] = {}
     exec("def twice(value):\n    return 2 * value", found)  # from no file: there is no folder for its machine code
     assert kernel(found["twice"])(21.0) == 42.0
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    said = "from hrl_comfort.compiled import kernel\n"
+    (tmp_path / "caller_of_kernel.py").write_text(
+        f"{said}from called_kernel import change\n@kernel\ndef changed(value):\n    return change(value) + 1\n"
+    )
+    for body, found in (("2 * value", 43.0), ("value + 100", 122.0), ("value + 100", 122.0)):
+        (tmp_path / "called_kernel.py").write_text(f"{said}@kernel\ndef change(value):\n    return {body}\n")
+        for name in ("called_kernel", "caller_of_kernel"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        assert importlib.import_module("caller_of_kernel").changed(21.0) == found

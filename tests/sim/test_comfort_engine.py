@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.analysis.comfort import time_limit
@@ -288,7 +289,7 @@ def test_every_level_asked_for_gets_the_same_episodes_in_the_order_asked_for(tmp
     assert [row["comfort_level"] for row in rows] == ["10"] * 4 + ["1"] * 4
     assert [row["comfort_level_mean"] for row in rows] == ["10.0"] * 4 + ["1.0"] * 4
     at = [
-        [{k: v for k, v in row.items() if "level" not in k and k != "discomfort_per_min"} for row in part]
+        [{k: v for k, v in row.items() if "level" not in k and "discomfort" not in k} for row in part]
         for part in (rows[:4], rows[4:])
     ]
     assert at[0] == at[1], "a policy that sees no level does the same at each"
@@ -326,7 +327,25 @@ def test_comfort_is_measured_alike_whether_it_is_paid_or_not(tmp_path: Path) -> 
     assert [row["comfort_level"] for row in off] == [""] * 4
     assert [row["comfort_level"] for row in on] == ["4"] * 4
     changed = {name for name in off[0] if any(a[name] != b[name] for a, b in zip(off, on, strict=True))}
-    assert changed == {"comfort_level", "comfort_level_mean", "discomfort_per_min", "return"}
+    discomforts = {name for name in off[0] if "discomfort" in name}
+    assert len(discomforts) == 3 and changed == {"comfort_level", "comfort_level_mean", "return"} | discomforts
+
+
+def resting(observations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return actions (n, 6) of an arm that stays where it is."""
+    return np.zeros((len(observations), 6))
+
+
+def test_an_arm_that_rests_at_home_has_no_avoidable_discomfort(tmp_path: Path) -> None:
+    words = ("human=mixture", "comfort=conditioned", "comfort.source=fixed", "comfort.level=1", "safety=ssm")
+    words += ("robot.rating=collaborative",)
+    for row in evaluated(tmp_path / "idle", "policy=tests.sim.test_comfort_engine:resting", *words):
+        assert float(row["avoidable_discomfort_per_min"]) == pytest.approx(0.0, abs=1e-3)
+        assert float(row["idle_discomfort_per_min"]) == pytest.approx(float(row["discomfort_per_min"]), abs=1e-3)
+        assert float(row["excess_closeness_mean_m"]) == pytest.approx(0.0, abs=1e-3)
+    for row in evaluated(tmp_path / "moving", *words):
+        total, idle, avoidable = (float(row[f"{name}discomfort_per_min"]) for name in ("", "idle_", "avoidable_"))
+        assert avoidable > 0 and total - idle - 1e-3 <= avoidable <= total
 
 
 def test_the_mean_level_of_an_episode_is_over_its_control_steps(tmp_path: Path) -> None:

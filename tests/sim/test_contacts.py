@@ -64,7 +64,7 @@ def test_a_second_pair_that_begins_to_touch_is_judged_while_another_one_touches(
     before = state.with_(touching=torch.ones(1, dtype=torch.bool), joint_pos=torch.from_numpy(first[None]))
     given = readings([first, first, second, second], velocity, [True] * 4)
     felt, planned = np.ones((1, 1, 4), dtype=bool), Planned({}, limbs[:, None])
-    sensors = Sensors(scene, separation, False)
+    sensors = Sensors(scene, separation)
     assert sensors.approach(felt, given, planned.limbs, before, limbs) == np.array([fastest])
     still = readings([first] * 4, velocity, [True] * 4)
     assert sensors.approach(felt, still, planned.limbs, before, limbs) == -np.inf
@@ -79,6 +79,6 @@ def test_a_contact_shorter_than_a_control_step_counts() -> None:
     away = limb_poses(np.array([50.0]), np.zeros(1), 0.0, 0.0, 0.0, scene.floor_z)
     apart, speed = separation.pairs(second[None], velocity[None], limbs)
     given = readings([scene.home, second, scene.home, scene.home], velocity, [False, True, False, False])
-    fields = Sensors(scene, separation, False).read_decision(given, Planned({}, limbs[:, None]), state, away, None)
+    fields = Sensors(scene, separation).read_decision(given, Planned({}, limbs[:, None]), state, away, None)
     assert fields["touching"].all() and fields["contact"].all()
     assert bool(fields["unsafe_contact"]) == bool((speed[apart <= TOUCH_M] > 0.25).any())

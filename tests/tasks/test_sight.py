@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -90,6 +91,20 @@ def test_distances_are_those_of_the_shields_geometry() -> None:
     others = [np.moveaxis(each, -1, 0) for each in (person[:, None, :, :3], person[:, None, :, 3:6])]
     apart = segment_distance(*ends, *others) - arm[:, :, None, 6] - person[:, None, :, 6]
     assert np.abs(apart.min(axis=-1) - gap.numpy()).max() < 1e-9
+
+
+@pytest.mark.parametrize("rows", [1, 5, 300])
+def test_the_kernel_finds_what_defines_it(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    random = torch.Generator().manual_seed(rows)
+    bodies, others, moving = (
+        torch.randn(rows, *shape, dtype=torch.float64, generator=random) for shape in ((13, 7), (8, 7), (8, 6))
+    )
+    bodies[:, :3, 3:6] = bodies[:, :3, :3]  # points
+    others[:, 1, :6] = bodies[:, 1, :6]  # in the same place
+    compiled = closest(bodies, others, moving)
+    monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)
+    for mine, defined in zip(compiled, closest(bodies, others, moving), strict=True):
+        torch.testing.assert_close(mine, defined, rtol=0, atol=1e-12)
 
 
 def test_sight_is_exported_for_any_number_of_cells() -> None:

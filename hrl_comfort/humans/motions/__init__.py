@@ -3,27 +3,56 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
+
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.humans.motions.adversary import adversary
-from hrl_comfort.humans.motions.approach import approach
-from hrl_comfort.humans.motions.arc import arc
+from hrl_comfort.humans.motions.kernels import COMPILED, NUMBERS, propose
 from hrl_comfort.humans.motions.live import live
 from hrl_comfort.humans.motions.none import none
-from hrl_comfort.humans.motions.patrol import patrol
-from hrl_comfort.humans.motions.random_walk import random_walk
-from hrl_comfort.humans.motions.reactive import reactive
 from hrl_comfort.humans.motions.recorded import recorded
 from hrl_comfort.humans.motions.still import still
-from hrl_comfort.humans.motions.worker import worker
 from hrl_comfort.humans.recordings import bounds as recorded_bounds
 from hrl_comfort.humans.recordings import read_recordings
-from hrl_comfort.humans.walk import Motion
+from hrl_comfort.humans.walk import Array, Motion, Stride, Surroundings, Walk
 
+
+class Compiled:
+    """The motions of COMPILED of some people, each of whom draws one of `members`; those who draw another stay."""
+
+    def __init__(self, members: Sequence[HumanConfig]) -> None:
+        self._kinds = np.array([KINDS.get(each.motion, -1) for each in members])
+        numbers = [[getattr(each, name) for name in NUMBERS] for each in members]
+        self._numbers = np.array(numbers, dtype=np.float64)
+        self.any = bool((self._kinds >= 0).any())
+        self._answers = any(each.motion == "reactive" for each in members)
+
+    def __call__(self, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array, Array, Array]:
+        """Return places (n, 2) m, yaws (n,) rad, limbs and memories, as `Walk`, of people after a control step."""
+        if not self.any:
+            return walk.position.copy(), walk.yaw.copy(), walk.limbs.copy(), walk.memory.copy()
+        discs = around.keep_out
+        points, moving = around.arm() if self._answers else (np.empty((len(noise), 0, 3)),) * 2
+        moved = walk.arrays("position", "yaw", "spawn", "step", "velocity", "limbs", "memory", "traits")
+        beside = contiguous(noise, around.tcp, discs.centres)
+        arm = contiguous(around.stations, points, moving)
+        return propose(self._kinds, self._numbers, *moved, *beside, float(discs.radius_m), *arm)
+
+
+def compiled(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
+    """Return the stride of people who all move as `config` says, by one of COMPILED."""
+    return Stride(*Compiled([config])(walk, noise, around))
+
+
+KINDS = {name: kind for kind, name in enumerate(COMPILED)}
 MOTIONS: dict[str, Motion] = {
-    each.__name__: each
-    for each in (none, still, random_walk, arc, approach, patrol, worker, reactive, adversary, recorded, live)
+    **{each.__name__: each for each in (none, still)},
+    **dict.fromkeys(COMPILED, compiled),
+    **{each.__name__: each for each in (adversary, recorded, live)},
 }
 CARRIERS = ("patrol", "worker", "reactive")
 """Motions of people who hold their hands before the body."""

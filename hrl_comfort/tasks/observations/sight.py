@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from hrl_comfort.compiled import contiguous
+from hrl_comfort.tasks.observations import kernels
 from hrl_comfort.tasks.observations.standard import goal_offset, joint_error, joint_velocity, stage_in_force
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, StateFunction, by_stage
@@ -113,6 +115,11 @@ def closest(bodies: Tensor, others: Tensor, moving: Tensor) -> tuple[Tensor, Ten
     ends. Distance (N, A) m, negative in overlap; vector (N, A, 3) m between the axes; speed (N, A) m/s at which the
     other comes nearer.
     """
+    given = bodies, others, moving
+    # A graph for export holds what defines the kernel.
+    if not torch.compiler.is_compiling() and all(each.dtype == torch.float64 for each in given):
+        gap, vector, towards = kernels.closest(*contiguous(*(each.numpy() for each in given)))
+        return torch.from_numpy(gap), torch.from_numpy(vector), torch.from_numpy(towards)
     p, p_end, q, q_end = (
         bodies[:, :, None, :3], bodies[:, :, None, 3:6], others[:, None, :, :3], others[:, None, :, 3:6],
     )  # fmt: skip

@@ -1,0 +1,271 @@
+"""A control step of the drive and its shield as one kernel; see `hrl_comfort.compiled`.
+
+`Drive.step`, `Shield.step` and the functions of `rating` define what it does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.compiled import kernel
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.safety.kernels import Geometry, farthest, gaps, posed, speeds
+from hrl_comfort.safety.rating import ROUNDING
+from hrl_comfort.scene.servos import SERVO_LAG_S
+
+Array = NDArray[np.float64]
+
+
+SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
+"""Shares that are tried where all is not safe; nothing else than the brake is share 0."""
+
+
+class Limits(NamedTuple):
+    """What else is constant of a drive and its shield: see `Drive`, `Shield` and `SafetyConfig`.
+
+    `human_acceleration` is infinite where the bound does not depend on the measured speed; truths are 0 and 1.
+    """
+
+    tool_speed: float
+    late_s: float
+    takes_back: float
+    shielded: float
+    settled_s: float
+    behind_s: float
+    trailing: float
+    servo_speed: float
+    safe_speed: float
+    delay_s: float
+    margin_m: float
+    human_speed: float
+    human_acceleration: float
+
+
+@kernel
+def bend(velocity: Array, m: int, lever: Array, part: int) -> float:
+    """See `ArmGeometry.bending`: of one capsule, with its `lever` (C, J), in row `m`."""
+    total, found = 0.0, 0.0
+    for j in range(velocity.shape[1]):
+        rate = abs(velocity[m, j])
+        found += lever[part, j] * (rate * (rate + 2 * total))
+        total += rate
+    return found
+
+
+@kernel
+def stopping_time(velocity: Array, m: int, acceleration: Array) -> float:
+    """See `Rating.stopping_time`: of row `m`."""
+    slowest = 0.0
+    for j in range(velocity.shape[1]):
+        slowest = max(abs(velocity[m, j]) / acceleration[j], slowest)
+    return slowest
+
+
+@kernel
+def kept_within(asked: Array, m: int, low: Array, high: Array, angles: Array, acceleration: Array) -> float:
+    """See `Rating.within`: return the share of `asked` (N, J) rad/s that row `m` may keep."""
+    least = 1.0
+    for j in range(asked.shape[1]):
+        rate, half = abs(asked[m, j]), acceleration[j] * CONTROL_STEP_S / 2
+        room = high[j] - angles[m, j] if asked[m, j] > 0 else angles[m, j] - low[j]
+        fastest = np.sqrt(max(half * half + 2 * acceleration[j] * room, 0.0)) - half
+        if rate > fastest:
+            least = min(max(fastest / max(rate, ROUNDING), 0.0), least)
+    return least
+
+
+@kernel
+def keeps(low: Array, high: Array, angles: Array, velocity: Array, m: int, acceleration: Array) -> bool:
+    """See `Rating.keeps`: of row `m`."""
+    steps = max(stopping_time(velocity, m, acceleration) / CONTROL_STEP_S, ROUNDING)
+    whole = np.floor(steps)
+    time = CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps))
+    for j in range(velocity.shape[1]):
+        end = angles[m, j] + velocity[m, j] * time
+        if not low[j] - ROUNDING < end < high[j] + ROUNDING:
+            return False
+    return True
+
+
+@kernel
+def bound(time_s: float, pace: float, limits: Limits) -> float:
+    """See `Shield._bound`."""
+    time = time_s + limits.delay_s
+    if limits.human_acceleration == np.inf:
+        return limits.human_speed * time
+    speed = min(pace, limits.human_speed)
+    rising = min(time, (limits.human_speed - speed) / limits.human_acceleration)
+    top = speed + limits.human_acceleration * rising
+    return (speed + top) / 2 * rising + top * (time - rising)
+
+
+@kernel
+def unsafe(
+    velocity: Array, row: int, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float,
+    lever: Array, acceleration: Array, limits: Limits, first: int,
+) -> int:  # fmt: skip
+    """Return a capsule for which `Shield._safe` does not hold, -1 if all are safe; look at the `first` before others.
+
+    The arm of cell `m` runs the `row` of `velocity`; its capsules move at `share` of the way from `slow` to `fast`
+    (C, N) m/s.
+    """
+    braking, parts = stopping_time(velocity, row, acceleration), len(slow)
+    for index in range(parts):
+        part = first + index if first + index < parts else first + index - parts
+        speed = slow[part, m] + share * (fast[part, m] - slow[part, m]) if share < 1.0 else fast[part, m]
+        fastest = speed + bend(velocity, row, lever, part) * (CONTROL_STEP_S + braking / 2)
+        left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
+        until = CONTROL_STEP_S + braking * (1 - left) + limits.settled_s if left < 1.0 else 0.0
+        travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
+        until = max(until, limits.settled_s if moving[part, m] > limits.safe_speed else 0.0)
+        if until != 0.0 and not room[part, m] > travel + bound(until, pace, limits) + limits.margin_m:
+            return part
+    return -1
+
+
+@kernel
+def presses(
+    begin: Array, wanted: Array, m: int, person: Array, geometry: Geometry, radius: Array, person_radius: Array
+) -> bool:
+    """See `Drive._yielding`: whether row `m`, which touches the person, would press on."""
+    there, beside = np.empty((2, begin.shape[1])), np.empty((*person.shape[:3], 2))
+    for index in range(2):
+        there[index] = begin[m] + index * wanted[m] * CONTROL_STEP_S
+        beside[..., index] = person[..., m]
+    apart = gaps(posed(there, geometry)[2], beside, radius, person_radius)
+    return apart[:, 1].min() < apart[:, 0].min()
+
+
+@kernel
+def drive(
+    angles: Array, velocity: Array, share_sum: Array, braking: NDArray[np.bool_], stops: NDArray[np.int64],
+    asked: Array, joints: Array, axis: Array, anchor: Array, ends: Array, person: Array, apart: Array,
+    person_seen: Array, apart_seen: Array, seen: Array, trail: Array, steps: Array, offset: Array, axes: Array,
+    anchors: Array, link: NDArray[np.int64], local: Array, radius: Array, lever: Array, person_radius: Array,
+    rated: Array, limited_to: Array,
+) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.int64], Array]:  # fmt: skip
+    """See `Drive.step`: of set-points, asked velocities and measured joints (N, ...), the arms beside the people.
+
+    `person_seen` and `apart_seen` are what the shield sees of them, `seen` and `trail` its memory; then come constants
+    of arm and person, `rated` (5, J) speeds, accelerations, range and following errors, and the fields of `Limits`.
+    Return where the set-points begin, their fields at the end but for `human_beyond_bound`, and the trail.
+    """
+    geometry = (steps, offset, axes, anchors, link, local)
+    speed_rad_s, acceleration, low, high, following = rated[0], rated[1], rated[2], rated[3], rated[4]
+    limits = Limits(
+        limited_to[0], limited_to[1], limited_to[2], limited_to[3], limited_to[4], limited_to[5], limited_to[6],
+        limited_to[7], limited_to[8], limited_to[9], limited_to[10], limited_to[11], limited_to[12],
+    )  # fmt: skip
+    shielded = limits.shielded > 0.0
+    n, count, parts = len(angles), angles.shape[1], len(radius)
+    error, drawn = np.empty((n, count)), np.empty((n, count))
+    for m in range(n):
+        for j in range(count):
+            error[m, j] = off = angles[m, j] - joints[m, j]
+            late = joints[m, count + j] * limits.late_s
+            more = off - min(max(off, min(late, 0.0)), max(late, 0.0))
+            drawn[m, j] = joints[m, count + j] + more / SERVO_LAG_S
+    way = speeds(axis, anchor, ends, error, link, radius)
+    moving = speeds(axis, anchor, ends, drawn, link, radius)
+    pace = farthest(person_seen, seen) / CONTROL_STEP_S
+    held, begin, before = np.zeros(n, dtype=np.bool_), angles.copy(), velocity.copy()
+    for m in range(n):
+        for j in range(count):
+            held[m] |= abs(error[m, j]) / following[j] > 1.0
+        for part in range(parts):
+            way[part, m] += bend(error, m, lever, part) / 2
+        if shielded:
+            gets = bound(limits.settled_s, pace[m], limits) + limits.margin_m
+            for part in range(parts):
+                held[m] |= moving[part, m] > limits.safe_speed and not apart_seen[part, m] > way[part, m] + gets
+        if held[m] and limits.takes_back > 0.0:
+            for j in range(count):
+                begin[m, j], before[m, j] = min(max(joints[m, j], low[j]), high[j]), 0.0
+
+    axis, anchor, ends = posed(begin, geometry)
+    limited = np.empty((n, count))
+    for m in range(n):
+        over = 1.0
+        for j in range(count):
+            over = max(abs(asked[m, j]) / speed_rad_s[j], over)
+        for j in range(count):
+            limited[m, j] = asked[m, j] / over
+    fastest = speeds(axis, anchor, ends, limited, link, radius)
+    brake, wanted = np.empty((n, count)), np.empty((n, count))
+    for m in range(n):
+        most, most_bending = 0.0, 0.0
+        for part in range(parts):
+            most, most_bending = max(fastest[part, m], most), max(bend(limited, m, lever, part), most_bending)
+        over = max((most + most_bending * CONTROL_STEP_S) / limits.tool_speed, 1.0)
+        for j in range(count):
+            limited[m, j] /= over
+        kept = kept_within(limited, m, low, high, begin, acceleration)
+        for j in range(count):
+            limited[m, j] *= kept
+            wanted[m, j] = limited[m, j] - before[m, j]
+        needed = max(stopping_time(wanted, m, acceleration) / CONTROL_STEP_S, 1.0)
+        left = 1 - CONTROL_STEP_S / max(stopping_time(before, m, acceleration), CONTROL_STEP_S)
+        for j in range(count):
+            wanted[m, j] = before[m, j] + wanted[m, j] / needed
+            brake[m, j] = before[m, j] * left
+
+    after, stopped = trail.copy(), held.copy()
+    if shielded:
+        slow = speeds(axis, anchor, ends, brake, link, radius)
+        fast = speeds(axis, anchor, ends, wanted, link, radius)
+        sent, room = trail.shape[1], apart_seen.copy()
+        for part in range(parts):
+            for index in range(sent):
+                for m in range(n):
+                    left = trail[part, index, m]
+                    way[part, m] = max(left * limits.behind_s, way[part, m])
+                    if index:
+                        moving[part, m] = max(left, moving[part, m])
+            for m in range(n):
+                room[part, m] -= way[part, m]
+        tried = np.empty((1, count))
+        for m in range(n):
+            passed, closing = 1.0, pace[m]
+            worst = unsafe(wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0)
+            if worst >= 0:
+                passed = 0.0
+                for share in SHARES[::-1]:
+                    for j in range(count):
+                        tried[0, j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
+                    worst = unsafe(
+                        tried, 0, slow, fast, share, room, moving, m, closing, lever, acceleration, limits, worst
+                    )
+                    if worst < 0:
+                        passed = share
+                        break
+            stopped[m] |= passed == 0.0
+            for j in range(count):
+                wanted[m, j] = brake[m, j] + passed * (wanted[m, j] - brake[m, j])
+            for part in range(parts):
+                newest = slow[part, m] + passed * (fast[part, m] - slow[part, m])
+                following = trail[part, 1, m] if sent > 1 else newest
+                after[part, 0, m] = max(trail[part, 0, m] * limits.trailing, following)
+                for index in range(1, sent):
+                    after[part, index, m] = trail[part, index + 1, m] if index + 1 < sent else newest
+
+    there, shares, sums, counts = np.empty((n, count)), np.ones(n), share_sum.copy(), stops.copy()
+    for m in range(n):
+        touches = False
+        for part in range(parts):
+            touches |= apart[part, m] <= 0.0
+        if touches and presses(begin, wanted, m, person, geometry, radius, person_radius):
+            wanted[m] = brake[m]
+        if held[m] or not keeps(low, high, begin, wanted, m, acceleration):
+            wanted[m] = brake[m]
+        speed, most = 0.0, 0.0
+        for j in range(count):
+            speed, most = speed + wanted[m, j] * wanted[m, j], most + limited[m, j] * limited[m, j]
+            there[m, j] = min(max(begin[m, j] + wanted[m, j] * CONTROL_STEP_S, low[j]), high[j])
+        if most > 0:
+            shares[m] = min(np.sqrt(speed) / max(np.sqrt(most), 1e-9), 1.0)
+        sums[m] += shares[m]
+        counts[m] += stopped[m] and not braking[m]
+    return begin, there, wanted, shares, sums, stopped, counts, after
