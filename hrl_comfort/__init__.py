@@ -141,7 +141,7 @@ def evaluate(
         asked = {"policy": given, **asked}
     config = compose("evaluate", [override(key, value) for key, value in asked.items()])
     assert isinstance(config, EvaluateConfig)
-    return rollout(config, given).table
+    return rollout(config, given if callable(given) else None).table
 
 
 __all__ = ["__version__", "environment_of", "evaluate", "load", "load_policy"]

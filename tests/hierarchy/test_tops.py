@@ -15,6 +15,7 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import plugins
 from hrl_comfort.config.overrides import choices
+from hrl_comfort.deploy.export import export
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -26,6 +27,7 @@ from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web.content import refuse
 from hrl_comfort.tasks import State
 
 ROWS = 6
@@ -185,6 +187,15 @@ def test_a_top_that_breaks_the_contract_gets_one_line(name: str, message: str) -
 
     with pytest.raises(ConfigError, match=f"^meta_controller.name='{name}':? ?{message}"):
         asked()
+
+
+def test_a_page_and_onnx_files_say_that_they_carry_no_top(tmp_path: Path) -> None:
+    page = compose("studio", ["task=cycle", "meta_controller=deciders:first", *SKILLS])
+    with pytest.raises(ConfigError, match=r"^meta_controller=deciders:first: a page .* carries no controller$"):
+        refuse(page)  # type: ignore[arg-type]
+    files = compose("export", [f"policies.meta_controller='{tmp_path}'", *SKILLS, f"output='{tmp_path / 'out'}'"])
+    with pytest.raises(ConfigError, match=r"^policies\.meta_controller: export writes skills, .*; leave it out$"):
+        export(files)  # type: ignore[arg-type]
 
 
 def test_what_is_chosen_where_no_option_has_ended_is_ignored() -> None:
