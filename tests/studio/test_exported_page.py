@@ -322,7 +322,11 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
         (["human=pair"], r"human.others=passer_by: a page of export= has human.others=\{\} alone"),
         (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
         (["task=shift"], r"task=shift: a page of export= shows one policy"),
-        (["task=sort", "meta_controller=cautious"], r"task=sort: a page of export= shows one policy"),
+        (["task=sort"], r"task=sort: a page of export= shows one policy"),
+        (
+            ["task=sort", "meta_controller=cautious"],
+            r"meta_controller=cautious: a page of export= runs options in order",
+        ),
     ],
 )
 def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> None:
