@@ -66,7 +66,9 @@ def evaluate_grid(config: EvaluateConfig) -> Path:
             f"checkpoints=grid: {', '.join(varied) or 'no part'} has several checkpoints in checkpoints/; give two run "
             "folders or more as policies.*, or choose checkpoints=all"
         )
-    rows = _rows_so_far(output, config, list(found))
+    rows = _rows_so_far(output, config, found)
+    if not rows:  # those of another command
+        (output / "grid.csv").unlink(missing_ok=True)
     done = {tuple(row[name] for name in found) for row in rows}
     save_config(config, output / "config.yaml")
     for files in product(*found.values()):
@@ -78,8 +80,8 @@ def evaluate_grid(config: EvaluateConfig) -> Path:
     return output
 
 
-def _rows_so_far(output: Path, config: EvaluateConfig, parts: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the rows of grid.csv in `output` if the same command wrote them, else none.
+def _rows_so_far(output: Path, config: EvaluateConfig, parts: Mapping[str, Sequence[Path]]) -> list[dict[str, Any]]:
+    """Return the rows of grid.csv in `output` if the same command wrote them of the same checkpoints, else none.
 
     Raises:
       ConfigError: the table is damaged.
@@ -88,6 +90,8 @@ def _rows_so_far(output: Path, config: EvaluateConfig, parts: Sequence[str]) -> 
         return []
     file = output / "grid.csv"
     if (table := read_table(file)) is None:
+        return []
+    if any(each.stat().st_mtime > file.stat().st_mtime for files in parts.values() for each in files):
         return []
     try:
         table = table.astype(dict.fromkeys((*parts, "episodes"), "int64"))

@@ -64,8 +64,15 @@ class Top:
           ConfigError: they are not N indices of choices that can start.
         """
         rows, count = decision.mask.shape
-        chosen = torch.as_tensor(self._choose(decision))
-        if chosen.shape != (rows,) or chosen.is_floating_point() or chosen.is_complex():
+        chosen = self._choose(decision)
+        try:
+            chosen = torch.as_tensor(chosen)
+        except (TypeError, ValueError, RuntimeError):
+            found = type(chosen).__name__
+            raise ConfigError(
+                f"{KEY}={self.name!r} returned {found}; it must return {rows} indices of options"
+            ) from None
+        if chosen.dtype == torch.bool or chosen.shape != (rows,) or chosen.is_floating_point() or chosen.is_complex():
             found = f"{chosen.dtype} of shape {tuple(chosen.shape)}".removeprefix("torch.")
             raise ConfigError(f"{KEY}={self.name!r} returned {found}; it must return {rows} indices of options")
         chosen = torch.where(decision.deciding, chosen.to(torch.int64), 0)

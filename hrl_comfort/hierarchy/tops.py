@@ -36,7 +36,10 @@ def make_top(config: EvaluateConfig, table: OptionTable, seed: int) -> Top:
     if name in TOPS:
         return Top(name, TOPS[name](config, table, seed))
     found: Any = part(KEY, name, TOPS)
-    found = found() if isinstance(found, type) else found
+    try:
+        found = found() if isinstance(found, type) else found
+    except TypeError as error:
+        raise ConfigError(f"{KEY}={name!r} is a class that cannot be made without arguments: {error}") from error
     choose = getattr(found, "choose", found)
     if not callable(choose):
         raise ConfigError(f"{KEY}={name!r} is of type {type(found).__name__}; it must be callable or have choose")

@@ -1,4 +1,4 @@
-"""Human motions (one file each), spawn points and the human position in observations."""
+"""Human motions, spawn points and the human position in observations."""
 
 from __future__ import annotations
 
@@ -113,6 +113,8 @@ class Motions:
             rows: Any = slice(None)
             if len(self._members) > 1:
                 rows = np.flatnonzero((walk.traits[:, 0] * len(self._members)).astype(np.int64) == index)
+                if not len(rows):
+                    continue
             proposed = move(member, walk.part(rows), noise[rows], seen.part(rows))
             stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
             there[rows], facing[rows] = stride.position, stride.yaw

@@ -19,10 +19,10 @@ from PIL import Image, ImageDraw, ImageFont
 from hrl_comfort.benchmarks.entries import ENTRIES, committed
 from hrl_comfort.comfort.terms import FORMS, THRESHOLDS, TIMED, distance_term
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import CONTROL_STEP_S, TrainConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, TrainConfig
 from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.files.tables import read_table
-from hrl_comfort.plots.benchmark import front
+from hrl_comfort.plots.benchmark import X, front, levels_of
 from hrl_comfort.plots.clip import set_pose
 from hrl_comfort.plots.style import save_png
 from hrl_comfort.plots.tape import Take, Tape
@@ -132,8 +132,11 @@ def forms(output: Path) -> None:
 
 
 def benchmark(output: Path) -> None:
-    """Draw the entries of the benchmark."""
-    save_png(front(list(committed(ENTRIES).values())), output)
+    """Draw the entries of the benchmark; raise ConfigError if none has what the figure shows."""
+    entries = list(committed(ENTRIES).values())
+    if not levels_of(entries):
+        raise ConfigError(f"no entry in {ENTRIES} has {X}; measure them again")
+    save_png(front(entries), output)
 
 
 KINDS: dict[str, Callable[..., None]] = {"levels": levels, "cell": cell, "forms": forms, "benchmark": benchmark}

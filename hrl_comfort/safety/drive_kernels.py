@@ -118,7 +118,7 @@ def unsafe(
         speed = slow[part, m] + share * (fast[part, m] - slow[part, m]) if share < 1.0 else fast[part, m]
         fastest = speed + bend(velocity, row, lever, part) * (CONTROL_STEP_S + braking / 2)
         left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
-        until = CONTROL_STEP_S + braking * (1 - left) + limits.settled_s if left < 1.0 else 0.0
+        until = 0.0 if left >= 1.0 else CONTROL_STEP_S + braking * (1 - left) + limits.settled_s  # NaN stays
         travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
         until = max(until, limits.settled_s if moving[part, m] > limits.safe_speed else 0.0)
         if until != 0.0 and not room[part, m] > travel + bound(until, pace, limits) + limits.margin_m:
@@ -228,9 +228,9 @@ def drive(
             for index in range(sent):
                 for m in range(n):
                     left = trail[part, index, m]
-                    way[part, m] = max(left * limits.behind_s, way[part, m])
+                    way[part, m] = max(way[part, m], left * limits.behind_s)  # NaN stays
                     if index:
-                        moving[part, m] = max(left, moving[part, m])
+                        moving[part, m] = max(moving[part, m], left)
             for m in range(n):
                 room[part, m] -= way[part, m]
         tried = np.empty((1, count))

@@ -215,7 +215,8 @@ def gaps(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> 
                 uy = py + dy * s - (qy + ey * t)
                 uz = pz + dz * s - (qz + ez * t)
                 gap = np.sqrt(ux * ux + uy * uy + uz * uz) - thick
-                nearest[part, m] = gap if gap < nearest[part, m] else nearest[part, m]
+                least = nearest[part, m]
+                nearest[part, m] = least if least <= gap or least != least else gap  # NaN stays
     return nearest
 
 

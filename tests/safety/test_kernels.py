@@ -163,6 +163,27 @@ def test_a_control_step_of_the_drive(world: str, takes_back: bool) -> None:
     assert np.any(found, axis=(0, 2)).all(), "some touch, some brake, some are slowed"
 
 
+@pytest.mark.parametrize("world", ["worst", "observed"])
+@pytest.mark.parametrize("unknown", ["joints", "limbs"])
+@pytest.mark.parametrize("kind", [np.ndarray, Numpy])
+def test_an_arm_slows_down_where_something_is_unknown(world: str, unknown: str, kind: type[Array]) -> None:
+    config = compose_environment("train", WORLDS[world])
+    scene = scene_of(config)
+    separation = Separation(scene)
+    drive = make_drive(scene, separation, config, 2)
+    assert drive is not None
+    limbs = limbs_of(scene, humans.begin(config.human, np.array([[3.0, 0.0], [3.0, 0.0]])))
+    drive.begin(np.arange(2), limbs)
+    points = SetPoints.unshielded(np.tile(scene.home, (2, 1)), np.zeros((2, 6)), np.zeros(2, np.int64))
+    for step in range(4):
+        joints = np.concatenate([points.angles, points.velocity], axis=1)
+        if step:
+            (joints if unknown == "joints" else limbs)[0] = np.nan
+        now = separation.encounter(joints[:, :6], limbs)
+        points = drive.step(points, np.ones((2, 6)), joints.view(kind), now, limbs)[1]
+    assert points.share[0] < 0.2 and points.share[1] == 1.0
+
+
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
     found: dict[str, Any] = {}
     exec("def twice(value):\n    return 2 * value", found)  # from no file: there is no folder for its machine code
@@ -183,3 +204,19 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(
             sys.modules.pop(name, None)
         importlib.invalidate_caches()
         assert importlib.import_module("caller_of_kernel").changed(21.0) == found
+
+
+def test_a_kernel_is_compiled_anew_when_a_constant_of_another_module_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "user_of_constant.py").write_text(
+        "from hrl_comfort.compiled import kernel\nfrom constant_of_kernel import FACTOR\n"
+        "@kernel\ndef scaled(value):\n    return FACTOR * value\n"
+    )
+    for factor, found in ((2.0, 42.0), (3.0, 63.0)):
+        (tmp_path / "constant_of_kernel.py").write_text(f"FACTOR = {factor}\n")
+        for name in ("constant_of_kernel", "user_of_constant"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        assert importlib.import_module("user_of_constant").scaled(21.0) == found

@@ -1,4 +1,4 @@
-"""Human motions, one file each, and their bounds."""
+"""Human motions, and their bounds; those of `kernels` are compiled, the others have a file each."""
 
 from __future__ import annotations
 
