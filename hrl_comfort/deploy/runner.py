@@ -33,7 +33,7 @@ from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result
 from hrl_comfort.files.output import output_folder
 from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
+from hrl_comfort.hierarchy.executor import ExecutedStep, execute
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.scene.workcell import Scene, scene_of
@@ -144,8 +144,7 @@ class Run:
             self._link.close()
 
     def _episode(self, index: int) -> None:
-        old, entries = self._executor, self._entries.part(index, index + 1)
-        executor = OptionExecutor(old.table, self._engine.episodes, old.retries)
+        entries, executor = self._entries.part(index, index + 1), self._executor.anew()
         recorder = EpisodeRecorder(self._config, None, self._engine, entries, self.result)
         taken: list[ExecutedStep] = []
         try:

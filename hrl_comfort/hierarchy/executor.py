@@ -67,6 +67,12 @@ class OptionExecutor:
         """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
         self._generator = torch.Generator().manual_seed(seed)
 
+    def anew(self) -> OptionExecutor:
+        """Return an executor for the next episodes, which goes on drawing where this one is."""
+        fresh = OptionExecutor(self.table, self._episodes, self.retries)
+        fresh._generator = self._generator
+        return fresh
+
     option: Tensor
     """(N,) int64, index of the choice in force."""
     started: Tensor

@@ -14,7 +14,7 @@ from hrl_comfort.comfort.terms import human_distance, present
 from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun
+from hrl_comfort.hierarchy.executor import OptionRun
 from hrl_comfort.plots.clip import Array, Clip
 from hrl_comfort.policies.graph import inputs_of
 from hrl_comfort.safety.geometry import gaps
@@ -184,8 +184,7 @@ class Session:
         if self.keep_person:
             kept = self._beside_arm(kept)
             episodes.stand(replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step)))
-        old = self.executor
-        self.executor = OptionExecutor(old.table, episodes, old.retries)
+        self.executor = self.executor.anew()
         self.over = False
         self._top.begin(ROW)
         self._begin(self._top(self.executor.decision(self.state)))
