@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -151,6 +152,29 @@ def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them()
     data.mocap_pos[model.body("left_forearm").mocapid[0]] = side  # its elbow beside an empty hand
     mujoco.mj_forward(model, data)
     assert data.sensordata[scene.sensors["human"]].any()
+
+
+@pytest.mark.parametrize("gripper", ["two_finger", "pincer:PINCER"])
+def test_open_pads_lie_within_the_capsules_of_the_arm_however_small_the_objects_are(
+    gripper: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    small = ("~cell.objects.ball", "cell.objects.cube.size_m=[0.0075,0.0075,0.0075]")
+    scene = scene_of(cell("task=pick", f"gripper={gripper}", *small))
+    model, data, arm = scene.planning, mujoco.MjData(scene.planning), Separation(scene).arm
+    data.qpos[:] = scene.home
+    mujoco.mj_kinematics(model, data)
+    first, second = arm.pose(scene.home[None]).ends[..., 0].transpose(2, 1, 0)
+    assert scene.gripper is not None
+    pads = [model.body(f"robot/{name}").id for name in scene.gripper.pads]
+    geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in pads and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX]
+    assert len(geoms) == 2
+    for geom in geoms:
+        for signs in product((-1, 1), repeat=3):
+            at = data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ (model.geom_size[geom] * signs)
+            share = ((at - first) * (second - first)).sum(axis=1) / ((second - first) ** 2).sum(axis=1).clip(1e-12)
+            nearest = first + share.clip(0, 1)[:, None] * (second - first)
+            assert (np.linalg.norm(at - nearest, axis=1) <= arm.radius + 1e-9).any()
 
 
 def test_without_a_gripper_the_state_knows_no_hand() -> None:
