@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -71,6 +72,23 @@ def test_a_rated_arm_grasps_behind_the_shield_beside_people() -> None:
     found, results = successes(cell("task=pick", *shielded), 6, 150)
     assert found.sum() >= 5, "one may be held up by somebody who stays in the way"
     assert not any(result.state.unsafe_contact.any() for result in results)
+
+
+def test_an_episode_with_an_object_in_the_hand_begins_when_both_pads_touch_it() -> None:
+    engine = Engine(cell("task=place", "task.object=cube"), 2, 0)
+    model, begin, begun = engine.scene.model, engine.episodes.plan.begin, list[list[int]]()
+    at = model.joint("object_1_cube").qposadr[0]
+
+    def dropped_at_first(rows: np.ndarray, *others: Any) -> Any:
+        planned, control = begin(rows, *others)
+        if not begun:
+            planned.bodies[0, at] += 0.2
+        begun.append(rows.tolist())
+        return planned, control
+
+    engine.episodes.plan.begin = dropped_at_first  # type: ignore[method-assign]
+    assert engine.reset().pads.all()
+    assert begun[:2] == [[0, 1], [0]]
 
 
 def test_an_object_that_is_let_go_is_dropped_and_one_on_the_floor_is_lost() -> None:
@@ -167,7 +185,11 @@ def test_open_pads_lie_within_the_capsules_of_the_arm_however_small_the_objects_
     first, second = arm.pose(scene.home[None]).ends[..., 0].transpose(2, 1, 0)
     assert scene.gripper is not None
     pads = [model.body(f"robot/{name}").id for name in scene.gripper.pads]
-    geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in pads and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX]
+    geoms = [
+        i
+        for i in range(model.ngeom)
+        if model.geom_bodyid[i] in pads and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX
+    ]
     assert len(geoms) == 2
     for geom in geoms:
         for signs in product((-1, 1), repeat=3):
@@ -219,6 +241,8 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
         ("train", ["gripper=two_finger", "task=shift"], "shift"),
         ("train", ["gripper=three_finger"], "is not a choice"),
+        ("train", ["gripper=two_finger", "task=place", "task.start=states.npz"], "choose task.start=ik"),
+        ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
         ("studio", ["gripper=two_finger"], "studio takes gripper=none"),
         ("export", ["gripper=two_finger", "policy=x.pt"], "export takes gripper=none"),
     ],
