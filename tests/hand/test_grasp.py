@@ -91,6 +91,26 @@ def test_an_episode_with_an_object_in_the_hand_begins_when_both_pads_touch_it() 
     assert begun[:2] == [[0, 1], [0]]
 
 
+def test_people_touch_neither_an_object_that_lies_there_nor_those_that_are_not_in_the_episode() -> None:
+    engine = Engine(cell("task=pick", "task.object=cube", "human=still"), 1, 0)
+    model, data = engine.scene.model, mujoco.MjData(engine.scene.model)
+    state = engine.reset()
+    bodies = engine.physics.state[0, 1 : 1 + model.nq]
+    for name in ("object_1_ball", "object_1_cube"):
+        data.qpos[:] = bodies
+        mujoco.mj_kinematics(model, data)
+        at = data.body(name).xpos.copy()
+        for limb in engine.scene.limbs:
+            data.mocap_pos[model.body(limb).mocapid[0]] = at
+        mujoco.mj_forward(model, data)
+        limbs = [model.body(limb).id for limb in engine.scene.limbs]
+        touched = model.geom_bodyid[data.contact.geom]
+        assert not (np.isin(touched, limbs).any(axis=1) & (touched == model.body(name).id).any(axis=1)).any()
+    assert state.objects[0, 0, 2] == pytest.approx(bodies[model.joint("object_1_cube").qposadr[0] + 2])
+    parked = bodies[model.joint("object_1_ball").qposadr[0] :][:2]
+    assert abs(parked[1]) > 1.0, "beside absent people, who stand at (50, 0)"
+
+
 def test_an_object_that_is_let_go_is_dropped_and_one_on_the_floor_is_lost() -> None:
     config = cell("task=place", "task.object=cube")
     engine = Engine(config, 2, 0)
