@@ -158,6 +158,27 @@ def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
     assert all((value[0].isfinite() | ~value[1].isfinite()).all() for value in known)  # NaN is what is not measured
 
 
+def test_an_arm_that_begins_anew_after_physics_diverged_touches_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = cell("task=pick", "human=still", "comfort=distance_and_speed", "comfort.distance=arm")
+    engine = Engine(config, 2, 0)
+    before = engine.reset()
+    engine.physics.state[0, 1 + engine.scene.model.nq + 7] = 1e12
+    advance, sensors = engine.episodes.advance, engine.scene.sensors
+
+    def touched(sensed: np.ndarray, rows: np.ndarray | None) -> StepResult:
+        for name in ("human", "table", "self"):
+            sensed[0, ..., sensors[name]] = 1.0
+        return advance(sensed, rows)
+
+    monkeypatch.setattr(engine.episodes, "advance", touched)
+    after = engine.step(np.zeros((2, 7))).state
+    assert after.diverged.tolist() == [True, False]
+    names = ("joint_pos", "joint_vel", "tcp_pos", "touching", "table_collision", "self_collision", "contact")
+    for name in (*names, "unsafe_contact", "arm_distance", "objects", "pads"):
+        assert torch.equal(getattr(after, name)[0], getattr(before, name)[0]), name
+    assert after.arm_distance.isfinite().all()
+
+
 def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
     words = ["task=cycle", "meta_controller=scripted", *skills, "split=train", "episodes=4", "output=unused"]
