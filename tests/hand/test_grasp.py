@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from hrl_comfort.scene.grippers import GRIPPERS
 from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.grasps import rise_m
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.07")
 
@@ -146,6 +147,23 @@ def test_an_object_that_has_fallen_is_picked_where_it_lies() -> None:
             break
         state = engine.reset(np.flatnonzero(result.done.numpy()))
     assert done.all()
+
+
+def test_a_hand_that_has_closed_on_nothing_opens_before_it_closes_again() -> None:
+    config = cell("task=pick", "task.object=cube")
+    engine = Engine(config, 1, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    grips, asked = list[float](), list[float]()
+    for _ in range(30):
+        believed = state.tcp_pos[:, None] - torch.tensor([0.0, 0.0, rise_m(engine.scene, 1)])
+        action = act(state.with_(objects=believed)).numpy()
+        grips.append(float(state.grip[0]))
+        asked.append(float(action[0, 6]))
+        state = engine.step(action).state
+    closed = [grip for grip, (before, after) in zip(grips[1:], pairwise(asked), strict=True) if after > before]
+    opened = [grip for grip, (before, after) in zip(grips[1:], pairwise(asked), strict=True) if after < before]
+    assert len(closed) > 1 and max(closed) < 0.1
+    assert len(opened) > 1 and min(opened) > 0.98
 
 
 def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
