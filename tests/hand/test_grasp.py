@@ -15,6 +15,7 @@ import torch
 from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.evaluation.handover import handover
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.safety.separation import Separation
@@ -203,6 +204,13 @@ def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     table = rollout(compose("evaluate", [*ALONE, *words])).table  # type: ignore[arg-type]
     assert table["success"].all()
     assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
+
+
+def test_handover_records_nothing_with_a_gripper(tmp_path: Path) -> None:
+    skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = ["task=cycle", "meta_controller=scripted", *skills, f"output='{tmp_path}'"]
+    with pytest.raises(ConfigError, match="two_finger does not go with handover"):
+        handover(compose("evaluate", [*ALONE, *words]))  # type: ignore[arg-type]
 
 
 def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:
