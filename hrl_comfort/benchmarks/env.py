@@ -67,7 +67,8 @@ def table(frame: DataFrame) -> str:
 def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
     """Return a call that makes one policy step in each cell and resets those that ended."""
     engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
-    shape = engine.reset().joint_target.shape
+    shape = cells, engine.episodes.action_dim
+    engine.reset()
 
     def step() -> None:
         outcome = engine.step(rng.uniform(-1, 1, shape))
@@ -79,9 +80,9 @@ def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
 def bare_loop(env: EnvConfig, cells: int) -> Callable[[], object]:
     """Return a call that rolls the same model through as many substeps, with precomputed controls."""
     engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
-    parts = engine.episodes.controls(
-        rng.uniform(-1, 1, engine.reset().joint_target.shape), lambda: engine.physics.state[:, 1:]
-    )
+    engine.reset()
+    action = rng.uniform(-1, 1, (cells, engine.episodes.action_dim))
+    parts = engine.episodes.controls(action, lambda: engine.physics.joints)
     control = np.concatenate(list(parts), axis=1)
     model = engine.scene.model
     data = [mujoco.MjData(model) for _ in range(env.engine.threads)]

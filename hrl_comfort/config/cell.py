@@ -159,7 +159,7 @@ class VaryConfig:
 
     layouts: Annotated[int, within(0, 100_000)] = 0
     """Number of layouts in each split; `train`, `validation` and `test` have none in common. 0: the layout is always
-    the one given."""
+    the one given, as with a gripper."""
     distance_m: XY = field(default_factory=lambda: [0.38, 0.68])
     """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any."""
     height_m: XY = field(default_factory=lambda: [0.0, 0.42])

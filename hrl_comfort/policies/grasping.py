@@ -45,6 +45,8 @@ SLOWER, SLOWEST_M = 0.5, 0.004
 """Part of the way left, and shortest way, of a decision in which a hand approaches what it may touch."""
 FIRM = 0.95
 """Set-point of the fingers from which a hand that touches an object holds it."""
+OPENED, EMPTY = 0.05, 0.98
+"""Position up to which fingers are open, and from which they have closed on nothing."""
 NEARER = (1.0, 0.75, 0.5)
 """Parts of BACK_M and ABOVE_M that are tried for postures in front of an object and above its place."""
 GOALS = 3
@@ -105,7 +107,7 @@ class GraspingExpert(Expert):
         if self._grasping[stage]:
             return self._lift(state, row) if held and state.grip_target[row] > FIRM else self._pick(state, row, obj)
         if self._releasing[stage]:
-            return self._place(state, row, obj, held)
+            return self._place(state, row, obj)
         away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
         return self._retreat(state, row) if away < RETREAT_M else Step(OPEN)
 
@@ -116,15 +118,19 @@ class GraspingExpert(Expert):
         level, off = self._level(turn, state, row)
         ahead = turn.T @ (place - state.tcp_pos[row].numpy())
         lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
-        closing = grip > 0.05 and lateral < CLOSING_M and abs(ahead[2]) < CLOSING_M
+        closing = grip > OPENED and lateral < CLOSING_M and abs(ahead[2]) < CLOSING_M
         if closing or np.linalg.norm(ahead) < REACHED_M:
-            # A hand that has closed on nothing opens again.
-            return Step(OPEN if state.grip[row] > 0.98 else CLOSED, np.zeros(len(self._range)))
+            return Step(OPEN if self._opens(state, row) else CLOSED, np.zeros(len(self._range)))
         in_front = lateral < LATERAL_M and -CLOSING_M < ahead[2] < BACK_M + AHEAD_M
         if not (in_front and turn[2, 2] < -np.cos(TILTED_RAD) and off):
             return Step(OPEN)
         left = ahead[2] - self._advance(ahead[2]) if lateral < ALIGNED_M else ahead[2]
         return Step(OPEN, self._move(state, row, place - max(left, 0.0) * level[:, 2], level))
+
+    def _opens(self, state: State, row: int) -> bool:
+        """Return whether a hand has closed on nothing, or is opening after that: fingers follow their set-point."""
+        grip = float(state.grip[row])
+        return grip > EMPTY or grip > max(OPENED, float(state.grip_target[row]))
 
     def _grasp_point(self, at: Array, kind: int) -> Array:
         """Return where (3,) m the tool grasps an object of a kind at (3,) m."""
@@ -164,7 +170,7 @@ class GraspingExpert(Expert):
         rise = np.array([0.0, 0.0, LIFT_SPEED_M_S * self._decision_s])
         return Step(CLOSED, self._move(state, row, at + rise, turn))
 
-    def _place(self, state: State, row: int, obj: Array, held: bool) -> Step:
+    def _place(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step that brings the target at `obj` (3,) m to its place."""
         target = int(state.target[row])
         way, touched = state.target_place[row].numpy() - obj, bool(state.pads[row, target].any())
@@ -176,7 +182,7 @@ class GraspingExpert(Expert):
             if near:
                 away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
                 return self._retreat(state, row) if away < BACK_M else Step(OPEN, np.zeros(len(self._range)))
-            return self._lift(state, row) if held and state.grip_target[row] > FIRM else self._pick(state, row, obj)
+            return self._pick(state, row, obj)
         if over:
             if -way[2] < DOWN_M:
                 return Step(OPEN, np.zeros(len(self._range)))

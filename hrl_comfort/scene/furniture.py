@@ -31,6 +31,8 @@ _TURNING_M = (0.005, 0.0005)
 """Coefficients of torsional and of rolling friction of objects."""
 _SOLID = {"contype": 0, "conaffinity": 1, "condim": 1}
 """Of a geom that the robot's collide with, and nothing else."""
+_LOOSE = 4
+"""Bit of the contacts between loose objects, and with what stands in the cell."""
 
 
 def furniture(cell: CellConfig) -> tuple[str, ...]:
@@ -114,6 +116,11 @@ def add_props(world: mjcf.Element, cell: CellConfig, objects: int, loose: bool) 
 
     Objects are sites, which have no contacts, or `loose` bodies with mass and friction.
     """
+    if loose:
+        for name in (*furniture(cell), STANDS[0]):
+            for geom in world.root.find("body", name).geom:
+                geom.conaffinity = 1 | _LOOSE
+        world.root.find("geom", STANDS[1]).conaffinity = 1 | _LOOSE
     for name, colour in zip(POINTS, (_GREEN, _BLUE), strict=True):
         body = world.add("body", name=name, mocap=True, pos=(FAR_AWAY_M, 0, 0))
         body.add("site", name=name, size=[_POINT_M], rgba=colour)
@@ -126,11 +133,14 @@ def add_props(world: mjcf.Element, cell: CellConfig, objects: int, loose: bool) 
 
 
 def _add_loose(world: mjcf.Element, name: str, each: ObjectConfig) -> None:
-    """Add an object that moves freely. Its contacts have its own friction; what is round does not roll for ever."""
+    """Add an object that moves freely. Its contacts have its own friction; what is round does not roll for ever.
+
+    People pass through it: limbs move without regard to forces, and the arm would pay for what they throw down.
+    """
     body = world.add("body", name=name, pos=(FAR_AWAY_M, 0, 0))
     body.add("freejoint", name=name)
     body.add(
-        "geom", name=name, rgba=(*each.rgb, 1), mass=each.mass_kg, contype=1, conaffinity=1, priority=1,
+        "geom", name=name, rgba=(*each.rgb, 1), mass=each.mass_kg, contype=_LOOSE, conaffinity=1 | _LOOSE, priority=1,
         condim=4 if each.shape == "box" else 6, friction=(each.friction, *_TURNING_M), solref=(0.01, 1),
         solimp=(0.95, 0.99, 0.001, 0.5, 2), **_shape(each),
     )  # fmt: skip

@@ -187,7 +187,7 @@ def _described(
     sizes = _add_sensors(root, joints, limb_names(people), (*furniture(cell), *STANDS))
     if gripper is not None:
         hold_firmly(root)
-        add_guard(root, cell, limb_names(people))
+        add_guard(root, gripper, cell, limb_names(people))
         sizes |= add_hand_sensors(root, gripper, object_names(cell, objects))
     return root.to_xml_string(), root.get_assets(), sizes
 

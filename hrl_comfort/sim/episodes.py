@@ -122,7 +122,8 @@ class Episodes:
         Without a gripper these are the joints (r, 2 J): angles rad, velocities rad/s.
 
         With `entries` (r,) of an evaluation split the rows begin these; the next call without them begins the episode
-        that they would have begun now. Draws are repeated until the cell begins free of contact and unsolved.
+        that they would have begun now. Draws are repeated until the cell begins free of contact and unsolved,
+        and an object that is in the hand between both pads.
 
         Raises:
           ConfigError: no such start was found.
@@ -155,8 +156,10 @@ class Episodes:
             self.state = state if self.state is None else self.state.put(torch.from_numpy(pending), state)
             self.plan.accepted(pending, planned.limbs[:, 0])
             solved = self.subtask.next_stage(state) > 0
-            bad = (solved | state.touching | self.subtask.failure(state)).numpy()
-            pending = pending[bad]
+            bad = solved | state.touching | self.subtask.failure(state)
+            if self.scene.gripper is not None and self.subtask.start == Start.AT_OBJECT:
+                bad |= ~state.pads[:, 0].all(dim=-1)
+            pending = pending[bad.numpy()]
             if not len(pending):
                 self._ready[rows] = True
                 return bodies[rows]

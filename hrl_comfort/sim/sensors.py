@@ -7,7 +7,7 @@ from torch import Tensor
 
 from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.hand.sensors import HandSensors
+from hrl_comfort.sim.hand.sensors import HandSensors, still
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.tasks import State
 
@@ -71,7 +71,11 @@ class Sensors:
     def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> dict[str, Tensor]:
         fields = self._read(readings[:, :, -1], planned, before.joint_home)
         fields |= self._contacts(readings, planned.limbs, before, limbs)
-        return fields if self._hand is None else fields | self._hand.decision(readings[:, :, -1], before)
+        if self._hand is None:
+            return fields
+        hand = self._hand.decision(readings[:, :, -1], before)
+        arm = {name: value for name, value in fields.items() if name not in planned.fields}
+        return fields | still(arm, hand["diverged"], before) | hand
 
     def _read(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
         """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them."""

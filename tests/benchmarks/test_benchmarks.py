@@ -20,7 +20,7 @@ from hrl_comfort.benchmarks import train as bench_train
 from hrl_comfort.benchmarks import update as bench_update
 from hrl_comfort.benchmarks.peers import TorchRLSAC
 from hrl_comfort.cli.main import main
-from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.run_config import environment
 
@@ -87,6 +87,12 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
         assert [*zip(rows["world"], rows["num_envs"], rows["loop"], strict=True)] == expected
     each = len(worlds) * 2 * measure.ROUNDS
     assert made == {1: each, 4: each}, "one to warm up, one in no time"
+
+
+def test_the_loops_of_the_benchmark_run_with_a_gripper():
+    config = compose_environment("train", ["cell=grasp", "human=none", "task=pick"])
+    for loop in (bench_env.engine_loop(config, 2), bench_env.bare_loop(config, 2), bench_env.dm_loop(config)):
+        loop()
 
 
 @pytest.mark.parametrize("name", list(bench_update.LEARNERS))

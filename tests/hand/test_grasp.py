@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise, product
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +15,7 @@ import torch
 from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.evaluation.handover import handover
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.safety.separation import Separation
@@ -20,6 +23,7 @@ from hrl_comfort.scene.grippers import GRIPPERS
 from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.grasps import rise_m
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.07")
 
@@ -72,6 +76,43 @@ def test_a_rated_arm_grasps_behind_the_shield_beside_people() -> None:
     assert not any(result.state.unsafe_contact.any() for result in results)
 
 
+def test_an_episode_with_an_object_in_the_hand_begins_when_both_pads_touch_it() -> None:
+    engine = Engine(cell("task=place", "task.object=cube"), 2, 0)
+    model, begin, begun = engine.scene.model, engine.episodes.plan.begin, list[list[int]]()
+    at = model.joint("object_1_cube").qposadr[0]
+
+    def dropped_at_first(rows: np.ndarray, *others: Any) -> Any:
+        planned, control = begin(rows, *others)
+        if not begun:
+            planned.bodies[0, at] += 0.2
+        begun.append(rows.tolist())
+        return planned, control
+
+    engine.episodes.plan.begin = dropped_at_first  # type: ignore[method-assign]
+    assert engine.reset().pads.all()
+    assert begun[:2] == [[0, 1], [0]]
+
+
+def test_people_touch_neither_an_object_that_lies_there_nor_those_that_are_not_in_the_episode() -> None:
+    engine = Engine(cell("task=pick", "task.object=cube", "human=still"), 1, 0)
+    model, data = engine.scene.model, mujoco.MjData(engine.scene.model)
+    state = engine.reset()
+    bodies = engine.physics.state[0, 1 : 1 + model.nq]
+    for name in ("object_1_ball", "object_1_cube"):
+        data.qpos[:] = bodies
+        mujoco.mj_kinematics(model, data)
+        at = data.body(name).xpos.copy()
+        for limb in engine.scene.limbs:
+            data.mocap_pos[model.body(limb).mocapid[0]] = at
+        mujoco.mj_forward(model, data)
+        limbs = [model.body(limb).id for limb in engine.scene.limbs]
+        touched = model.geom_bodyid[data.contact.geom]
+        assert not (np.isin(touched, limbs).any(axis=1) & (touched == model.body(name).id).any(axis=1)).any()
+    assert state.objects[0, 0, 2] == pytest.approx(bodies[model.joint("object_1_cube").qposadr[0] + 2])
+    parked = bodies[model.joint("object_1_ball").qposadr[0] :][:2]
+    assert abs(parked[1]) > 1.0, "beside absent people, who stand at (50, 0)"
+
+
 def test_an_object_that_is_let_go_is_dropped_and_one_on_the_floor_is_lost() -> None:
     config = cell("task=place", "task.object=cube")
     engine = Engine(config, 2, 0)
@@ -109,6 +150,23 @@ def test_an_object_that_has_fallen_is_picked_where_it_lies() -> None:
     assert done.all()
 
 
+def test_a_hand_that_has_closed_on_nothing_opens_before_it_closes_again() -> None:
+    config = cell("task=pick", "task.object=cube")
+    engine = Engine(config, 1, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    grips, asked = list[float](), list[float]()
+    for _ in range(30):
+        believed = state.tcp_pos[:, None] - torch.tensor([0.0, 0.0, rise_m(engine.scene, 1)])
+        action = act(state.with_(objects=believed)).numpy()
+        grips.append(float(state.grip[0]))
+        asked.append(float(action[0, 6]))
+        state = engine.step(action).state
+    closed = [grip for grip, (before, after) in zip(grips[1:], pairwise(asked), strict=True) if after > before]
+    opened = [grip for grip, (before, after) in zip(grips[1:], pairwise(asked), strict=True) if after < before]
+    assert len(closed) > 1 and max(closed) < 0.1
+    assert len(opened) > 1 and min(opened) > 0.98
+
+
 def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
     engine = Engine(cell("task=pick"), 2, 0)
     engine.reset()
@@ -119,12 +177,40 @@ def test_physics_that_diverges_ends_the_episode_and_is_told() -> None:
     assert all((value[0].isfinite() | ~value[1].isfinite()).all() for value in known)  # NaN is what is not measured
 
 
+def test_an_arm_that_begins_anew_after_physics_diverged_touches_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = cell("task=pick", "human=still", "comfort=distance_and_speed", "comfort.distance=arm")
+    engine = Engine(config, 2, 0)
+    before = engine.reset()
+    engine.physics.state[0, 1 + engine.scene.model.nq + 7] = 1e12
+    advance, sensors = engine.episodes.advance, engine.scene.sensors
+
+    def touched(sensed: np.ndarray, rows: np.ndarray | None) -> StepResult:
+        for name in ("human", "table", "self"):
+            sensed[0, ..., sensors[name]] = 1.0
+        return advance(sensed, rows)
+
+    monkeypatch.setattr(engine.episodes, "advance", touched)
+    after = engine.step(np.zeros((2, 7))).state
+    assert after.diverged.tolist() == [True, False]
+    names = ("joint_pos", "joint_vel", "tcp_pos", "touching", "table_collision", "self_collision", "contact")
+    for name in (*names, "unsafe_contact", "arm_distance", "objects", "pads"):
+        assert torch.equal(getattr(after, name)[0], getattr(before, name)[0]), name
+    assert after.arm_distance.isfinite().all()
+
+
 def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
     words = ["task=cycle", "meta_controller=scripted", *skills, "split=train", "episodes=4", "output=unused"]
     table = rollout(compose("evaluate", [*ALONE, *words])).table  # type: ignore[arg-type]
     assert table["success"].all()
     assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
+
+
+def test_handover_records_nothing_with_a_gripper(tmp_path: Path) -> None:
+    skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
+    words = ["task=cycle", "meta_controller=scripted", *skills, f"output='{tmp_path}'"]
+    with pytest.raises(ConfigError, match="two_finger does not go with handover"):
+        handover(compose("evaluate", [*ALONE, *words]))  # type: ignore[arg-type]
 
 
 def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:
@@ -151,6 +237,33 @@ def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them()
     data.mocap_pos[model.body("left_forearm").mocapid[0]] = side  # its elbow beside an empty hand
     mujoco.mj_forward(model, data)
     assert data.sensordata[scene.sensors["human"]].any()
+
+
+@pytest.mark.parametrize("gripper", ["two_finger", "pincer:PINCER"])
+def test_open_pads_lie_within_the_capsules_of_the_arm_however_small_the_objects_are(
+    gripper: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    small = ("~cell.objects.ball", "cell.objects.cube.size_m=[0.0075,0.0075,0.0075]")
+    scene = scene_of(cell("task=pick", f"gripper={gripper}", *small))
+    model, data, arm = scene.planning, mujoco.MjData(scene.planning), Separation(scene).arm
+    data.qpos[:] = scene.home
+    mujoco.mj_kinematics(model, data)
+    first, second = arm.pose(scene.home[None]).ends[..., 0].transpose(2, 1, 0)
+    assert scene.gripper is not None
+    pads = [model.body(f"robot/{name}").id for name in scene.gripper.pads]
+    geoms = [
+        i
+        for i in range(model.ngeom)
+        if model.geom_bodyid[i] in pads and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX
+    ]
+    assert len(geoms) == 2
+    for geom in geoms:
+        for signs in product((-1, 1), repeat=3):
+            at = data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ (model.geom_size[geom] * signs)
+            share = ((at - first) * (second - first)).sum(axis=1) / ((second - first) ** 2).sum(axis=1).clip(1e-12)
+            nearest = first + share.clip(0, 1)[:, None] * (second - first)
+            assert (np.linalg.norm(at - nearest, axis=1) <= arm.radius + 1e-9).any()
 
 
 def test_without_a_gripper_the_state_knows_no_hand() -> None:
@@ -195,6 +308,8 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
         ("train", ["gripper=two_finger", "task=shift"], "shift"),
         ("train", ["gripper=three_finger"], "is not a choice"),
+        ("train", ["gripper=two_finger", "task=place", "task.start=states.npz"], "choose task.start=ik"),
+        ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
         ("studio", ["gripper=two_finger"], "studio takes gripper=none"),
         ("export", ["gripper=two_finger", "policy=x.pt"], "export takes gripper=none"),
     ],

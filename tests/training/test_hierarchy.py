@@ -194,6 +194,15 @@ def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_pa
     assert "starts from inverse kinematics" in capsys.readouterr().err
 
 
+def test_with_a_gripper_every_option_starts_from_inverse_kinematics(tmp_path, monkeypatch):
+    trained = list[tuple[str, str]]()
+    monkeypatch.setattr(module, "_train", lambda config: trained.append((config.task.name, config.task.start)))
+    config = compose("train_hierarchy", ["cell=grasp", "human=none", f"output='{tmp_path}'"])
+    module.train_options(config, tmp_path)
+    assert [name for name, _ in trained][:2] == list(config.meta_controller.options)[:2]
+    assert {start for _, start in trained} == {"ik"}
+
+
 def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     config = compose("train_hierarchy", ["division=one", "agent.policy_steps=1000"])
     assert isinstance(config, HierarchyTrainConfig)

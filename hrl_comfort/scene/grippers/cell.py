@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import mujoco
+import numpy as np
 from dm_control import mjcf
 
 from hrl_comfort.config import CellConfig, ConfigError
@@ -39,18 +41,44 @@ def hold_firmly(root: mjcf.RootElement) -> None:
     root.option.cone, root.option.impratio = "elliptic", 10
 
 
-def add_guard(root: mjcf.RootElement, cell: CellConfig, limbs: Sequence[str]) -> None:
-    """Add a capsule round all that the hand may hold, which people touch, and which counts for the shield."""
+def add_guard(root: mjcf.RootElement, gripper: Gripper, cell: CellConfig, limbs: Sequence[str]) -> None:
+    """Add a capsule round the open pads and all that the hand may hold.
+
+    People touch it, and it counts for the shield.
+    """
     tool = root.find("site", "robot/tcp")
     widest = max(math.dist((0, 0, 0), each.half_m) for each in cell.objects.values())
+    length = max(FINGERS_M - widest, 0.001)
+    radius = max(widest + GUARD_MARGIN_M, _pads_reach(root, gripper, length))
     x, y, z = tool.pos
     tool.parent.add(
-        "geom", name=GUARD, type="capsule", fromto=(x, y, z - max(FINGERS_M - widest, 0.001), x, y, z),
-        size=[widest + GUARD_MARGIN_M], contype=_PEOPLE, conaffinity=0, condim=1, mass=0, group=4, rgba=(1, 1, 1, 0.1),
+        "geom", name=GUARD, type="capsule", fromto=(x, y, z - length, x, y, z), size=[radius], contype=_PEOPLE,
+        conaffinity=0, condim=1, mass=0, group=4, rgba=(1, 1, 1, 0.1),
     )  # fmt: skip
     for limb in limbs:
         for geom in root.find("body", limb).geom:
             geom.conaffinity = 1 | _PEOPLE
+
+
+def _pads_reach(root: mjcf.RootElement, gripper: Gripper, length: float) -> float:
+    """Return how far, m, the open pads reach from an axis of `length` m that ends at the tool.
+
+    Capsules and spheres of the pads are left out: they count for the shield themselves.
+    """
+    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    tool, farthest = data.site("robot/tcp"), 0.0
+    pads = [model.body(f"robot/{name}").id for name in gripper.pads]
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, pads)):
+        if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE):
+            continue
+        corners = model.geom_aabb[geom, :3] + np.array(list(product((-1, 1), repeat=3))) * model.geom_aabb[geom, 3:]
+        at = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T
+        at = (at - tool.xpos) @ tool.xmat.reshape(3, 3)
+        at[:, 2] -= at[:, 2].clip(-length, 0.0)
+        farthest = max(farthest, float(np.linalg.norm(at, axis=1).max()))
+    return farthest
 
 
 def add_hand_sensors(root: mjcf.RootElement, gripper: Gripper, objects: Sequence[str]) -> dict[str, int]:

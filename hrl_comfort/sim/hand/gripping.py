@@ -22,8 +22,8 @@ CLOSES_S = 0.5
 """Time in which a hand closes on an object."""
 NEAR = 0.15
 """Part of the jitter and of the turn of an object by which a hand in front of it may be off."""
-PARKED_M = 0.3
-"""Distance of objects that are not in an episode from each other."""
+ASIDE_M, PARKED_M = 2.0, 0.3
+"""Distance of objects that are not in an episode from people who are not there, and from each other."""
 
 
 class Gripping:
@@ -43,7 +43,7 @@ class Gripping:
         kinds = list(scene.cell.objects.values())
         for index, at in enumerate(self._objects):
             height = scene.floor_z + kinds[index % len(kinds)].half_height_m
-            self._parked[at : at + 7] = (FAR_AWAY_M + PARKED_M * index, 0, height, 1, 0, 0, 0)
+            self._parked[at : at + 7] = (FAR_AWAY_M, ASIDE_M + PARKED_M * index, height, 1, 0, 0, 0)
         self._data = mujoco.MjData(scene.planning)
         self._closed_on = cache(self._closed)
 

@@ -44,7 +44,7 @@ class HandSensors:
     def decision(self, sensed: Array, before: State) -> dict[str, Tensor]:
         """Return the fields (n, K, ...) of a decision that began in the state `before` (n rows).
 
-        From readings (n, K, nsensor). Where the physics diverged, they are those before it.
+        From readings (n, K, nsensor). From where the physics diverged on, they are those before it.
         """
         steps = before.steps.numpy()[:, None] + np.arange(1, sensed.shape[1] + 1)
         fields = self._read(sensed, before.kinds.numpy())
@@ -52,12 +52,10 @@ class HandSensors:
         late = sensed[..., self._at["time"]][..., 0] < (steps - 1.5) * CONTROL_STEP_S
         way = np.diff(fields["objects"], axis=1, prepend=before.objects.numpy()[:, None])
         flung = ~(np.linalg.norm(way, axis=-1) < FASTEST_M_S * CONTROL_STEP_S).all(axis=-1)
-        diverged = late | flung | ~np.isfinite(sensed).all(axis=-1)
-        if diverged.any():
-            for name in fields:
-                kept = getattr(before, name).numpy()[:, None]
-                fields[name] = np.where(_wide(diverged, kept.ndim), kept, fields[name])
-        return _tensors(fields | self._counted(fields, diverged, before))
+        diverged = np.logical_or.accumulate(late | flung | ~np.isfinite(sensed).all(axis=-1), axis=1)
+        told = _tensors(fields)
+        kept = {name: value.numpy() for name, value in still(told, torch.from_numpy(diverged), before).items()}
+        return _tensors(kept | self._counted(kept, diverged, before))
 
     def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return the fields (n, K, ...) of readings (n, K, nsensor) that need no memory; `kinds` (n, B) of objects."""
@@ -124,8 +122,17 @@ class HandSensors:
         return gone
 
 
-def _wide(values: NDArray[np.bool_], ndim: int) -> NDArray[np.bool_]:
-    return values.reshape(*values.shape, *[1] * (ndim - values.ndim))
+def still(fields: dict[str, Tensor], diverged: Tensor, before: State) -> dict[str, Tensor]:
+    """Return `fields` (n, K, ...) of a decision, which stay as they were when the physics has `diverged` (n, K).
+
+    They stay as in the last instant before, in the decision or in the state `before` it (n rows).
+    """
+    if not diverged.any():
+        return fields
+    last = torch.where(diverged, 0, torch.arange(1, diverged.shape[1] + 1)).cummax(dim=1).values
+    rows = torch.arange(len(last))[:, None]
+    known = {name: torch.cat([getattr(before, name)[:, None], value], dim=1) for name, value in fields.items()}
+    return {name: value[rows, last] for name, value in known.items()}
 
 
 def _tensors(fields: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
