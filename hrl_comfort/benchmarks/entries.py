@@ -77,8 +77,7 @@ QUANTITIES = {
 }
 """Columns of the table."""
 HEADLINE = (
-    "objects_per_min", "discomfort_per_min", "avoidable_discomfort_per_min", "tool_speed_beside_m_s",
-    "arm_distance_mean_m", "unsafe_contacts_per_h",
+    "objects_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
 )  # fmt: skip
 """Quantities of the short table."""
 ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "objects_per_min")
@@ -139,11 +138,12 @@ def pooled(folder: Path) -> Entry:
 
 
 def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
-    """Return quantities of the entries as a Markdown table, a line a level.
+    """Return quantities of the entries as a Markdown table, a line a level, without those that none of them has.
 
     A star marks an entry of another suite or split.
     """
-    quantities = {name: QUANTITIES[name] for name in names}
+    rows: list[Any] = [at for entry in entries for at in entry["levels"]]
+    quantities = {name: QUANTITIES[name] for name in names if any(row.get(name) for row in rows)}
     return markdown(
         ["policy", "level", "shifts", *(each.label for each in quantities.values())],
         (
