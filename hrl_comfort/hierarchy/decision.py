@@ -1,4 +1,4 @@
-"""What a top sees and how it is called."""
+"""Decisions that a top sees, and the top that takes them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KEY = "meta_controller.name"
 
 @dataclass(frozen=True)
 class Decision:
-    """What a top sees of N cells, in some of which it is to choose."""
+    """N cells as a top sees them, in some of which it is to choose."""
 
     state: State
     """With the comfort level in force (`level`)."""

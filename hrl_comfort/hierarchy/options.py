@@ -33,7 +33,7 @@ class Termination(Enum):
 
 @dataclass(frozen=True)
 class Begun:
-    """How the options in force began, (N,) int64 each."""
+    """Beginnings of the options in force, (N,) int64 each."""
 
     stage: Tensor
     """Stage of the task then."""

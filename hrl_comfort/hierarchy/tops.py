@@ -164,4 +164,4 @@ TOPS: dict[str, MakeTop] = implemented(
         "learned": learned,
     },
 )
-"""What makes each top."""
+"""Makers of the tops."""

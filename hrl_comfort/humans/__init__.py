@@ -88,7 +88,7 @@ def _members(config: HumanConfig, traits: Array) -> list[tuple[NDArray[np.int64]
 
 
 class Motions:
-    """How a person moves, or people who each draw a motion of a mixture."""
+    """Motion of people, who each draw one of a mixture if there is one."""
 
     def __init__(self, config: HumanConfig) -> None:
         self._members = config.people if config.mixture else [config]
