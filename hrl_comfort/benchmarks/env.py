@@ -81,6 +81,7 @@ def bare_loop(env: EnvConfig, cells: int) -> Callable[[], object]:
     """Return a call that rolls the same model through as many substeps, with precomputed controls."""
     engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
     engine.reset()
+    engine.physics.begin_decision()
     action = rng.uniform(-1, 1, (cells, engine.episodes.action_dim))
     parts = engine.episodes.controls(action, lambda: engine.physics.joints)
     control = np.concatenate(list(parts), axis=1)
