@@ -57,7 +57,7 @@ STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class Step:
-    """What an arm does next: go on by joint increments (J,) rad in a decision, or with a plan if there are none."""
+    """Next move of an arm: to go on by joint increments (J,) rad in a decision, or with a plan if there are none."""
 
     fingers: float
     move: Array | None = None

@@ -58,7 +58,7 @@ class ArmGeometry:
         """(C,) m."""
         steps = np.ascontiguousarray(self._steps[..., 0])
         self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
-        """What kernels take of it."""
+        """Its part that kernels take."""
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
         self._tcp_axes = data.xmat[last].reshape(3, 3).T @ data.site("robot/tcp").xmat.reshape(3, 3)
@@ -174,7 +174,7 @@ class PersonGeometry:
         self.radius = np.array([part[2] for part in found])
         """(P,) m."""
         self.compiled = self._limb, self._local
-        """What kernels take of it."""
+        """Its part that kernels take."""
 
     def ends(self, limbs: Array) -> Array:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
