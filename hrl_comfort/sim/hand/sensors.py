@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.scene.workcell import Scene
@@ -16,6 +14,8 @@ from hrl_comfort.tasks import State
 from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
 
 Array = NDArray[np.float64]
+Fields = dict[str, NDArray[Any]]
+"""Fields of State by their names."""
 FLOOR_M = 0.15
 """Height above the floor below which an object's centre means that it fell off its place."""
 FARTHEST_M = 3.0
@@ -33,15 +33,15 @@ class HandSensors:
         self._at, self._kinds, self._floor_z = scene.sensors, len(scene.cell.objects), scene.floor_z
         self._open, self._closed = scene.model.actuator_ctrlrange[len(scene.joints)]
 
-    def first(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, Tensor]:
+    def first(self, sensed: Array, kinds: NDArray[np.int64]) -> Fields:
         """Return the fields (n, 1, ...) of the first instants of episodes, from readings (n, 1, nsensor).
 
         Objects are of `kinds` (n, B).
         """
         fields = self._read(sensed, kinds)
-        return _tensors(fields | self._begun(fields))
+        return fields | self._begun(fields)
 
-    def decision(self, sensed: Array, before: State) -> dict[str, Tensor]:
+    def decision(self, sensed: Array, before: State) -> Fields:
         """Return the fields (n, K, ...) of a decision that began in the state `before` (n rows).
 
         From readings (n, K, nsensor). From where the physics diverged on, they are those before it.
@@ -53,11 +53,10 @@ class HandSensors:
         way = np.diff(fields["objects"], axis=1, prepend=before.objects.numpy()[:, None])
         flung = ~(np.linalg.norm(way, axis=-1) < FASTEST_M_S * CONTROL_STEP_S).all(axis=-1)
         diverged = np.logical_or.accumulate(late | flung | ~np.isfinite(sensed).all(axis=-1), axis=1)
-        told = _tensors(fields)
-        kept = {name: value.numpy() for name, value in still(told, torch.from_numpy(diverged), before).items()}
-        return _tensors(kept | self._counted(kept, diverged, before))
+        kept = still(fields, diverged, before)
+        return kept | self._counted(kept, diverged, before)
 
-    def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> Fields:
         """Return the fields (n, K, ...) of readings (n, K, nsensor) that need no memory; `kinds` (n, B) of objects."""
         n, count = sensed.shape[:2]
         way = self._closed - self._open
@@ -77,7 +76,7 @@ class HandSensors:
             "pads": of_objects("pads", 2) > 0,
         }
 
-    def _begun(self, fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def _begun(self, fields: Fields) -> Fields:
         """Return COUNTED (n, 1, ...) of the first instants of episodes."""
         height, held = fields["objects"][..., 2], np.asarray(fields["pads"].all(axis=-1))
         none, n = np.zeros(height.shape, dtype=np.int64), len(height)
@@ -88,9 +87,7 @@ class HandSensors:
             "diverged": np.zeros((n, 1), dtype=bool),
         }  # fmt: skip
 
-    def _counted(
-        self, fields: dict[str, NDArray[Any]], diverged: NDArray[np.bool_], before: State
-    ) -> dict[str, NDArray[Any]]:
+    def _counted(self, fields: Fields, diverged: NDArray[np.bool_], before: State) -> Fields:
         """Return COUNTED (n, K, ...) of a decision that began in the state `before` (n rows)."""
         now = {name: getattr(before, name).numpy() for name in COUNTED}
         places, near = before.object_places.numpy(), before.place_tolerance.numpy()[:, None]
@@ -122,18 +119,14 @@ class HandSensors:
         return gone
 
 
-def still(fields: dict[str, Tensor], diverged: Tensor, before: State) -> dict[str, Tensor]:
+def still(fields: Fields, diverged: NDArray[np.bool_], before: State) -> Fields:
     """Return `fields` (n, K, ...) of a decision, which stay as they were when the physics has `diverged` (n, K).
 
     They stay as in the last instant before, in the decision or in the state `before` it (n rows).
     """
     if not diverged.any():
         return fields
-    last = torch.where(diverged, 0, torch.arange(1, diverged.shape[1] + 1)).cummax(dim=1).values
-    rows = torch.arange(len(last))[:, None]
-    known = {name: torch.cat([getattr(before, name)[:, None], value], dim=1) for name, value in fields.items()}
-    return {name: value[rows, last] for name, value in known.items()}
-
-
-def _tensors(fields: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
-    return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
+    last = np.maximum.accumulate(np.where(diverged, 0, np.arange(1, diverged.shape[1] + 1)), axis=1)
+    rows = np.arange(len(last))[:, None]
+    begun = {name: getattr(before, name).numpy()[:, None] for name in fields}
+    return {name: np.concatenate([begun[name], value], axis=1)[rows, last] for name, value in fields.items()}
