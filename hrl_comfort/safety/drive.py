@@ -187,11 +187,14 @@ class Drive:
             shield.remember(seen.person, trail)
         return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
 
-    def beside(self, points: SetPoints, now: Encounter, limbs: Array) -> SetPoints:
-        """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
+    def beside(self, points: SetPoints, now: Encounter, after: Array) -> SetPoints:
+        """Return the set-points of a control step in which people move on from `now`, their capsules' ends to `after`.
+
+        These are (3, P, 2, N) m.
+        """
         if self.shield is None:
             return points
-        beyond = self.shield.beyond_bound(now, limbs)
+        beyond = self.shield.beyond_bound(now, after)
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:

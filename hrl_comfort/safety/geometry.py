@@ -80,8 +80,8 @@ class ArmGeometry:
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
         if plain(angles):
-            sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
-            return ArmPose(*kernels.pose(sine, versine, *self.compiled))
+            turned = np.ascontiguousarray(angles.T)
+            return ArmPose(*kernels.pose(np.sin(turned), 1 - np.cos(turned), *self.compiled))
         rotation, anchor, origins = self._frames(angles)
         local = self._local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)

@@ -261,14 +261,12 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
 
 @kernel
 def met(
-    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
-    person_radius: Array,
-) -> Array:  # fmt: skip
-    """Return how far (N,) m arms are from people who went on to `limbs`; inf if those did not go as far as the arm was.
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array
+) -> Array:
+    """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
 
-    `person` are the ends of their capsules before, `apart` (C, N) m is how far each part of the arm was from them.
+    `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.
     """
-    after = limb_ends(limbs, limb, local)
     way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
     for m in range(len(gap)):
         if apart[:, m].min() <= way[m]:
@@ -279,11 +277,9 @@ def met(
 
 @kernel
 def approached(
-    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
-    person_radius: Array, most_m: float,
-) -> NDArray[np.bool_]:  # fmt: skip
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
+) -> NDArray[np.bool_]:
     """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
-    after = limb_ends(limbs, limb, local)
     way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
     for m in range(len(nearer)):
         if way[m] > most_m:

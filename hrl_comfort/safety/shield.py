@@ -162,14 +162,14 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, now: Encounter, limbs: Array) -> NDArray[np.bool_]:
+    def beyond_bound(self, now: Encounter, after: Array) -> NDArray[np.bool_]:
         """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
 
-        They are at `limbs` (N, L, 7) a control step after `now`.
+        Their capsules have their ends at `after` (3, P, 2, N) a control step after `now`.
         """
-        most, person = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING, self._person
-        given = contiguous(now.pose.ends, now.apart, now.person, limbs)
-        return kernels.approached(*given, self.arm.radius, *person.compiled, person.radius, most)
+        most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+        given = contiguous(now.pose.ends, now.apart, now.person, after)
+        return kernels.approached(*given, self.arm.radius, self._person.radius, most)
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""

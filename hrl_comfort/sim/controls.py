@@ -7,7 +7,7 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene import kernels
-from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene.human import walkers_limbs
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -15,9 +15,7 @@ Array = NDArray[np.float64]
 
 def limbs_of(scene: Scene, walk: humans.Walk) -> Array:
     """Return the limb poses (n, 7, 7) of n people, each in a cell of their own."""
-    phase, swing = humans.gait(walk)
-    x, y = walk.position.T
-    return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z, walk.limbs)
+    return walkers_limbs(walk, scene.floor_z)
 
 
 def pack_controls(

@@ -159,17 +159,17 @@ class Plan:
             if self.drive is None:
                 targets, point = self._ramp(joint_target, increment, k, times[:, k] + 1)
                 if self.people_stop:
-                    now = self._separation.encounter(point.angles, crowd.limbs)
+                    now = self._separation.beside(point.angles, crowd.ends)
             else:
                 moving = joints()
-                now = self._separation.encounter(moving[:, : joint_target.shape[1]], crowd.limbs)
+                now = self._separation.beside(moving[:, : joint_target.shape[1]], crowd.ends)
                 asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
                 begin, point = self.drive.step(points[-1], asked, moving, now, seen)
                 targets = point.ramp(begin, self._substeps)
             crowd = self.people.step(noise[:, k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
-                point = self.drive.beside(point, now, crowd.limbs)
+                point = self.drive.beside(point, now, crowd.ends)
             points.append(point)
             self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
             followed = self._servos.follow(targets)
@@ -200,7 +200,7 @@ class Plan:
     def _seen_ends(self) -> Array:
         """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
         shown = self.tracker.shown
-        return self._separation.person.ends(self.people.now.limbs if shown is None else shown)
+        return self.people.now.ends if shown is None else self._separation.person.ends(shown)
 
     def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
         """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""

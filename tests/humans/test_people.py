@@ -325,8 +325,10 @@ def test_crowds_of_some_rows_are_put_and_chosen() -> None:
     for row, k in enumerate(last):
         assert np.array_equal(chosen.places[row], people.course[1 + k].places[row])
         assert np.array_equal(chosen.limbs[row], people.course[1 + k].limbs[row])
+        assert np.array_equal(chosen.ends[..., row], people.course[1 + k].ends[..., row])
     rows = np.array([1, 3])
-    picked = Crowd(tuple(walk.rows(rows) for walk in chosen.walks), chosen.limbs[rows])
+    picked = Crowd(tuple(walk.rows(rows) for walk in chosen.walks), chosen.limbs[rows], chosen.ends[..., rows])
     put = people.course[0].put(rows, picked)
     assert np.array_equal(put.places[rows], chosen.places[rows])
+    assert np.array_equal(put.ends, engine.episodes.separation.person.ends(put.limbs))
     assert np.array_equal(put.places[[0, 2]], people.course[0].places[[0, 2]])

@@ -103,8 +103,9 @@ def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) 
     before[..., 1] += 0.5
     after, found = before + np.concatenate([rng.normal(0, 0.1, (rows, 7, 2)), np.zeros((rows, 7, 5))], axis=2), []
     now = separation.encounter(rng.uniform(-3, 3, (rows, 6)), before)
-    then, way = gaps(arm, now.pose.ends, person, person.ends(after)), farthest(person.ends(after), now.person)
-    given = now.pose.ends, now.apart, now.person, after, arm.radius, *person.compiled, person.radius
+    ends = person.ends(after)
+    then, way = gaps(arm, now.pose.ends, person, ends), farthest(ends, now.person)
+    given = now.pose.ends, now.apart, now.person, ends, arm.radius, person.radius
     met = np.where(now.apart.min(axis=0) <= way, then.min(axis=0), np.inf)
     np.testing.assert_array_equal(kernels.met(*given), met)
     for most in (0.0, 0.05, 0.1, 0.2):
