@@ -55,8 +55,7 @@ class SetPoints:
 
     def ramp(self, before: Array, substeps: int) -> Array:
         """Return the targets (N, substeps, J) rad of the control step, from `before` (N, J) rad on."""
-        share = np.arange(1, substeps + 1)[:, None] / substeps
-        return np.asarray(before[:, None] + share * (self.angles - before)[:, None])
+        return drive_kernels.ramp(*contiguous(before, self.angles), substeps)
 
 
 class Drive:
@@ -195,6 +194,8 @@ class Drive:
         if self.shield is None:
             return points
         beyond = self.shield.beyond_bound(now, after)
+        if not beyond.any():
+            return points
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:

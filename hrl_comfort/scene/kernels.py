@@ -93,31 +93,39 @@ def walkers_limbs(
 
 @kernel
 def controls(
-    targets: Array, limbs: Array, layout: Array, objects: Array, props: Ints, points: Array, spare: int, away_m: float
-) -> Array:
-    """See `sim.controls.pack_controls`: of objects shown by the `props` (n, B), of `spare` that there are."""
+    targets: Array, limbs: Array, layout: Array, objects: Array, kinds: Ints, points: Array, marks: int, bodies: int,
+    spare: int, away_m: float,
+) -> Array:  # fmt: skip
+    """See `sim.controls.pack_controls`.
+
+    The last, `spare` bodies are the `marks` of points, then those of each object, `bodies` by its kind; see
+    `Scene.object_prop`.
+    """
     (n, times, joints), people, still = targets.shape, limbs.shape[1], layout.shape[1]
-    steps, bodies = len(limbs) // n, people + still + spare
-    control = np.empty((n, times, joints + 7 * bodies))
-    places, turns, first = joints, joints + 3 * bodies, people + still
+    steps, first, shown = len(limbs) // n, people + still, points.shape[1]
+    substeps, turns = times // steps, joints + 3 * (first + spare)
+    control = np.empty((n, times, joints + 7 * (first + spare)))
     for m in range(n):
-        for time in range(times):
-            out = control[m, time]
-            for j in range(joints):
-                out[j] = targets[m, time, j]
-            step = m * steps + time // (times // steps)
-            for index in range(bodies):
-                for axis in range(7):
-                    if index < people:
-                        value = limbs[step, index, axis]
-                    elif index < first:
-                        value = layout[m, index - people, axis]
-                    else:
-                        value = away_m if axis == 0 else 1.0 if axis == 3 else 0.0
-                    out[places + 3 * index + axis if axis < 3 else turns + 4 * index + axis - 3] = value
+        for step in range(steps):
+            out, one = control[m, step * substeps], m * steps + step
+            for index in range(first + spare):
+                place, turn = joints + 3 * index, turns + 4 * index
+                if index < first:
+                    at = limbs[one, index] if index < people else layout[m, index - people]
+                    out[place], out[place + 1], out[place + 2] = at[0], at[1], at[2]
+                    out[turn], out[turn + 1], out[turn + 2], out[turn + 3] = at[3], at[4], at[5], at[6]
+                else:
+                    out[place], out[place + 1], out[place + 2] = away_m, 0.0, 0.0
+                    out[turn], out[turn + 1], out[turn + 2], out[turn + 3] = 1.0, 0.0, 0.0, 0.0
             for axis in range(3):
-                for index in range(points.shape[1]):
-                    out[places + 3 * (first + index) + axis] = points[m, index, axis]
-                for index in range(0 if points.shape[1] else props.shape[1]):
-                    out[places + 3 * (first + props[m, index]) + axis] = objects[m, index, axis]
+                for index in range(shown):
+                    out[joints + 3 * (first + index) + axis] = points[m, index, axis]
+                for index in range(objects.shape[1] if bodies and not shown else 0):
+                    body = first + marks + index * bodies + kinds[m, index]
+                    out[joints + 3 * body + axis] = objects[m, index, axis]
+            for time in range(step * substeps, (step + 1) * substeps):
+                for index in range(joints, control.shape[2]):
+                    control[m, time, index] = out[index]
+                for j in range(joints):
+                    control[m, time, j] = targets[m, time, j]
     return control

@@ -7,6 +7,7 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene import kernels
+from hrl_comfort.scene.furniture import POINTS
 from hrl_comfort.scene.human import walkers_limbs
 from hrl_comfort.scene.workcell import Scene
 
@@ -31,6 +32,6 @@ def pack_controls(
     n, driven = len(targets), targets.shape[-1]
     if driven < scene.model.nu:
         targets = np.concatenate([targets, np.zeros((*targets.shape[:2], scene.model.nu - driven))], axis=-1)
-    props = np.empty((n, 0), dtype=np.int64) if scene.loose else scene.object_prop(np.arange(kinds.shape[1]), kinds)
-    given = contiguous(targets, limbs, layout, objects, props, points)
-    return kernels.controls(*given, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)
+    bodies = 0 if scene.loose else len(scene.cell.objects)
+    given = contiguous(targets, limbs, layout, objects, kinds, points)
+    return kernels.controls(*given, len(POINTS), bodies, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
@@ -139,9 +140,10 @@ class Plan:
         if self._gripping is not None:
             action, command, grips = action[:, :-1], action[:, -1], [state.grip_target.numpy()]
         if self._hand is None:
-            increment = action * np.radians(self._task.max_step_deg)
+            increment = action * math.radians(self._task.max_step_deg)
         else:
             increment = self._hand.increments(joint_target, action)
+        asked = increment / CONTROL_STEP_S
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
         discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
@@ -163,8 +165,7 @@ class Plan:
             else:
                 moving = joints()
                 now = self._separation.beside(moving[:, : joint_target.shape[1]], crowd.ends)
-                asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
-                begin, point = self.drive.step(points[-1], asked, moving, now, seen)
+                begin, point = self.drive.step(points[-1], asked, moving, now, self.tracker.shown)
                 targets = point.ramp(begin, self._substeps)
             crowd = self.people.step(noise[:, k], times[:, k], now)
             if self.drive is not None:
