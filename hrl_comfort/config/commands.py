@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, one_of, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import PREGRASP, SPLITS, STARTS
+from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
@@ -61,11 +61,6 @@ class EnvConfig(CommandConfig):
         if task.start == PREGRASP and not self.robot.gripper.holds:
             raise ConfigError(
                 "task.start=pregrasp puts a hand in front of an object; choose gripper=two_finger, or task.start=ik"
-            )
-        if self.robot.gripper.holds and task.start not in STARTS:
-            raise ConfigError(
-                f"task.start={task.start!r} knows no fingers and no object in them; with robot.gripper.name="
-                f"{self.robot.gripper.name} choose task.start=ik"
             )
         if self.robot.gripper.holds and cell.vary.layouts:
             raise ConfigError(

@@ -308,7 +308,6 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
         ("train", ["gripper=two_finger", "task=shift"], "shift"),
         ("train", ["gripper=three_finger"], "is not a choice"),
-        ("train", ["gripper=two_finger", "task=place", "task.start=states.npz"], "choose task.start=ik"),
         ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
         ("studio", ["gripper=two_finger"], "studio takes gripper=none"),
         ("export", ["gripper=two_finger", "policy=x.pt"], "export takes gripper=none"),

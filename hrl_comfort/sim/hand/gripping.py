@@ -50,14 +50,18 @@ class Gripping:
     def begin(self, draw: Draw, rows: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return the bodies (r, nq + nv) in which the episodes of `rows` (r,) begin, and the hands' set-points (r,).
 
-        Objects lie where they arrive. A hand is closed on the first one where the subtask begins with that in the hand;
-        where it begins with that placed, it lies in its place.
+        They are those of a recorded start, if there is one. Else objects lie where they arrive. A hand is closed on
+        the first one where the subtask begins with that in the hand; where it begins with that placed, it lies there.
         """
         model, cell = self._model, self._scene.cell
         bodies = np.zeros((len(rows), model.nq + model.nv))
         grip, kinds = np.zeros(len(rows)), draw.kinds[rows]
         lying = draw.objects(rows)
         for row, (start, turns) in enumerate(zip(draw.start[rows], draw.turns[rows], strict=True)):
+            recorded = draw.hand[rows[row]]
+            if np.isfinite(recorded).all():
+                bodies[row], grip[row] = recorded[:-1], recorded[-1]
+                continue
             qpos, joints = self._parked.copy(), len(self._arm)
             qpos[self._arm] = start[:joints]
             for index, kind in enumerate(kinds[row]):
@@ -65,9 +69,9 @@ class Gripping:
                 pose = np.array([*at, np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
                 if index == 0 and self._start == Start.AT_PLACE:
                     pose[:3] = draw.kind_places[rows[row], kind]
-                if index == 0 and self._start == Start.BEFORE_OBJECT:
+                if index == 0 and np.isfinite(before := draw.before[rows[row]]).all():
                     off = at[:2] - draw.places[rows[row], self._arrives[kind], :2]
-                    pose = self._in_front(start[:joints], at[2], rise_m(self._scene, int(kind)), off, turn)
+                    pose = self._in_front(before, at[2], rise_m(self._scene, int(kind)), off, turn)
                 if index == 0 and self._start == Start.AT_OBJECT:
                     pose = self._in_hand(start[:joints], rise_m(self._scene, int(kind)))
                     qpos[self._fingers] = self._closed_on(int(kind))
