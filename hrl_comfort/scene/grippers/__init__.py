@@ -5,9 +5,10 @@ from __future__ import annotations
 from hrl_comfort.config import ConfigError, GripperConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.scene.grippers.gripper import Gripper, Hand
+from hrl_comfort.scene.grippers.robotiq_2f85 import Robotiq2F85
 from hrl_comfort.scene.grippers.two_finger import TwoFinger
 
-GRIPPERS: dict[str, Gripper] = {each.name: each for each in (TwoFinger(),)}
+GRIPPERS: dict[str, Gripper] = {each.name: each for each in (TwoFinger(), Robotiq2F85())}
 
 
 def gripper_named(config: GripperConfig) -> Gripper:
@@ -22,4 +23,4 @@ def gripper_named(config: GripperConfig) -> Gripper:
     return found
 
 
-__all__ = ["GRIPPERS", "Gripper", "Hand", "TwoFinger", "gripper_named"]
+__all__ = ["GRIPPERS", "Gripper", "Hand", "Robotiq2F85", "TwoFinger", "gripper_named"]

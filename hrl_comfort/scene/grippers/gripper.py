@@ -9,6 +9,8 @@ from dm_control import mjcf
 
 DRIVE = "hand"
 """Name of a gripper's actuator."""
+PEOPLE = 2
+"""Bit (contype) of the contacts of shapes that touch people alone."""
 
 
 class Gripper(Protocol):
