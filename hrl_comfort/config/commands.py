@@ -207,7 +207,8 @@ class StudioConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        _check_riding("studio", self)
+        if self.export is not None:
+            _check_riding("studio export=", self)
 
 
 @dataclass(frozen=True)
@@ -250,15 +251,14 @@ class ExportConfig(EnvConfig):
         super().__post_init__()
         if (self.policy is None) == (not self.policies):
             raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
-        _check_riding("export", self)
 
 
 def _check_riding(command: str, config: EnvConfig) -> None:
     """Raise ConfigError if a gripper holds the objects, which `command` does not know."""
     if config.robot.gripper.holds:
         raise ConfigError(
-            f"robot.gripper.name={config.robot.gripper.name} is for hrl-comfort train and evaluate; {command} takes "
-            "gripper=none"
+            f"robot.gripper.name={config.robot.gripper.name} does not go with {command}; choose gripper=none, or look "
+            "at this run with hrl-comfort evaluate, studio and report"
         )
 
 

@@ -38,7 +38,7 @@ SHOWN_PATHS = 4
 SHOWN_FAILURES = 40
 FAILURE = ["run", "episode", "object", "spawn_id", "motion_id", "seen", "steps", "ended"]
 """Columns of the table of failures."""
-CONTACTS = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact"}
+COUNTED = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact", "drops": "drops"}
 """Columns of episodes.csv that the table of endings counts too, whatever ended the episode."""
 HEADS = [each.label for each in HEADLINE.values()]
 OPTION_ENDS = ["success", "failure", "preempted"]
@@ -167,12 +167,13 @@ def report(config: ReportConfig) -> Path:
 def _endings(episodes: DataFrame) -> tuple[list[str], list[list[str]]]:
     """Return head and lines of a table of how many episodes of each run ended how, and had a contact."""
     kinds = [kind for kind in [*TERMINATIONS, "other"] if kind in {"success", *episodes["ended"]}]
+    counted = {name: head for name, head in COUNTED.items() if np.isfinite(column(episodes, name)).any()}
     lines = _counts(episodes["run"], episodes["ended"], kinds)
     runs = {str(name): each for name, each in episodes.groupby("run", sort=False)}
     for line in lines:
         line[1:] = [str(len(runs[line[0]])), *line[1:]]
-        line += [f"{column(runs[line[0]], name).sum():.0f}" for name in CONTACTS]
-    return ["run", "episodes", *kinds, *CONTACTS.values()], lines
+        line += [f"{np.nansum(column(runs[line[0]], name)):.0f}" for name in counted]
+    return ["run", "episodes", *kinds, *counted.values()], lines
 
 
 def _provenance(run: Run) -> list[list[str]]:
