@@ -105,7 +105,8 @@ def recorded(
         people = bank[:, own : whole - 1] if shaped else bank
         if layouts:  # nobody is NaN
             people = people[~np.isnan(people).all(axis=1)]
-        if not shaped or not all((np.abs(part) < MOST).all() for part in (bank[:, :own], people)):
+        bounded = shaped and all((np.abs(part) < MOST).all() for part in (bank[:, : PARTS * joints], people))
+        if not bounded or not np.isfinite(bank[:, :own]).all():
             raise ConfigError(
                 f"task.start={path!r}: {kind!r} has shape {bank.shape}; "
                 f"it must be {shapes}, finite, every value within ±{MOST:g}"

@@ -18,7 +18,7 @@ def gripper_named(config: GripperConfig) -> Gripper:
       ConfigError: there is none.
     """
     found = part("robot.gripper.name", config.name, GRIPPERS)
-    if not (hasattr(found, "attach") and hasattr(found, "opening_m")):
+    if not all(hasattr(found, name) for name in ("name", "opening_m", "tip_m", "pads", "attach")):
         raise ConfigError(f"robot.gripper.name={config.name!r} is of type {type(found).__name__}; it must be a Gripper")
     return found
 

@@ -9,15 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config import CONTROL_STEP_S, CellConfig
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
 
 Array = NDArray[np.float64]
-FLOOR_M = 0.15
-"""Height above the floor below which an object's centre means that it fell off its place."""
+FLOOR_M, LOW_M = 0.15, 0.02
+"""Height above the floor below which an object's centre means that it fell off its place, at most half way down from
+there; of places lower than LOW_M over the floor nothing falls."""
 FARTHEST_M = 3.0
 """Distance from the robot's base beyond which an object is lost."""
 FASTEST_M_S = 50.0
@@ -32,6 +33,7 @@ class HandSensors:
     def __init__(self, scene: Scene) -> None:
         self._at, self._kinds, self._floor_z = scene.sensors, len(scene.cell.objects), scene.floor_z
         self._open, self._closed = scene.model.actuator_ctrlrange[len(scene.joints)]
+        self._fallen = fallen_m(scene.cell)
 
     def first(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, Tensor]:
         """Return the fields (n, 1, ...) of the first instants of episodes, from readings (n, 1, nsensor).
@@ -109,17 +111,27 @@ class HandSensors:
                 "free_steps": free,
                 "carried": np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M))),
                 "drops": now["drops"] + (let_go & away).any(axis=-1),
-                "object_lost": self._lost(at) | diverged[:, k],
+                "object_lost": self._lost(at, before.kinds.numpy()) | diverged[:, k],
                 "diverged": now["diverged"] | diverged[:, k],
             }
             found.append(now)
         return {name: np.stack([each[name] for each in found], axis=1) for name in COUNTED}
 
-    def _lost(self, at: Array) -> NDArray[np.bool_]:
-        """Return (n,) whether an object at (n, B, 3) m is on the floor or out of the cell."""
+    def _lost(self, at: Array, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (n,) whether an object of `kinds` (n, B) at (n, B, 3) m is on the floor or out of the cell."""
         away = np.linalg.norm(at[..., :2], axis=-1)
-        gone: NDArray[np.bool_] = ((at[..., 2] < self._floor_z + FLOOR_M) | (away > FARTHEST_M)).any(axis=-1)
+        low = at[..., 2] - self._floor_z < self._fallen[kinds]
+        gone: NDArray[np.bool_] = (low | (away > FARTHEST_M)).any(axis=-1)
         return gone
+
+
+def fallen_m(cell: CellConfig) -> Array:
+    """Return the heights (kinds,) m above the floor below which the centre of an object of each kind lies there."""
+    lowest = min(place.top_m[2] for place in cell.places.values()) + cell.base_height_m
+    if lowest < LOW_M:
+        return np.full(len(cell.objects), -np.inf)
+    half = np.array([each.half_height_m for each in cell.objects.values()])
+    return np.minimum(FLOOR_M, half + lowest / 2)
 
 
 def still(fields: dict[str, Tensor], diverged: Tensor, before: State) -> dict[str, Tensor]:
