@@ -142,7 +142,9 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
 def _infos(state: State, option: torch.Tensor, result: StepResult | None = None) -> dict[str, torch.Tensor]:
     """Return the infos (N,) of a decision that led to `state`, or of the start of episodes."""
     none = torch.zeros_like(state.contact)
-    held = {name: getattr(state, name) for name in ("drops", "object_lost") if name in state.fields()}
+    held: dict[str, torch.Tensor] = {
+        name: getattr(state, name) for name in ("drops", "object_lost") if name in state.fields()
+    }
     return {
         "comfort_level": state.level,
         "stage": state.stage,

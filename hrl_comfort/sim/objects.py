@@ -87,3 +87,9 @@ def check_slots(config: EnvConfig) -> None:
                 f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
                 f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
             )
+
+
+def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return points @ np.array([[cos, sin], [-sin, cos]])
