@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import minari
@@ -14,11 +15,14 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import EvaluateConfig, ExportConfig, StudioConfig, TrainConfig
+from hrl_comfort.config import EvaluateConfig, ExportConfig, GripperConfig, StudioConfig, TrainConfig
 from hrl_comfort.deploy.dataset import dataset
 from hrl_comfort.deploy.export import export
+from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.plots.clip import set_pose
 from hrl_comfort.policies.load import make_policy
+from hrl_comfort.report.report import report
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
 from hrl_comfort.training.trainer import train
@@ -106,3 +110,28 @@ def test_an_episode_that_runs_out_of_time_after_a_drop_ended_with_that() -> None
     rows = [{"drops": 1, "object_lost": False}, {"drops": 1, "object_lost": True}, {"drops": 0, "object_lost": False}]
     episodes = DataFrame([{**common, **row, "truncated": not row["object_lost"]} for row in rows])
     assert terminations(episodes).tolist() == ["dropped", "object lost", "time limit"]
+
+
+def test_how_far_an_object_shifts_in_the_hand_is_told() -> None:
+    words = [*ALONE, "task=pick", "policy=expert", "episodes=4", "split=validation", "output=unused"]
+    config = compose("evaluate", words)
+    assert isinstance(config, EvaluateConfig)
+    table = rollout(config).table
+    assert table["success"].all() and table["slip_mm"].between(0, 15).all() and (table["slip_mm"] > 0).any()
+    assert rollout(replace(config, robot=replace(config.robot, gripper=GripperConfig()))).table["slip_mm"].isna().all()
+
+
+def test_a_report_lists_what_was_dropped_among_the_failures(tmp_path: Path) -> None:
+    words = [*ALONE, "task=place", f"policy={__name__}:let_go", "episodes=2", "split=validation"]
+    config = compose("evaluate", [*words, "task.max_episode_steps=60", f"output={tmp_path / 'run' / 'eval'}"])
+    assert isinstance(config, EvaluateConfig)
+    evaluate(config)
+    page = report(compose("report", [f"run={tmp_path / 'run'}"])).read_text(encoding="utf-8")  # type: ignore[arg-type]
+    assert ">drops</th>" in page and ">slip (mm)</th>" in page and ">dropped</td>" in page
+
+
+def let_go(observation: np.ndarray) -> np.ndarray:
+    """Open the hand and stand still."""
+    action = np.zeros((len(observation), 7))
+    action[:, 6] = -1.0
+    return action

@@ -14,6 +14,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
+from hrl_comfort.tasks.hand.observation import turned
 
 Array = NDArray[np.float64]
 FLOOR_M, LOW_M = 0.15, 0.02
@@ -23,7 +24,7 @@ FARTHEST_M = 3.0
 """Distance from the robot's base beyond which an object is lost."""
 FASTEST_M_S = 50.0
 """Speed above which an object moves because the physics diverged."""
-COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "drops", "object_lost", "diverged")
+COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "held_at", "slip", "drops", "object_lost", "diverged")
 """Fields that depend on the instant before."""
 
 
@@ -41,7 +42,7 @@ class HandSensors:
         Objects are of `kinds` (n, B).
         """
         fields = self._read(sensed, kinds)
-        return _tensors(fields | self._begun(fields))
+        return _tensors(fields | self._begun(fields, self._in_hand(sensed, fields)))
 
     def decision(self, sensed: Array, before: State) -> dict[str, Tensor]:
         """Return the fields (n, K, ...) of a decision that began in the state `before` (n rows).
@@ -57,7 +58,13 @@ class HandSensors:
         diverged = np.logical_or.accumulate(late | flung | ~np.isfinite(sensed).all(axis=-1), axis=1)
         told = _tensors(fields)
         kept = {name: value.numpy() for name, value in still(told, torch.from_numpy(diverged), before).items()}
-        return _tensors(kept | self._counted(kept, diverged, before))
+        return _tensors(kept | self._counted(kept, self._in_hand(sensed, kept), diverged, before))
+
+    def _in_hand(self, sensed: Array, fields: dict[str, NDArray[Any]]) -> Array:
+        """Return the centres of the objects (n, K, B, 3) m in the frame of the tool."""
+        away = torch.from_numpy(fields["objects"] - sensed[..., None, self._at["tcp_pos"]])
+        back = torch.from_numpy(fields["tcp_quat"][..., None, :] * [1.0, -1.0, -1.0, -1.0])
+        return turned(back.expand(*away.shape[:-1], 4), away).numpy()
 
     def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return the fields (n, K, ...) of readings (n, K, nsensor) that need no memory; `kinds` (n, B) of objects."""
@@ -79,19 +86,20 @@ class HandSensors:
             "pads": of_objects("pads", 2) > 0,
         }
 
-    def _begun(self, fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return COUNTED (n, 1, ...) of the first instants of episodes."""
+    def _begun(self, fields: dict[str, NDArray[Any]], in_hand: Array) -> dict[str, NDArray[Any]]:
+        """Return COUNTED (n, 1, ...) of the first instants of episodes; `in_hand` as of `_in_hand`."""
         height, held = fields["objects"][..., 2], np.asarray(fields["pads"].all(axis=-1))
         none, n = np.zeros(height.shape, dtype=np.int64), len(height)
         ground = np.where(held, height - ABOVE_M, height)
         return {
             "ground": ground, "aloft_steps": none, "free_steps": none.copy(), "carried": held,
+            "held_at": in_hand, "slip": np.zeros((n, 1)),
             "drops": np.zeros((n, 1), dtype=np.int64), "object_lost": np.zeros((n, 1), dtype=bool),
             "diverged": np.zeros((n, 1), dtype=bool),
         }  # fmt: skip
 
     def _counted(
-        self, fields: dict[str, NDArray[Any]], diverged: NDArray[np.bool_], before: State
+        self, fields: dict[str, NDArray[Any]], in_hand: Array, diverged: NDArray[np.bool_], before: State
     ) -> dict[str, NDArray[Any]]:
         """Return COUNTED (n, K, ...) of a decision that began in the state `before` (n rows)."""
         now = {name: getattr(before, name).numpy() for name in COUNTED}
@@ -105,11 +113,16 @@ class HandSensors:
             free = np.where(touched, 0, now["free_steps"] + 1)
             let_go = now["carried"] & (free >= FREE_STEPS)
             away = np.linalg.norm(at - places, axis=-1) > near
+            carried = np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M)))
+            held_at = np.where(now["carried"][..., None], now["held_at"], in_hand[:, k])
+            shifted = np.linalg.norm(in_hand[:, k] - held_at, axis=-1) * (carried & held & ~diverged[:, k, None])
             now = {
                 "ground": ground,
                 "aloft_steps": np.where(held & (lifted >= LIFT_M), now["aloft_steps"] + 1, 0),
                 "free_steps": free,
-                "carried": np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M))),
+                "carried": carried,
+                "held_at": held_at,
+                "slip": np.maximum(now["slip"], shifted.max(axis=-1)),
                 "drops": now["drops"] + (let_go & away).any(axis=-1),
                 "object_lost": self._lost(at, before.kinds.numpy()) | diverged[:, k],
                 "diverged": now["diverged"] | diverged[:, k],
