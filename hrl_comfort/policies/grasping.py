@@ -248,8 +248,10 @@ class GraspingExpert(Expert):
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
-        del more
+        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
+
+        Above a place, where many of them are out of reach, it is one unless there are to be `more`.
+        """
         kind, at = int(goal[1]), np.array(goal[2:5])
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
@@ -261,7 +263,7 @@ class GraspingExpert(Expert):
                 found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
             else:
                 turns = level_turns(place, np.array(goal[5:8]))
-                found = self._grasps.found(place, turns, home, GOALS, up_m=part * ABOVE_M)
+                found = self._grasps.found(place, turns, home, GOALS if more else 1, up_m=part * ABOVE_M)
             if found:
                 break
         else:

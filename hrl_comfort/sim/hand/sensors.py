@@ -114,8 +114,10 @@ class HandSensors:
             let_go = now["carried"] & (free >= FREE_STEPS)
             away = np.linalg.norm(at - places, axis=-1) > near
             carried = np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M)))
-            held_at = np.where(now["carried"][..., None], now["held_at"], in_hand[:, k])
-            shifted = np.linalg.norm(in_hand[:, k] - held_at, axis=-1) * (carried & held & ~diverged[:, k, None])
+            kept = now["carried"] | diverged[:, k, None]
+            held_at = np.where(kept[..., None], now["held_at"], in_hand[:, k])
+            firm = carried & held & ~diverged[:, k, None]
+            shifted = np.where(firm, np.linalg.norm(in_hand[:, k] - held_at, axis=-1), 0.0)
             now = {
                 "ground": ground,
                 "aloft_steps": np.where(held & (lifted >= LIFT_M), now["aloft_steps"] + 1, 0),
