@@ -239,7 +239,7 @@ def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them()
     assert data.sensordata[scene.sensors["human"]].any()
 
 
-@pytest.mark.parametrize("gripper", ["two_finger", "pincer:PINCER"])
+@pytest.mark.parametrize("gripper", ["two_finger", "robotiq_2f85", "pincer:PINCER"])
 def test_open_pads_lie_within_the_capsules_of_the_arm_however_small_the_objects_are(
     gripper: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
