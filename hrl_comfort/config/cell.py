@@ -31,7 +31,8 @@ class GripperConfig:
 
     name: str = "none"
     """`none`: a picked object rides on the tool without mass. Otherwise objects are bodies with mass and friction:
-    `two_finger`, a gripper that an installed package offers as an entry point, or `package.module:name`."""
+    `two_finger`, `robotiq_2f85`, a gripper that an installed package offers as an entry point, or
+    `package.module:name`."""
     force_n: Annotated[float, within(1.0, 500.0)] = 40.0
     """Largest force of the drive that closes the fingers, N."""
 

@@ -26,6 +26,9 @@ class StageConfig:
     """`fresh` resets the optimiser's moments at the start of the stage; `keep` keeps them."""
 
 
+Reach = Annotated[list[Annotated[float, within(0.0, 100.0)]], Field(min_length=2, max_length=2)]
+
+
 @dataclass(frozen=True)
 class CurriculumConfig:
     """Precision schedule and stages of a training.
@@ -49,6 +52,9 @@ class CurriculumConfig:
     """`adaptive`: number of episodes."""
     fraction: Annotated[float, within(0.01, 1.0)]
     """`linear`: share of the curriculum stage after which `end_m` is reached."""
+    reach: Reach | None
+    """With a gripper, where tasks begin that begin with a pick: anywhere up to this part of the way from in front of
+    the object to home, at `start_m` and at `end_m`; beyond 1 more of them begin at home. null: as `task.start` says."""
 
     def __post_init__(self) -> None:
         between("curriculum.start_m", self.start_m, self.end_m, 0.5)

@@ -87,9 +87,7 @@ def limb_poses(
     """
     if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
         given: Any = x, y, yaw, phase, swing_rad, directions
-        compiled: NDArray[np.float64] = kernels.limb_poses(
-            *contiguous(*given), float(np.asarray(floor_z)), *_CONSTANTS
-        )
+        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), float(np.asarray(floor_z)), *_CONSTANTS)
         return compiled
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)

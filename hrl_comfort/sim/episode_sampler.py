@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
 from hrl_comfort.comfort.sources import DRAWS
-from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
+from hrl_comfort.config import PREGRASP, RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.objects import check_slots, turned
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
 from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.randomisation import draws
@@ -81,6 +82,10 @@ class Draw:
     """(P, 2) m."""
     start: Array
     """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
+    before: Array
+    """(J,) rad, posture in front of the first object; NaN where that lies where it arrives."""
+    hand: Array
+    """With a gripper the recorded bodies (nq + nv,) and set-point of the fingers, NaN where none are; else (0,)."""
     points: Array
     """(2, 3) m, of `reach` and `point_to_point`."""
     world: Array
@@ -122,7 +127,12 @@ class EpisodeSampler:
         self.horizon = longest + config.task.action_repeat
         self._joints = len(scene.joints)
         self._arm = PARTS * self._joints
-        self._recorded = recorded_starts(config, task.start, self._joints)
+        hand = 0 if scene.gripper is None else scene.model.nq + scene.model.nv + 1
+        self._own = self._arm + hand
+        self._grasps = scene.gripper is not None and task.start == Start.HOME and task.stages[0].grasps
+        self.reach = 0.0 if config.task.start == PREGRASP else np.inf
+        """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
+        self._recorded = recorded_starts(config, task.start, self._joints, hand)
         if self._recorded is not None and self._drawn:
             self._recorded = [self._unseen_left_out(bank) for bank in self._recorded]
 
@@ -171,16 +181,16 @@ class EpisodeSampler:
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
-            if len(start) > self._arm + WITH_HUMAN:
+            if len(start) > self._own + WITH_HUMAN:
                 layout = self._layouts.numbered("train", int(start[-1]))
             spawn_id, spawn, points = self._spawn_and_points(row, rng, layout)
             told = level.copy()
-            person = start[None, self._arm : self._arm + 2]
+            person = start[None, self._own : self._own + 2]
             discs = self.keep_out(points[None], layout.goals[None])
-            given = kept and len(start) > self._arm and self._drawn and np.isfinite(person).all()
+            given = kept and len(start) > self._own and self._drawn and np.isfinite(person).all()
             if given:
                 spawn_id, spawn = -1, humans.outside(person, discs)[0]
-                own_level = start[self._arm + WITH_HUMAN - 1]
+                own_level = start[self._own + WITH_HUMAN - 1]
                 if not np.isnan(own_level):  # the draw that gives this level
                     told[0] = (own_level - 0.5) / self._config.comfort.levels
             spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, spawn)
@@ -190,7 +200,8 @@ class EpisodeSampler:
                 layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
                 arriving[1], turns, arriving[2],
             )  # fmt: skip
-            yield Draw(*standing, noise, traits, told, *ids, spawns, start[: self._arm], points, *other)
+            body = self._body(start, layout, rng)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other)
 
     @property
     def _streams(self) -> range:
@@ -223,9 +234,23 @@ class EpisodeSampler:
         start, early = self._task.start, attempt < ATTEMPTS // 2
         if self._recorded is not None and early and (not self._layouts.varies or self._split(row) == "train"):
             return self._recorded[kind]
+        if self._grasps and np.isfinite(self.reach):
+            start = Start.BEFORE_OBJECT
         if start == Start.HOME:
             return at_rest(layout.home[None])
         return at_rest(self._layouts.postures(layout, start, kind))
+
+    def _body(self, start: Array, layout: Layout, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Return `start`, `before` and `hand` of a Draw whose start (3 J or more,) of its bank is given."""
+        arm, hand = start[: self._arm], start[self._arm : self._own]
+        before = np.full(self._joints, np.nan)
+        if len(hand) < self._own - self._arm:
+            hand = np.full(self._own - self._arm, np.nan)
+        if self._grasps and np.isfinite(self.reach):
+            way = min(1.0, self.reach * rng.random())
+            before = before if way == 1.0 else arm[: self._joints]
+            arm = at_rest(arm[None, : self._joints] + way * (layout.home - arm[: self._joints]))[0]
+        return arm, before, hand
 
     def _unseen_left_out(self, bank: Array) -> Array:
         """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
@@ -233,10 +258,10 @@ class EpisodeSampler:
         Raises:
           ConfigError: there is none.
         """
-        if bank.shape[1] == self._arm:
+        if bank.shape[1] == self._own:
             return bank
         human = self._config.human
-        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[0][list(human.held_out)]
+        apart = bank[:, None, self._own : self._own + 2] - self.spawns[0][list(human.held_out)]
         clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
         if not clear.any():
             raise ConfigError(
@@ -320,26 +345,3 @@ class EpisodeSampler:
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
                 return points
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
-
-
-def turned(points: Array, yaw: float) -> Array:
-    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])
-
-
-def check_slots(config: EnvConfig) -> None:
-    """Raise ConfigError where objects could overlap."""
-    cell, jitter = config.cell, config.task.object_jitter_m
-    if config.task.objects == 1:
-        return
-    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
-        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
-        slots = np.array(cell.places[name].slots_m)
-        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
-        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
-        if apart < width - 1e-9:
-            raise ConfigError(
-                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
-                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
-            )

@@ -97,7 +97,7 @@ class Plan:
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
         """m/s, their mean velocity over the decision before."""
-        self._gripping = None if scene.gripper is None else Gripping(scene, subtask)
+        self._gripping = None if scene.gripper is None else Gripping(scene, subtask, sampler.horizon)
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
 

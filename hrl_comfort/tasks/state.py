@@ -134,6 +134,10 @@ class State:
     """(N, B) int64, control steps since a pad touched it last."""
     carried: Tensor = ABSENT
     """(N, B) bool, the object left the ground in the hand, and has not been let go since."""
+    held_at: Tensor = ABSENT
+    """(N, B, 3) m, centre of the object in the frame of the tool when it was carried first, or where it is now."""
+    slip: Tensor = ABSENT
+    """(N,) m, how far at most an object has shifted in the hand that carried it in this episode."""
     drops: Tensor = ABSENT
     """(N,) int64, how often in the episode an object left the hand farther from its place than the tolerance."""
     object_lost: Tensor = ABSENT

@@ -59,20 +59,27 @@ class SkillCollector:
         """(N,) bool: the environments in which the demonstrator acts."""
         self.precision_m = 0.0
         """Precision of the episodes that begin from now on, m."""
+        self.reach: float | None = None
+        """Part of the way to home at which they begin; None: as the task says."""
         self.now: TensorDictBase = TensorDict()
 
-    def reset(self, precision_m: float) -> None:
-        """Begin an episode at this precision in every environment."""
-        self.precision_m = precision_m
-        self._env.set_precision(precision_m)
+    def reset(self, precision_m: float, reach: float | None = None) -> None:
+        """Begin an episode at this precision and reach in every environment."""
+        self.precision_m, self.reach = precision_m, reach
+        self._set_difficulty()
         self.now = self._env.reset()
         self._precision = torch.full((self.num_envs,), precision_m, dtype=torch.float64)
         self._returns = torch.zeros(self.num_envs, dtype=torch.float64)
         self._terms = torch.zeros(self.num_envs, len(self.reward_names), dtype=torch.float64)
 
+    def _set_difficulty(self) -> None:
+        self._env.set_precision(self.precision_m)
+        if self.reach is not None:
+            self._env.set_reach(self.reach)
+
     def step(self, action: Tensor) -> Collected:
         """Take actions (N, A) in [-1, 1]; an outcome's `precision_m` is that of its episode."""
-        self._env.set_precision(self.precision_m)
+        self._set_difficulty()
         if self._demonstrator is not None:
             shown = self._demonstrator()
             action = torch.cat([shown.to(action.dtype), action[len(shown) :]])

@@ -180,7 +180,7 @@ def _episode(session: Session) -> dict[str, Any]:
         if session.over:  # the person goes on, beside an arm that stands
             before = session.state
             result = engine.step(np.zeros((1, len(engine.scene.joints))))
-            clip = decision_clip(engine.scene, engine.episodes.subtask, before, result, engine.episodes.people.course)
+            clip = decision_clip(engine, before, result)
         else:
             clip = session.step().clip
         parts.append(clip.person[1:])
