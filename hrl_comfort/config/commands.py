@@ -73,6 +73,11 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         one_of("task.object", task.object, (RANDOM, *cell.kinds))
+        if task.name == "kitting" and task.objects != len(cell.kinds):
+            raise ConfigError(
+                f"task.objects={task.objects}: task.name=kitting has one of each kind; with these cell.objects choose "
+                f"task.objects={len(cell.kinds)}"
+            )
         if task.observation == "paper" and len(cell.kinds) < 2:
             raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
         for name in sorted({each.arrives_at for each in cell.objects.values()}):
