@@ -47,10 +47,13 @@ class Top:
       name: in errors.
       choose: its choices; a sequence or an array does as well as a tensor.
       begin: called with the rows (N,) bool in which an episode begins.
+      together: it is slow, and asked only once every cell is to decide; until then those that are stand still in time.
     """
 
-    def __init__(self, name: str, choose: Choose, begin: Callable[[Tensor], object] | None = None) -> None:
-        self.name, self._choose, self._begin = name, choose, begin
+    def __init__(
+        self, name: str, choose: Choose, begin: Callable[[Tensor], object] | None = None, together: bool = False
+    ) -> None:
+        self.name, self._choose, self._begin, self.together = name, choose, begin, together
 
     def begin(self, rows: Tensor) -> None:
         """Let episodes begin in `rows` (N,) bool."""
