@@ -131,6 +131,8 @@ class EvaluateConfig(EnvConfig):
     terminal_states: str | None
     """File (.npz) for the states at the end of successful episodes: joint angles, velocities and servo targets (rad,
     rad/s), and the person's position (m) and level. Episodes are drawn as in training, and nothing else is written."""
+    regret: bool
+    """With a meta-controller: judge its choices by the oracle, which takes long; see the column `regret_per_min`."""
     output: str
     """Folder of the evaluation."""
 
@@ -145,6 +147,8 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
+        if self.regret and not chained:
+            raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"
         if self.checkpoints != "none" and (self.record or self.terminal_states is not None):
             raise ConfigError(f"{several} goes with record=false and without terminal_states=")
@@ -165,7 +169,7 @@ class EvaluateConfig(EnvConfig):
         return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
     def _check_left_out(self) -> None:
-        for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None):
+        for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None), ("regret", False):
             if (value := getattr(self, key)) != default:
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
 

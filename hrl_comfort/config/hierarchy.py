@@ -7,16 +7,17 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import Widths, between, choice, named, unique, within
 
-TOPS = ("scripted", "cautious", "patient", "fixed", "random", "learned")
-"""Built-in meta-controllers."""
-META_OBSERVATIONS = ("default", "proximity")
+TOPS = ("scripted", "free", "due", "cautious", "patient", "fixed", "random", "learned")
+ORACLE = "oracle"
+"""Built-in meta-controllers; the oracle knows what people will do."""
+META_OBSERVATIONS = ("default", "proximity", "jobs")
 
 
 @dataclass(frozen=True)
 class MetaControllerConfig:
     """The meta-controller, which sequences frozen policies."""
 
-    name: Annotated[str, named("meta_controller.name", "none", *TOPS)]
+    name: Annotated[str, named("meta_controller.name", "none", *TOPS, ORACLE)]
     """A built-in controller, one that an installed package offers as an entry point (both by name), or
     `package.module:name`; `none` runs the one policy of `policy=`."""
     options: list[str]
@@ -34,7 +35,8 @@ class MetaControllerConfig:
     is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
-    current level. `scripted`, `cautious`, `patient` and `fixed` give every skill the first of them."""
+    current level. `scripted`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill
+    the first of them."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
@@ -44,8 +46,9 @@ class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
-    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). Both also
-    have the person's distance from each object and from where it belongs."""
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`, `jobs`).
+    All have the person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for
+    the person nearest to each, and the time until each order is due."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.hierarchy.jobs import Jobs, jobs_of
 from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.tasks import State
 
@@ -34,6 +36,11 @@ class Decision:
     def time_s(self) -> Tensor:
         """(N,) s since the episode began."""
         return self.state.steps * CONTROL_STEP_S
+
+    @cached_property
+    def jobs(self) -> Jobs:
+        """The jobs among which there is a choice."""
+        return jobs_of(self.state)
 
 
 Choose = Callable[[Decision], Tensor]

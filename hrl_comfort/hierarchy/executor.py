@@ -46,6 +46,8 @@ class OptionRun:
     start_step: int
     end_step: int
     termination: str
+    regret: float | None = None
+    """By how much the value of the best option was higher when it was chosen (`oracle`); None where nobody judged."""
 
 
 class OptionExecutor:
@@ -247,6 +249,7 @@ def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[Exec
             result = engine.step(action.numpy(), np.flatnonzero(acting.numpy()))
             options = executor.ended(result)
         state = engine.episodes.state
+        assert state is not None
         rows = torch.nonzero(options.rows & acting).squeeze(-1).tolist()
         runs = [executor.run_of(row, options, int(state.steps[row])) for row in rows]
         ended = acting & (result.done | options.given_up)

@@ -1,7 +1,7 @@
 """An oracle that looks ahead: it tries every option in copies of the cells, which know what people will do.
 
-The value of an option is the return of the next HORIZON_S if it is chosen now and a rule chooses later. The copies are
-exact, random numbers included: the oracle foresees what no top can know, so that the others' regret is an upper bound.
+The value of an option is the return of the next HORIZON_S if it is chosen now and the rule `due` chooses later. The
+copies are exact, random numbers included: the oracle foresees what no top can know, and nobody reaches a regret of 0.
 """
 
 from __future__ import annotations
@@ -10,19 +10,20 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.hierarchy.decision import Choose, Decision, Top
+from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.tops import due
 from hrl_comfort.sim.engine import Engine
 
-HORIZON_S = 15.0
+HORIZON_S = 20.0
 """Time for which the oracle looks ahead, s."""
 
 
 class Oracle:
-    """Values of the options of the cells of `engine`, run by `executor`; `rule` chooses after the first option."""
+    """Values of the options of the cells of `engine`, run by `executor`."""
 
-    def __init__(self, engine: Engine, executor: OptionExecutor, rule: Choose) -> None:
-        self._engine, self._executor, self._rule = engine, executor, rule
+    def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
+        self._engine, self._executor = engine, executor
 
     def __call__(self, decision: Decision) -> Tensor:
         """Return the options (N,) of highest value."""
@@ -49,7 +50,7 @@ class Oracle:
         first, returns = torch.ones(len(rows), dtype=torch.bool), torch.zeros(len(rows), dtype=torch.float64)
 
         def choose(decision: Decision) -> Tensor:
-            chosen = torch.where(first, tried, self._rule(decision))
+            chosen = torch.where(first, tried, due(decision))
             first[decision.deciding] = False
             return chosen
 
@@ -60,3 +61,23 @@ class Oracle:
                 break
         engine.close()
         return returns
+
+
+class Judged(Top):
+    """A `top` whose choices an `oracle` judges: `regret` (N,) is the value of the best option less that of the latest.
+
+    Raises:
+      ConfigError: as `Top`.
+    """
+
+    def __init__(self, top: Top, oracle: Oracle) -> None:
+        super().__init__(top.name, top, top.begin, together=True)
+        self._oracle, self.regret = oracle, torch.zeros(0)
+
+    def __call__(self, decision: Decision) -> Tensor:
+        """See `Top`."""
+        chosen, values = super().__call__(decision), self._oracle.values(decision)
+        lost = values.max(dim=1).values - values.gather(1, chosen[:, None]).squeeze(1)
+        before = self.regret if len(self.regret) else torch.zeros_like(lost)
+        self.regret = torch.where(decision.deciding, lost, before)
+        return chosen

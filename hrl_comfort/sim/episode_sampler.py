@@ -267,9 +267,10 @@ class EpisodeSampler:
         chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
         chosen[0] = kind
         later = rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
+        low, high = task.due_s
         if not self._task.orders:
             return offsets, chosen, later, np.full((ARRIVALS, count), np.inf)
-        return offsets, np.arange(count), later, rng.uniform(*task.due_s, (ARRIVALS, count))
+        return offsets, np.arange(count), later, low + (high - low) * rng.random((ARRIVALS, count))
 
     def _arrivals(self, layout: Layout, offsets: Array) -> Array:
         """Return where objects arrive (B, kinds, 3) m, for `offsets` as of `_objects`."""
