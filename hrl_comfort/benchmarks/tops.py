@@ -1,4 +1,4 @@
-"""Does the choice of the next job matter? Returns of rules, fixed orders and the oracle in the same shifts of `kitting`.
+"""Does the choice of the next job matter? Returns of rules, fixed orders and the oracle in equal shifts of `kitting`.
 
 `python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS WORDS…` measures them on `split=validation`; the words are those
 of `hrl-comfort evaluate`.
@@ -32,7 +32,7 @@ from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import split_set
 from hrl_comfort.sim.engine import Engine
 
-RULES = ("random", "scripted", "free", "patient", "due")
+RULES = ("random", "nearest", "free", "patient", "due")
 FIXED = "fixed"
 TERMS = {"return": "return", "place": "orders filled", "missed": "orders missed", "comfort": "discomfort, weighted"}
 """Columns of the CSV and their heads in the table; all but the first are reward terms with their weights."""
@@ -111,7 +111,7 @@ def main(words: Sequence[str]) -> None:
     """Measure, and write the CSV."""
     torch.set_num_threads(1)
     path, shifts, *asked = words
-    config = compose("evaluate", ["task=kitting", "meta_controller=scripted", *asked])
+    config = compose("evaluate", ["task=kitting", "meta_controller=nearest", *asked])
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts))
     write_table(Path(path), list(rows), rows.itertuples(index=False, name=None))

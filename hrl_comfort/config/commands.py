@@ -146,7 +146,7 @@ class EvaluateConfig(EnvConfig):
                 f"policy={self.policy!r} does not go with meta_controller={self.meta_controller.name}; give policies.*"
             )
         if self.policies and not chained:
-            raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
+            raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
         if self.regret and not chained:
             raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import Widths, between, choice, named, unique, within
 
-TOPS = ("scripted", "free", "due", "cautious", "patient", "fixed", "random", "learned")
+TOPS = ("nearest", "free", "due", "cautious", "patient", "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
 META_OBSERVATIONS = ("default", "proximity", "jobs")
@@ -21,7 +21,7 @@ class MetaControllerConfig:
     """A built-in controller, one that an installed package offers as an entry point (both by name), or
     `package.module:name`; `none` runs the one policy of `policy=`."""
     options: list[str]
-    """Subtasks in the order in which the scripted controller runs them."""
+    """Subtasks in the order of the cycle."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort` and `shift`,
     the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
@@ -35,7 +35,7 @@ class MetaControllerConfig:
     is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
-    current level. `scripted`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill
+    current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill
     the first of them."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""

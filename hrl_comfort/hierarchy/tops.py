@@ -87,7 +87,7 @@ def waiting(decision: Decision, chosen: Tensor, waits: Tensor) -> Tensor:
     return torch.where(waits & decision.mask[:, wait], wait, chosen)
 
 
-def scripted(decision: Decision) -> Tensor:
+def nearest(decision: Decision) -> Tensor:
     """Choose the object nearest to the tool."""
     state = decision.state
     return advance(decision, -(state.objects - state.tcp_pos[:, None]).norm(dim=-1))
@@ -160,7 +160,7 @@ def with_waits(rule: Choose) -> MakeTop:
         if "wait" not in table.names:
             raise ConfigError(
                 f"meta_controller={config.meta_controller.name} is for task=sort and shift, which have an option to "
-                f"wait; task={config.task.name} takes meta_controller=scripted"
+                f"wait; task={config.task.name} takes meta_controller=nearest"
             )
         return rule
 
@@ -170,7 +170,7 @@ def with_waits(rule: Choose) -> MakeTop:
 TOPS: dict[str, MakeTop] = implemented(
     NAMES,
     {
-        "scripted": lambda *_: scripted,
+        "nearest": lambda *_: nearest,
         "free": lambda *_: free,
         "due": lambda *_: due,
         "cautious": with_waits(cautious),
