@@ -1,7 +1,7 @@
 """Does the choice of the next job matter? Returns of rules, fixed orders and the oracle in equal shifts of `kitting`.
 
-`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS WORDS…` measures them on `split=validation`; the words are those
-of `hrl-comfort evaluate`.
+`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS WORDS…` measures them on `split=validation`; the words, those of
+`hrl-comfort evaluate`, come after WORDS.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import split_set
 from hrl_comfort.sim.engine import Engine
 
+WORDS = (
+    "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
+    "task.terminate_on=unsafe_contact", "meta_controller=nearest", "policies.pick=direct", "policies.place=direct",
+    "policies.return=direct",
+)  # fmt: skip
+"""What is measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
 RULES = ("random", "nearest", "free", "patient", "due")
 FIXED = "fixed"
 TERMS = {"return": "return", "place": "orders filled", "missed": "orders missed", "comfort": "discomfort, weighted"}
@@ -111,9 +117,10 @@ def main(words: Sequence[str]) -> None:
     """Measure, and write the CSV."""
     torch.set_num_threads(1)
     path, shifts, *asked = words
-    config = compose("evaluate", ["task=kitting", "meta_controller=nearest", *asked])
+    config = compose("evaluate", [*WORDS, *asked])
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts))
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     write_table(Path(path), list(rows), rows.itertuples(index=False, name=None))
     print(table(pd.read_csv(path)))
 

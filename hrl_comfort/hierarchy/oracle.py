@@ -15,7 +15,7 @@ from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.tops import due
 from hrl_comfort.sim.engine import Engine
 
-HORIZON_S = 20.0
+HORIZON_S = 15.0
 """Time for which the oracle looks ahead, s."""
 
 

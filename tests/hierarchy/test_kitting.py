@@ -40,7 +40,7 @@ def kitting(*words: str, cell: str = "bench") -> EvaluateConfig:
         "output=unused",
     ]
     behind = ["safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact", "split=validation"]
-    found = compose("evaluate", [*here, *behind, "human=fetcher", "meta_controller=scripted", *SKILLS, *words])
+    found = compose("evaluate", [*here, *behind, "human=fetcher", "meta_controller=nearest", *SKILLS, *words])
     assert isinstance(found, EvaluateConfig)
     return found
 
