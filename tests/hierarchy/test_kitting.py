@@ -26,21 +26,12 @@ from hrl_comfort.sim.objects import renewed
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.kitting import KITTING, fetched, missed
 
-SKILLS = [f"policies.{name}=direct" for name in ("pick", "place", "return")]
 CELLS = {"bench": "ur3e", "station": "ur10e"}
 
 
 def kitting(*words: str, cell: str = "bench") -> EvaluateConfig:
-    here = [
-        "task=kitting",
-        f"cell={cell}",
-        f"robot={CELLS[cell]}",
-        "reward=kitting",
-        "comfort=kitting",
-        "output=unused",
-    ]
-    behind = ["safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact", "split=validation"]
-    found = compose("evaluate", [*here, *behind, "human=fetcher", "meta_controller=nearest", *SKILLS, *words])
+    here = [f"cell={cell}", f"robot={CELLS[cell]}", "split=validation", "output=unused"]
+    found = compose("evaluate", [*choice.WORDS, *here, *words])
     assert isinstance(found, EvaluateConfig)
     return found
 
@@ -134,10 +125,10 @@ def test_due_takes_the_order_due_soonest_of_those_that_people_are_away_from_and_
     times = torch.tensor([30.0, 20.0, 25.0, 28.0, 26.0, 27.0]).double().expand(4, -1).clone()
     times[1, 1] = 2.0  # too late
     people = torch.full_like(state.humans_pos, 50.0)
-    people[2] = state.objects[2, 1, :2]
+    people[2] = torch.tensor([0.35, 0.75])  # at the station of the area on the left
     asked = state.with_(due=times, humans_pos=people)
     names = [executor.table.names[index] for index in due(executor.decision(asked))]
-    assert names[:2] == ["pick_2", "pick_3"] and names[2] not in ("pick_1", "pick_2"), "its area is not free"
+    assert names[:3] == ["pick_2", "pick_3", "pick_6"]
     nothing = executor.decision(asked.with_(due=torch.full_like(times, math.inf)))
     assert all(executor.table.names[index].startswith("pick") for index in due(nothing))
 
@@ -152,11 +143,12 @@ def test_cells_that_wait_for_one_another_work_the_same_shift() -> None:
     for together in (False, True):
         engine, executor, _ = made(kitting("task.max_episode_steps=400"), 3)
         found.append(reward_and_runs([*execute(engine, executor, Top("free", free, together=together))]))
-    assert torch.equal(found[0][0], found[1][0]) and found[0][1] == found[1][1]
+    assert torch.allclose(found[0][0], found[1][0]) and found[0][1] == found[1][1]
 
 
 def test_copies_go_on_as_the_cells_would() -> None:
-    engine, executor, _ = made(kitting("randomise=sim_to_real", "safety.bound=worst", *GENEROUS), 2)
+    allowed = ("safety.margin_m=0.1", "safety.delay_s=0.3", "safety.lag_s=0.23", "safety.latency_s=0.2")
+    engine, executor, _ = made(kitting("randomise=sim_to_real", "safety.bound=worst", *allowed), 2)
     going = execute(engine, executor, Top("free", free))
     for _ in range(25):
         next(going)
@@ -171,16 +163,13 @@ def test_copies_go_on_as_the_cells_would() -> None:
         assert torch.equal(value[rows], its.state.fields()[name]) or value.isnan().any(), name
 
 
-GENEROUS = ("safety.margin_m=0.1", "safety.delay_s=0.3", "safety.lag_s=0.2", "safety.latency_s=0.1")
-
-
 def test_values_of_the_oracle_are_what_the_options_are_worth(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looking, "HORIZON_S", 6.0)
-    engine, executor, state = made(kitting("task.max_episode_steps=300"), 1)
-    oracle = Oracle(engine, executor)
-    values = oracle.values(executor.decision(state))[0]
+    monkeypatch.setattr(looking, "HORIZON_S", 10.0)
+    engine, executor, state = made(kitting("task.max_episode_steps=500"), 1)
+    values = Oracle(engine, executor).values(executor.decision(state))[0]
     best = int(values.argmax())
-    assert executor.table.names[best] != "wait" and bool(values[executor.table.names.index("place")].isneginf())
+    able = [name for name, value in zip(executor.table.names, values.tolist(), strict=True) if value > -math.inf]
+    assert able == [*(f"pick_{index}" for index in range(1, 7)), "wait"] and float(values[best]) > 0
     first = [best]
 
     def choose(decision: Any) -> torch.Tensor:
