@@ -23,20 +23,20 @@ class MetaControllerConfig:
     options: list[str]
     """Subtasks in the order of the cycle."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort` and `shift`,
-    the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort`, `shift` and
+    `kitting`, the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
-    up. In `sort` and `shift` there is no limit."""
+    up. In `sort`, `shift` and `kitting` there is no limit."""
     max_waits: Annotated[int, within(0, 100_000)] | None
-    """`sort`, `shift`: number of times in a row that `wait` can be chosen; null: any number. The default of `cautious`
-    is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
+    """`sort`, `shift`, `kitting`: number of times in a row that `wait` can be chosen; null: any number. The default of
+    `cautious` is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
-    """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
-    current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill
-    the first of them."""
+    """`sort`, `shift`, `kitting`: comfort levels that the controller may give a skill (the policy of an option) instead
+    of the current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill the first of
+    them."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, Choose, Decision, Top
@@ -159,7 +159,7 @@ def with_waits(rule: Choose) -> MakeTop:
     def make(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
         if "wait" not in table.names:
             raise ConfigError(
-                f"meta_controller={config.meta_controller.name} is for task=sort and shift, which have an option to "
+                f"meta_controller={config.meta_controller.name} is for task={', '.join(SORTING)}, which have an option to "
                 f"wait; task={config.task.name} takes meta_controller=nearest"
             )
         return rule
