@@ -34,13 +34,13 @@ COMMANDS = {
     ),
     "evaluate": Command(
         "hrl_comfort.evaluation.evaluate:evaluate",
-        "measure a policy, or a chain of policies (meta_controller=scripted)",
+        "measure a policy, or a chain of policies (meta_controller=nearest)",
         "policy=runs/pick episodes=100 record=true",
     ),
     "evaluate handover": Command(
         "hrl_comfort.evaluation.handover:handover",
         "measure a subtask from the terminal states of the one before it",
-        "task=cycle meta_controller=scripted policies.pick=runs/cycle/pick policies.place=runs/cycle/place "
+        "task=cycle meta_controller=nearest policies.pick=runs/cycle/pick policies.place=runs/cycle/place "
         "policies.return=runs/cycle/return output=runs/handover",
     ),
     "benchmark": Command(

@@ -12,7 +12,7 @@ from hrl_comfort.files.run_config import load_config, trained_environment
 
 DEMO = Path("runs/demo")
 """Run of `make demo`."""
-CHAIN = {"meta_controller": "scripted", "task": "cycle"}
+CHAIN = {"meta_controller": "nearest", "task": "cycle"}
 """Overrides of a chain, unless others are given."""
 CYCLE = ("pick", "place", "return")
 
@@ -39,7 +39,7 @@ def with_defaults(overrides: Sequence[str]) -> list[str]:
 
 
 def with_controller(overrides: Sequence[str]) -> list[str]:
-    """Return `overrides` of which `policies.*`, or the folder of a chain, are played by the scripted controller."""
+    """Return `overrides` of which `policies.*`, or the folder of a chain, are played by `nearest`."""
     keys = _values(overrides)
     if any(key == "policies" or key.startswith("policies.") for key in keys):
         overrides = [*overrides, *(f"{key}={value}" for key, value in CHAIN.items() if key not in keys)]
@@ -95,7 +95,7 @@ def with_policy(config: StudioConfig, source: str) -> StudioConfig:
     """Return `config` with the policy `source`: the folder of a chain, or whatever `policy=` takes."""
     if options := options_in(Path(source)):
         controller = config.meta_controller
-        name = "scripted" if controller.name == "none" else controller.name
+        name = "nearest" if controller.name == "none" else controller.name
         return replace(
             config,
             policy=None,

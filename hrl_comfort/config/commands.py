@@ -68,6 +68,11 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         one_of("task.object", task.object, (RANDOM, *cell.kinds))
+        if task.name == "kitting" and task.objects != len(cell.kinds):
+            raise ConfigError(
+                f"task.objects={task.objects}: task.name=kitting has one of each kind; with these cell.objects choose "
+                f"task.objects={len(cell.kinds)}"
+            )
         if task.observation == "paper" and len(cell.kinds) < 2:
             raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
         for name in sorted({each.arrives_at for each in cell.objects.values()}):
@@ -121,6 +126,8 @@ class EvaluateConfig(EnvConfig):
     terminal_states: str | None
     """File (.npz) for the states at the end of successful episodes: joint angles, velocities and servo targets (rad,
     rad/s), and the person's position (m) and level. Episodes are drawn as in training, and nothing else is written."""
+    regret: bool
+    """With a meta-controller: judge its choices by the oracle, which takes long; see the column `regret_per_min`."""
     output: str
     """Folder of the evaluation."""
 
@@ -134,7 +141,9 @@ class EvaluateConfig(EnvConfig):
                 f"policy={self.policy!r} does not go with meta_controller={self.meta_controller.name}; give policies.*"
             )
         if self.policies and not chained:
-            raise ConfigError("policies.* go with a meta-controller: meta_controller=scripted")
+            raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
+        if self.regret and not chained:
+            raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"
         if self.checkpoints != "none" and (self.record or self.terminal_states is not None):
             raise ConfigError(f"{several} goes with record=false and without terminal_states=")
@@ -155,7 +164,7 @@ class EvaluateConfig(EnvConfig):
         return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
     def _check_left_out(self) -> None:
-        for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None):
+        for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None), ("regret", False):
             if (value := getattr(self, key)) != default:
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
 

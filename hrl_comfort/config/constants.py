@@ -6,7 +6,7 @@ CONTROL_STEP_S = 0.02
 """Length of a control step, s; joints move by at most 2 degrees in it, as in the paper."""
 MAX_ENVS = 65536
 """Largest number of cells of a batch."""
-SCRIPTED_POLICIES = ("expert", "potential_field", "predictive_sampling", "random")
+SCRIPTED_POLICIES = ("expert", "direct", "potential_field", "predictive_sampling", "random")
 """Policies that no training made, by the name that `policy=` takes."""
 PREGRASP = "pregrasp"
 """Value of `task.start`: the hand in front of the object."""

@@ -7,34 +7,36 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import Widths, between, choice, named, unique, within
 
-TOPS = ("scripted", "cautious", "patient", "fixed", "random", "learned")
-"""Built-in meta-controllers."""
-META_OBSERVATIONS = ("default", "proximity")
+TOPS = ("nearest", "free", "due", "cautious", "patient", "fixed", "random", "learned")
+ORACLE = "oracle"
+"""Built-in meta-controllers; the oracle knows what people will do."""
+META_OBSERVATIONS = ("default", "proximity", "jobs")
 
 
 @dataclass(frozen=True)
 class MetaControllerConfig:
     """The meta-controller, which sequences frozen policies."""
 
-    name: Annotated[str, named("meta_controller.name", "none", *TOPS)]
+    name: Annotated[str, named("meta_controller.name", "none", *TOPS, ORACLE)]
     """A built-in controller, one that an installed package offers as an entry point (both by name), or
     `package.module:name`; `none` runs the one policy of `policy=`."""
     options: list[str]
-    """Subtasks in the order in which the scripted controller runs them."""
+    """Subtasks in the order of the cycle."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort` and `shift`,
-    the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. In `sort`, `shift` and
+    `kitting`, the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
-    up. In `sort` and `shift` there is no limit."""
+    up. In `sort`, `shift` and `kitting` there is no limit."""
     max_waits: Annotated[int, within(0, 100_000)] | None
-    """`sort`, `shift`: number of times in a row that `wait` can be chosen; null: any number. The default of `cautious`
-    is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
+    """`sort`, `shift`, `kitting`: number of times in a row that `wait` can be chosen; null: any number. The default of
+    `cautious` is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
-    """`sort`, `shift`: comfort levels that the controller may give a skill (the policy of an option) instead of the
-    current level. `scripted`, `cautious`, `patient` and `fixed` give every skill the first of them."""
+    """`sort`, `shift`, `kitting`: comfort levels that the controller may give a skill (the policy of an option) instead
+    of the current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill the first of
+    them."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
@@ -44,8 +46,9 @@ class MetaControllerAgentConfig:
     """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
 
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
-    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`). Both also
-    have the person's distance from each object and from where it belongs."""
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`, `jobs`).
+    All have the person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for
+    the person nearest to each, and the time until each order is due."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of option runs, over all cells."""
     warmup_options: Annotated[int, within(0, 1e9)]

@@ -57,10 +57,11 @@ class HumanConfig:
     arc_steps: Annotated[int, within(1, 100_000)]
     """`arc`: control steps for the arc in one direction."""
     speed_m_s: Annotated[float, within(0.0, 3.0)]
-    """`approach`: walking speed, m/s. `live`, `patrol`, `worker`, `reactive`, `adversary`: largest speed, m/s."""
+    """`approach`: walking speed, m/s. `live`, `patrol`, `worker`, `reactive`, `fetcher`, `adversary`: largest speed,
+    m/s."""
     acceleration_m_s2: Annotated[float, within(0.1, 20.0)] | None
-    """`patrol`, `worker`, `reactive`, `adversary`: largest acceleration, m/s². null, for `patrol` only, lets it change
-    its speed at once."""
+    """`patrol`, `worker`, `reactive`, `fetcher`, `adversary`: largest acceleration, m/s². null, for `patrol` only,
+    lets it change its speed at once."""
     curiosity: Annotated[float, within(0.0, 1.0)]
     """`reactive`: at 0 the person is afraid of the moving arm, at 0.5 they make way for it as for another person, at 1
     they come to look at the tool."""
@@ -84,10 +85,10 @@ class HumanConfig:
     masked: bool
     """Hide the person from the policy, which then observes one far away."""
     stations_m: Annotated[list[XY], Field(min_length=1)] | None
-    """Stations (x, y), m: `worker` uses the one nearest to its spawn point, `patrol` and `reactive` use all. null:
+    """Stations (x, y), m: `worker` uses the one nearest to its spawn point, others use all. null:
     those of the cell."""
     stay_s: Annotated[float, within(0.1, 3600.0)]
-    """`patrol`, `reactive`: mean time at a station, s."""
+    """`patrol`, `reactive`, `fetcher`: mean time at a station, s."""
 
     def __post_init__(self) -> None:
         for index in self.held_out:
@@ -97,7 +98,7 @@ class HumanConfig:
         between("human.spawn_radius_m[0]", self.spawn_radius_m[0], 0.0, self.spawn_radius_m[1])
         if self.motion == "patrol" and self.speed_m_s == 0.0:
             raise ConfigError("human.speed_m_s=0: motion=patrol walks; choose a speed above 0")
-        if self.motion in ("worker", "reactive", "adversary") and self.acceleration_m_s2 is None:
+        if self.motion in ("worker", "reactive", "fetcher", "adversary") and self.acceleration_m_s2 is None:
             raise ConfigError(f"human.acceleration_m_s2=null: motion={self.motion} needs a largest acceleration")
         if self.motion == "recorded" and self.file is None:
             raise ConfigError("human.file=null: motion=recorded needs a CSV of t,x,y,yaw, a BVH file or a folder")

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from pydantic import Field
+
 from hrl_comfort.config.checks import XYZ, ConfigError, choice, within
 
 OBSERVATIONS = ("default", "proximity", "set_points", "sight", "paper")
-SORTING = ("sort", "shift")
+SORTING = ("sort", "shift", "kitting")
 """Tasks of several objects."""
 RANDOM = "random"
 """Value of `task.object`: any kind of the cell's."""
@@ -36,10 +38,12 @@ class TaskConfig:
     object: str
     """Kind of the objects: a name of `cell.objects`, or `random` for any of them."""
     objects: Annotated[int, within(1, 64)]
-    """Number of objects to be picked; above 1 for `sort` and `shift` only. Each has a slot of its own
-    (`cell.places.NAME.slots_m`)."""
+    """Number of objects to be picked; above 1 for `sort`, `shift` and `kitting` only. Each has a slot of its own
+    (`cell.places.NAME.slots_m`). `kitting` has one of each kind."""
     object_jitter_m: Annotated[float, within(0.0, 0.1)]
     """Largest offset of an object from its slot along x and along y, m."""
+    due_s: Annotated[list[Annotated[float, within(1.0, 3600.0)]], Field(min_length=2, max_length=2)]
+    """`kitting`: shortest and longest time from the opening of an order until it is due, s."""
     precision: PrecisionConfig
     max_episode_steps: Annotated[int, within(1, 100_000)]
     """Control steps of 20 ms after which an episode is out of time. If `comfort.source` is not `none` and
@@ -83,7 +87,12 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         if self.objects > 1 and self.name not in SORTING:
-            raise ConfigError(f"task.objects={self.objects}, but task.name={self.name} has one; choose sort or shift")
+            raise ConfigError(
+                f"task.objects={self.objects}, but task.name={self.name} has one; choose {' or '.join(SORTING)}"
+            )
+        low, high = self.due_s
+        if low > high:
+            raise ConfigError(f"task.due_s=[{low:g}, {high:g}] is not [low, high]")
 
 
 Weight = Annotated[float, within(-1e4, 1e4)]
@@ -128,6 +137,8 @@ class RewardConfig:
     """With a gripper: a carried object leaves the hand away from its place."""
     object_lost: Weight
     """With a gripper: an object falls to the floor."""
+    missed: Weight
+    """In `kitting`: an order becomes due before its object is placed."""
     k1: Weight
     """Factor of the weight `pick` (Eq. 1 of the paper)."""
     k2: Weight

@@ -53,10 +53,10 @@ def handover(config: EvaluateConfig) -> Path:
             "hand; choose gripper=none"
         )
     names = list(config.meta_controller.options)
-    if config.meta_controller.name != "scripted" or len(names) < 2:
+    if config.meta_controller.name != "nearest" or len(names) < 2:
         raise ConfigError(
             f"meta_controller={config.meta_controller.name} chains nothing: "
-            "give meta_controller=scripted task=cycle policies.*"
+            "give meta_controller=nearest task=cycle policies.*"
         )
     check_given(config)
     for name in names:

@@ -19,12 +19,13 @@ from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTra
 from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
-from hrl_comfort.evaluation.rates import Course, discomforts, shift_rates
+from hrl_comfort.evaluation.rates import MINUTE_S, Course, discomforts, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
+from hrl_comfort.hierarchy.oracle import Judged, Oracle
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
@@ -98,16 +99,20 @@ def _run_batch(
     env, rows = environment(config), len(entries.episode)
     engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
     executor, top = make_executor(config, policy, engine, int(entries.episode_seed[0]))
+    judged = Judged(top, Oracle(engine, executor)) if config.regret else None
     recorder = EpisodeRecorder(config, policy, engine, entries, result)
     before = [episode.success for episode in result.episodes]
     recorder.begin(engine.reset())
     due = time.monotonic()
-    for executed in execute(engine, executor, top):
+    for executed in execute(engine, executor, judged or top):
         if config.realtime:
             steps = int((executed.result.valid & executed.active[:, None]).sum(dim=1).max())
             due = max(due + steps * CONTROL_STEP_S, time.monotonic())  # what is late is not made up for
             time.sleep(max(0.0, due - time.monotonic()))
-        recorder.add(executed.result, executed.active, executed.ended, executed.runs)
+        runs = executed.runs
+        if judged is not None:
+            runs = [replace(run, regret=rounded(float(judged.regret[run.row]))) for run in runs]
+        recorder.add(executed.result, executed.active, executed.ended, runs)
         ended = [*before, *recorder.outcomes]
         show(len(ended), success_of(ended))
     engine.close()
@@ -193,6 +198,9 @@ class EpisodeRecorder:
             values = metrics(through)
             values |= discomforts(through, self.config)
             values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
+            if self.config.regret:
+                lost = sum(run.regret or 0.0 for run in self._runs if run.row == row)
+                values["regret_per_min"] = lost * MINUTE_S / (episode.steps * CONTROL_STEP_S)
             if self.engine.episodes.subtask.repeats:
                 values |= shift_rates(through, shielded)
             measures = {name: None if value is None else rounded(value) for name, value in values.items()}

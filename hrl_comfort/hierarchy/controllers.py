@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
+from hrl_comfort.config.hierarchy import ORACLE
+from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import OptionTable, chain, skill
+from hrl_comfort.hierarchy.oracle import Oracle
 from hrl_comfort.hierarchy.sort import sorting_table
-from hrl_comfort.hierarchy.tops import Top, in_order, make_top
+from hrl_comfort.hierarchy.tops import in_order, make_top
 from hrl_comfort.policies.load import Source, make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import Subtask, subtask
@@ -35,7 +38,10 @@ def make_executor(
         table, retries = sorting_table(meta_controller, config.policies, engine.scene, env, seed), None
     else:
         table, retries = _chain(config, engine, seed), meta_controller.retries
-    return OptionExecutor(table, episodes, retries, seed), make_top(config, table, seed)
+    executor = OptionExecutor(table, episodes, retries, seed)
+    if meta_controller.name == ORACLE:
+        return executor, Top(ORACLE, Oracle(engine, executor), together=True)
+    return executor, make_top(config, table, seed)
 
 
 def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
@@ -45,7 +51,7 @@ def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
     for key, off in ("level_override", "[]"), ("max_waits", "null"):
         if (value := getattr(meta_controller, key)) not in (None, []):
             key = f"meta_controller.{key}"
-            raise ConfigError(f"{key}={value} is for task=sort and shift; choose {key}={off}")
+            raise ConfigError(f"{key}={value} is for task={', '.join(SORTING)}; choose {key}={off}")
     parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]

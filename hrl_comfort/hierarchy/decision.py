@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.hierarchy.jobs import Jobs, jobs_of
 from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.tasks import State
 
@@ -35,6 +37,11 @@ class Decision:
         """(N,) s since the episode began."""
         return self.state.steps * CONTROL_STEP_S
 
+    @cached_property
+    def jobs(self) -> Jobs:
+        """The jobs among which there is a choice."""
+        return jobs_of(self.state)
+
 
 Choose = Callable[[Decision], Tensor]
 """Decision -> indices of choices (N,) int64."""
@@ -47,10 +54,13 @@ class Top:
       name: in errors.
       choose: its choices; a sequence or an array does as well as a tensor.
       begin: called with the rows (N,) bool in which an episode begins.
+      together: it is slow, and asked only once every cell is to decide; until then those that are stand still in time.
     """
 
-    def __init__(self, name: str, choose: Choose, begin: Callable[[Tensor], object] | None = None) -> None:
-        self.name, self._choose, self._begin = name, choose, begin
+    def __init__(
+        self, name: str, choose: Choose, begin: Callable[[Tensor], object] | None = None, together: bool = False
+    ) -> None:
+        self.name, self._choose, self._begin, self.together = name, choose, begin, together
 
     def begin(self, rows: Tensor) -> None:
         """Let episodes begin in `rows` (N,) bool."""

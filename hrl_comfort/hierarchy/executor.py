@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,8 @@ class OptionRun:
     start_step: int
     end_step: int
     termination: str
+    regret: float | None = None
+    """By how much the value of the best option was higher when it was chosen (`oracle`); None where nobody judged."""
 
 
 class OptionExecutor:
@@ -71,6 +74,13 @@ class OptionExecutor:
         """Return an executor for the next episodes, which goes on drawing where this one is."""
         fresh = OptionExecutor(self.table, self._episodes, self.retries)
         fresh._generator = self._generator
+        return fresh
+
+    def copies(self, episodes: Episodes, rows: Tensor) -> OptionExecutor:
+        """Return an executor for `episodes` of r cells that go on as those of `rows` (r,) int64 would."""
+        fresh = OptionExecutor(self.table, episodes, self.retries)
+        fresh.load_state_dict({name: getattr(self, name)[rows] for name in self._TENSORS})
+        fresh._generator.set_state(self._generator.get_state())
         return fresh
 
     option: Tensor
@@ -174,6 +184,13 @@ class OptionExecutor:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
         return EndedOptions(ended, torch.where(ended, termination, 0), given_up)
 
+    @contextmanager
+    def held(self, rows: Tensor) -> Iterator[None]:
+        """Keep what is known of `rows` (r,) int64 as it is while options of others end."""
+        kept = self._preempted[rows]
+        yield
+        self._preempted = self._preempted.index_copy(0, rows, kept)
+
     def _begun(self, state: State) -> Begun:
         return Begun(self.stage, state.steps - self.started)
 
@@ -214,7 +231,7 @@ class ExecutedStep:
 def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[ExecutedStep]:
     """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended.
 
-    `top` decides wherever an option has ended.
+    `top` decides wherever an option has ended; if it decides for all cells together, these wait for one another.
     """
     state = engine.episodes.state
     assert state is not None
@@ -222,15 +239,20 @@ def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[Exec
     deciding = active
     top.begin(deciding)
     while bool(active.any()):
-        if bool(deciding.any()):
+        if bool(deciding.any()) and not (top.together and bool((active & ~deciding).any())):
             chosen = torch.where(deciding, top(executor.decision(state, deciding)), executor.option)
             state = executor.begin(deciding, chosen)
-        action, option = executor.act(state, active), executor.option
-        result = engine.step(action.numpy(), np.flatnonzero(active.numpy()))
-        options, state = executor.ended(result), result.state
-        rows = torch.nonzero(options.rows & active).squeeze(-1).tolist()
+            deciding = torch.zeros_like(active)
+        acting, held = active & ~deciding, torch.nonzero(deciding).squeeze(-1)
+        action, option = executor.act(state, acting), executor.option
+        with engine.held(held) if len(held) else nullcontext(), executor.held(held):
+            result = engine.step(action.numpy(), np.flatnonzero(acting.numpy()))
+            options = executor.ended(result)
+        state = engine.episodes.state
+        assert state is not None
+        rows = torch.nonzero(options.rows & acting).squeeze(-1).tolist()
         runs = [executor.run_of(row, options, int(state.steps[row])) for row in rows]
-        ended = active & (result.done | options.given_up)
-        yield ExecutedStep(result, action, option, active, ended, runs)
+        ended = acting & (result.done | options.given_up)
+        yield ExecutedStep(result, action, option, acting, ended, runs)
         active = active & ~ended
-        deciding = options.rows & active
+        deciding = (deciding | (options.rows & acting)) & active

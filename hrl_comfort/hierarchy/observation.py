@@ -8,21 +8,25 @@ from torch import Tensor
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config.checks import implemented
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS
+from hrl_comfort.hierarchy.jobs import jobs_of
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, seen_nearest, tool
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""
-OTHERS, OBJECT = 14, 9
-"""Sizes of the parts of neither an object nor the person, and of each object."""
-PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1})
-"""Size of the person's part, by `meta_controller_agent.observation`."""
+OTHERS = 14
+"""Size of the part of neither an object nor the person."""
+PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1, "jobs": 1})
+OBJECT = implemented(META_OBSERVATIONS, {"default": 9, "proximity": 9, "jobs": 12})
+"""Sizes of the parts of the person and of each object, by `meta_controller_agent.observation`."""
+SOON_S = 20.0
+"""Time until an order is due that is seen as 1, the largest."""
 
 
 def observation_dim(layout: str, objects: int) -> int:
     """Return the size of `meta_observation`."""
-    return PERSON[layout] + OTHERS + OBJECT * objects
+    return PERSON[layout] + OTHERS + OBJECT[layout] * objects
 
 
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
@@ -31,27 +35,31 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     The person seen nearest to the tool (2) and their facing direction (2, zero where their position is clipped or
     masked) or, with the layout `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of
     the round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the
-    person's distance from both (2), whether it is placed and whether it is the target (2).
+    person's distance from both (2), whether it is placed and whether it is the target (2). With the layout `jobs` also
+    how fast the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1).
     """
     place = state.object_places
     person = human(state)[:, None, None]
     index = torch.arange(state.objects.shape[1])
-    objects = torch.cat(
-        [
-            state.objects,
-            place[..., :2],
-            human_distance(state.objects, person)[..., None],
-            human_distance(place, person)[..., None],
-            state.placed[..., None].double(),
-            (state.target[:, None] == index)[..., None].double(),
-        ],
-        dim=-1,
-    )
+    parts = [
+        state.objects,
+        place[..., :2],
+        human_distance(state.objects, person)[..., None],
+        human_distance(place, person)[..., None],
+        state.placed[..., None].double(),
+        (state.target[:, None] == index)[..., None].double(),
+    ]
+    if layout == "jobs":
+        jobs = jobs_of(state)
+        nearest = jobs.gap.argmin(dim=-1, keepdim=True)
+        left = (jobs.left / SOON_S).clamp(-1.0, 1.0)
+        parts += [jobs.closing.gather(-1, nearest).squeeze(-1), left[..., None]]
+    objects = torch.cat(parts, dim=-1)
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
     ease = torch.where(leveled, (state.level - 1) / (levels - 1), 0.0)
     level_given = torch.stack([ease, leveled.double()], dim=-1)
-    seen = nearness(state) if layout == "proximity" else _position_and_facing(state)
+    seen = _position_and_facing(state) if layout == "default" else nearness(state)
     return torch.cat([seen, tool(state), joint_error(state), stage, level_given, objects.flatten(1)], dim=-1).float()
 
 

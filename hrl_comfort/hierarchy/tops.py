@@ -9,17 +9,20 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, Choose, Decision, Top
 from hrl_comfort.hierarchy.options import NONE, OptionTable
-from hrl_comfort.tasks import State
 
 NEAR_M = 0.55
 """`cautious` waits while a person is within this distance of the tool's next goal, m."""
 PATIENT_M = 0.9
 """`patient` waits at level 1 while a person is within this distance of an object or of where it belongs, m."""
+AWAY_M, FILL_S = 0.7, 4.0
+"""`due` leaves orders for later that a person is within this distance of, m, and those that are due sooner, s."""
+LATEST_S = 1000.0
+"""Time from which on `due` sees no difference in when orders are due."""
 MakeTop = Callable[[EvaluateConfig, OptionTable, int], Choose]
 """(configuration, options, seed) -> top."""
 
@@ -73,10 +76,9 @@ def of_object(table: OptionTable, value: Tensor) -> Tensor:
     return torch.where(table.object == NONE, 0.0, value[:, table.object.clamp(min=0)])
 
 
-def clearance(state: State) -> Tensor:
+def clearance(decision: Decision) -> Tensor:
     """Return (N, B) m, the smaller of two distances of each object: of people from it, and from where it belongs."""
-    people = state.humans_pos[:, None]
-    return torch.minimum(human_distance(state.objects, people), human_distance(state.object_places, people))
+    return decision.jobs.gap.flatten(2).amin(dim=2)
 
 
 def waiting(decision: Decision, chosen: Tensor, waits: Tensor) -> Tensor:
@@ -85,16 +87,28 @@ def waiting(decision: Decision, chosen: Tensor, waits: Tensor) -> Tensor:
     return torch.where(waits & decision.mask[:, wait], wait, chosen)
 
 
-def scripted(decision: Decision) -> Tensor:
+def nearest(decision: Decision) -> Tensor:
     """Choose the object nearest to the tool."""
     state = decision.state
     return advance(decision, -(state.objects - state.tcp_pos[:, None]).norm(dim=-1))
 
 
+def free(decision: Decision) -> Tensor:
+    """Choose the object farthest from people."""
+    return advance(decision, clearance(decision))
+
+
+def due(decision: Decision) -> Tensor:
+    """Choose the order due soonest: of those that people are away from, and of these those that can still be filled."""
+    left = decision.jobs.left.clamp(max=LATEST_S)
+    preference = 2.0 * (clearance(decision) > AWAY_M) + 1.0 * (left > FILL_S)
+    return advance(decision, 2 * LATEST_S * preference - left)
+
+
 def cautious(decision: Decision) -> Tensor:
     """Choose the object farthest from people, and wait, where that is allowed, for a person near the goal."""
     state = decision.state
-    chosen = advance(decision, clearance(state))
+    chosen = advance(decision, clearance(decision))
     index = decision.table.object[chosen]
     picked = state.objects[torch.arange(len(index)), index.clamp(min=0)]
     goal = torch.where((index == NONE)[:, None], state.target_place, picked)
@@ -106,7 +120,7 @@ def patient(decision: Decision) -> Tensor:
 
     The distance at which the arm sets out falls from PATIENT_M at level 1, or without a level, to 0 at the last level.
     """
-    score, levels = clearance(decision.state), decision.levels
+    score, levels = clearance(decision), decision.levels
     ease = ((decision.state.level - 1) / (levels - 1)).nan_to_num(0.0)
     chosen = advance(decision, score)
     way = of_object(decision.table, score).gather(1, chosen[:, None]).squeeze(1)
@@ -145,8 +159,8 @@ def with_waits(rule: Choose) -> MakeTop:
     def make(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
         if "wait" not in table.names:
             raise ConfigError(
-                f"meta_controller={config.meta_controller.name} is for task=sort and shift, which have an option to "
-                f"wait; task={config.task.name} takes meta_controller=scripted"
+                f"meta_controller={config.meta_controller.name} is for task={', '.join(SORTING)}, which have an option "
+                f"to wait; task={config.task.name} takes meta_controller=nearest"
             )
         return rule
 
@@ -156,7 +170,9 @@ def with_waits(rule: Choose) -> MakeTop:
 TOPS: dict[str, MakeTop] = implemented(
     NAMES,
     {
-        "scripted": lambda *_: scripted,
+        "nearest": lambda *_: nearest,
+        "free": lambda *_: free,
+        "due": lambda *_: due,
         "cautious": with_waits(cautious),
         "patient": with_waits(patient),
         "fixed": fixed,

@@ -122,7 +122,7 @@ def _options(run: Run) -> DataFrame:
         raise ConfigError(f"{run.folder} is of several levels; options are drawn of one (comfort.level=)")
     if run.options is None:
         raise ConfigError(
-            f"{run.folder} holds no options.csv; evaluate with a controller, meta_controller=scripted, say"
+            f"{run.folder} holds no options.csv; evaluate with a controller, meta_controller=nearest, say"
         )
     return run.options
 

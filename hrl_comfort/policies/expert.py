@@ -126,9 +126,7 @@ class Expert:
 
     def _act(self, state: State, layout: Array, home: Array) -> Tensor:
         """Return the actions of cells of one layout (F, 7) and home posture (6,) rad; see `act`."""
-        self._here = self._layouts.setdefault(layout.tobytes() + home.tobytes(), _Known(home))
-        self._cell.stand(layout)
-        self._layout = layout
+        self._stand(layout, home)
         joints = state.joint_target.numpy()
         goals = self._goals_of(state)
         margin, pace = self._margin_and_pace(state)
@@ -145,6 +143,12 @@ class Expert:
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
         return torch.from_numpy(move / np.maximum(largest / pace[:, None], self._slowing))
+
+    def _stand(self, layout: Array, home: Array) -> None:
+        """Go to cells of one layout (F, 7) and home posture (6,) rad."""
+        self._here = self._layouts.setdefault(layout.tobytes() + home.tobytes(), _Known(home))
+        self._cell.stand(layout)
+        self._layout = layout
 
     def _goals_of(self, state: State) -> list[Goal]:
         """Return the goal of each row."""

@@ -14,6 +14,7 @@ from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
+from hrl_comfort.policies.direct import Direct
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
@@ -174,6 +175,7 @@ def _expert(config: EnvConfig) -> type[Expert]:
 
 _SCRIPTED: dict[str, Callable[[Subtask, Scene, EnvConfig, int], Act]] = {
     "expert": lambda task, scene, config, seed: _expert(config)(scene, config, task).act,
+    "direct": lambda task, scene, config, seed: Direct(scene, config, task).act,
     "potential_field": lambda task, scene, config, seed: PotentialField(scene, config, task).act,
     "predictive_sampling": lambda task, scene, config, seed: PredictiveSampling(scene, config, task).act,
     "random": lambda task, scene, config, seed: random(action_dim(scene, config.task), seed),

@@ -10,7 +10,7 @@ import pandas as pd
 
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown
-from hrl_comfort.benchmarks import entries, env, train, update
+from hrl_comfort.benchmarks import entries, env, tops, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
@@ -124,6 +124,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),
     "attacks": of_rows(attacks),
+    "tops": of_rows(tops.table),
     "csv": of_rows(as_it_is),
 }
 """Makers of tables by the name that a page marks them with."""

@@ -9,7 +9,7 @@ from hrl_comfort.scene.servos import SERVO_LAG_S
 
 MOST_LOST = 2
 """Largest number of frames of the person's tracker that are lost in a row."""
-WALKING = ("approach", "patrol", "worker", "reactive", "adversary")
+WALKING = ("approach", "patrol", "worker", "reactive", "fetcher", "adversary")
 """Motions of people who walk at up to `human.speed_m_s`. Who comes nearer to the arm faster, of any motion, is
 counted in the column `human_beyond_bound`."""
 LARGEST_NOISE = 3.0

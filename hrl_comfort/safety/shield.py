@@ -97,12 +97,13 @@ class Shield:
         self.memory = Memory(*(np.stack(each)[last, ..., rows].transpose(*range(1, each[0].ndim), 0) for each in kept))
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what an exact continuation needs."""
-        return {name: torch.from_numpy(value.copy()) for name, value in vars(self.memory).items()}
+        """Return what an exact continuation needs, rows first."""
+        return {name: torch.from_numpy(np.moveaxis(value, -1, 0).copy()) for name, value in vars(self.memory).items()}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
-        self.memory = Memory(**{name: value.numpy().copy() for name, value in saved.items()})
+        kept = {name: np.moveaxis(value.numpy(), 0, -1) for name, value in saved.items()}
+        self.memory = Memory(**{name: np.ascontiguousarray(value) for name, value in kept.items()})
 
     def swings(self, now: Encounter, motion: Motion) -> NDArray[np.bool_]:
         """Return (N,) whether the person may be reached while servos move the arm at more than the safe speed.

@@ -1,11 +1,15 @@
 """The engine: N cells stepped together by one physics, with partial resets."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.humans import EvaluationSet
@@ -39,6 +43,7 @@ class Engine:
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance, **planning)
         self.physics = physics(self.scene, config, rows)
         self.num_envs = rows
+        self._alike: dict[str, Any] = {"disturbance": disturbance, "physics": physics, **planning}
 
     def reset(self, rows: NDArray[np.int64] | None = None, entries: EvaluationSet | None = None) -> State:
         """Begin the next episode of `rows` (all by default) and return the state of every row.
@@ -72,9 +77,22 @@ class Engine:
         physics.end_decision(result.decision_steps.numpy()[at] * self.episodes.config.substeps, rows)
         return result
 
+    @contextmanager
+    def held(self, rows: Tensor) -> Iterator[None]:
+        """Keep the cells of `rows` (r,) int64 as they are while others are stepped."""
+        kept = of_rows(self.state_dict(), rows)
+        yield
+        self.load_state_dict(with_rows(self.state_dict(), rows, kept))
+
     def close(self) -> None:
         """Stop the threads."""
         self.physics.close()
+
+    def copies(self, rows: Tensor) -> Engine:
+        """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes."""
+        engine = Engine(self.episodes.config, len(rows), 0, **self._alike)
+        engine.load_state_dict(of_rows(self.state_dict(), rows))
+        return engine
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""
@@ -86,3 +104,21 @@ class Engine:
         rows, state = np.arange(self.num_envs), saved["physics"].numpy()
         self.physics.begin(rows, state[:, 1:], self.episodes.values())
         self.physics.state[:] = state
+
+
+def with_rows(saved: Any, rows: Tensor, theirs: Any) -> Any:
+    """Return what was `saved` with `theirs` in the `rows` (r,) int64; see `of_rows`."""
+    if isinstance(saved, dict):
+        return {name: with_rows(each, rows, theirs[name]) for name, each in saved.items()}
+    if isinstance(saved, list):
+        return [with_rows(each, rows, other) for each, other in zip(saved, theirs, strict=True)]
+    return saved.index_copy(0, rows, theirs) if isinstance(saved, Tensor) else saved
+
+
+def of_rows(saved: Any, rows: Tensor) -> Any:
+    """Return what was `saved`, in dictionaries and lists, of `rows` (r,) int64 alone: every tensor has rows first."""
+    if isinstance(saved, dict):
+        return {name: of_rows(each, rows) for name, each in saved.items()}
+    if isinstance(saved, list):
+        return [of_rows(each, rows) for each in saved]
+    return saved[rows] if isinstance(saved, Tensor) else saved

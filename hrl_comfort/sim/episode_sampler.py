@@ -68,6 +68,8 @@ class Draw:
     """(B,) rad, turn of each object about the vertical as it arrives; zero without a gripper."""
     arriving: NDArray[np.int64]
     """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
+    due: Array
+    """(ARRIVALS, B) s from the opening of each order until it is due, by control step modulo ARRIVALS."""
     noise: Array
     """(horizon, P, NOISE) in [0, 1), for the walks at each control step."""
     traits: Array
@@ -198,7 +200,7 @@ class EpisodeSampler:
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
                 layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
-                arriving[1], turns, arriving[2],
+                arriving[1], turns, *arriving[2:],
             )  # fmt: skip
             body = self._body(start, layout, rng)
             yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other)
@@ -270,11 +272,13 @@ class EpisodeSampler:
             )
         return bank[clear]
 
-    def _objects(self, kind: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    def _objects(
+        self, kind: int, rng: np.random.Generator
+    ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]:
         """Return offsets (B, kinds, 2, 2) m of the objects in the frames of the places where kinds arrive, kinds (B,).
 
         Offsets are those of the slot and of the jitter. An object has one slot at each place where objects arrive. The
-        kinds of later objects are the third; the first kind is given.
+        kinds of later objects are the third, and when orders are due the fourth; the first kind is given.
         """
         task, cell = self._config.task, self._config.cell
         count, kinds = task.objects, list(cell.objects.values())
@@ -287,7 +291,11 @@ class EpisodeSampler:
         random = task.object == RANDOM
         chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
         chosen[0] = kind
-        return offsets, chosen, rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
+        later = rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
+        low, high = task.due_s
+        if not self._task.orders:
+            return offsets, chosen, later, np.full((ARRIVALS, count), np.inf)
+        return offsets, np.arange(count), later, low + (high - low) * rng.random((ARRIVALS, count))
 
     def _arrivals(self, layout: Layout, offsets: Array) -> Array:
         """Return where objects arrive (B, kinds, 3) m, for `offsets` as of `_objects`."""

@@ -7,8 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.tasks import ObjectAt, State, Subtask
+from hrl_comfort.tasks.kitting import fetched
 
 
 def choose_target(state: State, rows: Tensor, index: Tensor, task: Subtask) -> State:
@@ -43,10 +44,12 @@ def go_on(state: State, before: State, failed: Tensor, kinds: Tensor, arrivals: 
 
     An object, of `kinds` (N,), arrives in the place of the last one that was placed or lost: when the next round
     begins, or in the failure (N,) in which the gripper lost it. `arrivals` (N, B, kinds, 3) m are the centres of
-    objects of each kind where they arrive.
+    objects of each kind where they arrive. Where objects are ordered, a lost one is back where it arrived.
     """
     state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
     lost = failed & task.releasing(state.stage)
+    if task.orders:
+        return state.with_(stage=state.stage - lost.long())
     rows = torch.nonzero(lost | (task.grasping(state.stage) & (state.stage > before.stage))).squeeze(1)
     if not len(rows):
         return state
@@ -58,6 +61,20 @@ def go_on(state: State, before: State, failed: Tensor, kinds: Tensor, arrivals: 
     centres[rows, index] = arrivals[rows, index, kinds[rows]]
     state = state.with_(stage=state.stage - lost.long(), placed=placed, kinds=every, objects=centres)
     return choose_target(state, rows, index, task)
+
+
+def renewed(state: State, due: Tensor, task: Subtask) -> State:
+    """Return the state after a decision with orders open anew, `due` (N, B) s from now: those fetched or missed.
+
+    Where the arm is to pick and the order that it was for is closed, it is for the first open one.
+    """
+    now, taken = state.steps[:, None] * CONTROL_STEP_S, fetched(state)
+    again = taken | (~state.placed & (state.due <= now))
+    if bool(again.any()):
+        state = state.with_(placed=state.placed & ~taken, due=torch.where(again, now + due, state.due))
+    closed = state.placed.gather(1, state.target[:, None]).squeeze(1) & ~state.placed.all(dim=1)
+    rows = torch.nonzero(task.grasping(state.stage) & closed).squeeze(1)
+    return choose_target(state, rows, (~state.placed[rows]).int().argmax(dim=1), task) if len(rows) else state
 
 
 def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:

@@ -276,15 +276,17 @@ class Plan:
         return targets, SetPoints.unshielded(targets[:, -1], increment / CONTROL_STEP_S, steps)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what an exact continuation needs."""
-        seen = {"ends": torch.from_numpy(self._ends.copy()), "pace": torch.from_numpy(self._pace.copy())}
+        """Return what an exact continuation needs, rows first."""
+        every = {"ends": self._ends, "pace": self._pace}
+        seen = {name: torch.from_numpy(np.moveaxis(each, -1, 0).copy()) for name, each in every.items()}
         parts = [part.state_dict() for part in self._parts]
         return {"people": self.people.state_dict(), "seen": seen, "parts": parts}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.people.load_state_dict(saved["people"])
-        self._ends, self._pace = (saved["seen"][name].numpy().copy() for name in ("ends", "pace"))
+        kept = (np.moveaxis(saved["seen"][name].numpy(), 0, -1) for name in ("ends", "pace"))
+        self._ends, self._pace = (np.ascontiguousarray(each) for each in kept)
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
 

@@ -16,7 +16,7 @@ from hrl_comfort.config import EnvConfig
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import ARRIVALS, Draw
-from hrl_comfort.sim.objects import go_on, update_placed
+from hrl_comfort.sim.objects import go_on, renewed, update_placed
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.sim.sensors import Sensors
 from hrl_comfort.sim.step_result import Rules, StepResult, compute_step, reward_weights, source_input
@@ -94,9 +94,11 @@ class Referee:
             state = state.with_(level=torch.from_numpy(self.source.advance(source_input(before, result))))
         state = self._disturbance.applied(update_placed(state, before.stage, self.subtask), self.subtask)
         if self.subtask.repeats:
-            arriving = draw.arriving[np.arange(len(draw.arriving)), state.steps.numpy() % ARRIVALS]
-            drawn = torch.from_numpy(arriving), torch.from_numpy(draw.arrivals)
+            now = np.arange(len(draw.arriving)), state.steps.numpy() % ARRIVALS
+            drawn = torch.from_numpy(draw.arriving[now]), torch.from_numpy(draw.arrivals)
             state = go_on(state, before, result.failed, *drawn, self.subtask)
+            if self.subtask.orders:
+                state = renewed(state, torch.from_numpy(draw.due[now]), self.subtask)
         return result if state is result.state else replace(result, state=state)
 
     def max_episode_steps(self, level: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import part
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.hand import with_hand
+from hrl_comfort.tasks.kitting import KITTING
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
 from hrl_comfort.tasks.pick_place import PICK_PLACE
@@ -21,7 +22,7 @@ from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
-    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT)
+    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT, KITTING)
 }
 
 

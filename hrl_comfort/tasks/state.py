@@ -83,6 +83,8 @@ class State:
     """(N, B) int64, index of its kind in `cell.objects`."""
     placed: Tensor
     """(N, B) bool, objects that are where they belong."""
+    due: Tensor
+    """(N, B) s of the episode by which each object is to be where it belongs; infinite in tasks without orders."""
     target: Tensor
     """(N,) int64, index of the object that is picked and placed next."""
     stage: Tensor

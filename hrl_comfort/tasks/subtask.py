@@ -99,6 +99,8 @@ class Subtask:
     """Further fields of State, (N,) bool, that are a failure."""
     repeats: bool = False
     """The stages begin again after the last one: `State.stage` counts on, and only the time limit ends an episode."""
+    orders: bool = False
+    """Objects are ordered: there is one of each kind, each is due by a time, and people fetch those that are placed."""
 
     @property
     def points(self) -> int:

@@ -192,8 +192,8 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
     if (sort := controller_config(config, folder)) is not None:
         learned = sort.meta_controller
-        scripted = replace(learned, name="scripted", max_waits=None, level_override=[])
-        found.append(_evaluation(sort, scripted, folder / "sort_scripted", policies, **common))
+        nearest = replace(learned, name="nearest", max_waits=None, level_override=[])
+        found.append(_evaluation(sort, nearest, folder / "sort_nearest", policies, **common))
         policies = {**policies, "meta_controller": sort.output}
         found.append(_evaluation(sort, learned, folder / "sort_learned", policies, **common))
     return found

@@ -140,11 +140,11 @@ def test_the_figure_of_controllers_is_drawn_from_evaluations(tmp_path: Path) -> 
         "task.max_episode_steps=60",
         *(f"policies.{name}=random" for name in ("pick", "place", "return")),
     ]
-    for name in ("scripted", "random"):
+    for name in ("nearest", "random"):
         assert main(["evaluate", *words, f"meta_controller={name}", f"output={tmp_path / name}"]) == 0
-    evaluations = f"evaluations=[{tmp_path / 'scripted'},{tmp_path / 'random'}]"
+    evaluations = f"evaluations=[{tmp_path / 'nearest'},{tmp_path / 'random'}]"
     output = tmp_path / "returns.png"
-    config = compose("figure", ["kind=controllers", evaluations, "labels=[scripted,random]", f"output={output}"])
+    config = compose("figure", ["kind=controllers", evaluations, "labels=[nearest,random]", f"output={output}"])
     assert isinstance(config, FigureConfig)
     figure(config)
     assert output.is_file() and output.with_suffix(".json").is_file()

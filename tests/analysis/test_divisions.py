@@ -89,7 +89,7 @@ def test_the_figure_is_drawn_from_evaluations(tmp_path: Path) -> None:
     for folder, names in (("one", ["cycle"]), ("two", ["pick_place", "return"])):
         words = [
             "task=cycle",
-            "meta_controller=scripted",
+            "meta_controller=nearest",
             f"division={folder}",
             "episodes=2",
             "human=none",

@@ -80,7 +80,7 @@ def test_a_folder_of_options_is_evaluated_as_their_chain(tmp_path):
     config = configuration("evaluate", [str(tmp_path), "episodes=2"])
     assert isinstance(config, EvaluateConfig)
     assert config.policies == {name: str(tmp_path / name) for name in ("pick", "place", "return")}
-    assert (config.task.name, config.meta_controller.name, config.policy) == ("cycle", "scripted", None)
+    assert (config.task.name, config.meta_controller.name, config.policy) == ("cycle", "nearest", None)
 
 
 def test_a_whole_number_may_be_written_as_a_power_of_ten():

@@ -98,7 +98,7 @@ def test_overrides_win_over_the_experiment():
         ("train", ["human.speed_m_s=0.1", "human=mixture", "~human.mixture.approach", "+human.mixture.still={}"]),
         ("train", ["hydra/launcher=basic", "hydra.run.dir=/x", "train_seed=3"]),
         ("train_hierarchy", ["agent.gamma=0.9", "division=one", "experiment=comfort_shift", "hierarchy.episodes=3"]),
-        ("evaluate", ["task=sort", "++policies.pick=expert", "meta_controller=scripted", "meta_controller.retries=2"]),
+        ("evaluate", ["task=sort", "++policies.pick=expert", "meta_controller=nearest", "meta_controller.retries=2"]),
     ],
 )
 def test_values_that_are_set_in_a_copy_are_what_hydra_composes(root: str, overrides: list[str]) -> None:

@@ -22,7 +22,7 @@ def test_without_arguments_the_demo_is_played_if_there_is_one(tmp_path: Path, mo
     assert options_in(Path("runs/demo")) == ("pick", "place", "return")
     assert with_defaults([]) == [
         "policies.pick=runs/demo/pick", "policies.place=runs/demo/place", "policies.return=runs/demo/return",
-        "meta_controller.options=['pick','place','return']", "meta_controller=scripted", "task=cycle",
+        "meta_controller.options=['pick','place','return']", "meta_controller=nearest", "task=cycle",
     ]  # fmt: skip
     assert with_defaults(["policy=random"]) == ["policy=random"]
 

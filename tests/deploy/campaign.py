@@ -49,7 +49,7 @@ EMPTY_PERIODS = 2500
 
 
 def config(episodes: int, *more: str) -> DeployConfig:
-    fixed = ["task=cycle", "meta_controller=scripted", *PEOPLE, "confirm=yes", "output=none"]
+    fixed = ["task=cycle", "meta_controller=nearest", *PEOPLE, "confirm=yes", "output=none"]
     late = f"safety.latency_s={2 * LATENCY_S}"
     found = compose("deploy", [*CHAIN, *BEHIND, *fixed, late, f"episodes={episodes}", *more])
     assert isinstance(found, DeployConfig)

@@ -31,8 +31,8 @@ from tests.deploy.faulty_link import BEHIND
 REFERENCE = [f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")]
 SHIELDED = [f"policies.{name}=runs/reference/shielded/seed0/{name}" for name in ("pick", "place", "return")]
 POLICIES = {
-    "reference cycle": ["task=cycle", "meta_controller=scripted", *REFERENCE],
-    "shielded cycle": ["task=cycle", "meta_controller=scripted", *SHIELDED, *BEHIND],
+    "reference cycle": ["task=cycle", "meta_controller=nearest", *REFERENCE],
+    "shielded cycle": ["task=cycle", "meta_controller=nearest", *SHIELDED, *BEHIND],
     "random": ["task=pick", "policy=random"],
     "potential_field": ["task=pick", "policy=potential_field"],
     "expert": ["task=pick", "policy=expert"],

@@ -67,7 +67,7 @@ def test_behaviour_cloning_from_the_data_set_picks(pick, monkeypatch):
 
 def test_a_chain_tells_its_options(tmp_path):
     policies = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    folder = written(tmp_path / "data", "task=cycle", "meta_controller=scripted", "episodes=3", *policies)
+    folder = written(tmp_path / "data", "task=cycle", "meta_controller=nearest", "episodes=3", *policies)
     loaded = minari.MinariDataset(folder / "data")
     assert loaded.storage.metadata["options"] == ["pick", "place", "return"]
     assert set(next(loaded.iterate_episodes()).infos["option"][1:]) == {0, 1, 2}

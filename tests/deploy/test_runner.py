@@ -36,7 +36,7 @@ from tests.deploy.faulty_arm import FaultyArm, refused
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
 PICK = [f"policy={REFERENCE / 'pick'}", "human=still", "confirm=yes"]
 CHAIN = {f"policies.{name}": str(REFERENCE / name) for name in ("pick", "place", "return")}
-CYCLE = {"task": "cycle", "meta_controller": "scripted", "human": "still", **CHAIN}
+CYCLE = {"task": "cycle", "meta_controller": "nearest", "human": "still", **CHAIN}
 
 
 def config(output: Path, *more: str) -> DeployConfig:

@@ -36,7 +36,7 @@ def runs(tmp_path: Path) -> Path:
 def grid(runs: Path, *more: str) -> EvaluateConfig:
     words = [f"policies.{part}='{runs / part}'" for part in STEPS]
     short = ["split=validation", "episodes=2", "task.start=ik"]
-    chain = ["task=cycle", "meta_controller=scripted", "checkpoints=grid", f"output='{runs / 'grid'}'"]
+    chain = ["task=cycle", "meta_controller=nearest", "checkpoints=grid", f"output='{runs / 'grid'}'"]
     found = compose("evaluate", [*words, *short, *chain, *more])
     assert isinstance(found, EvaluateConfig)
     return found

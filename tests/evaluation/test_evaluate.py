@@ -157,7 +157,7 @@ def test_chain_of_random_policies_writes_option_runs(tmp_path: Path) -> None:
         "evaluate",
         [
             "task=cycle",
-            "meta_controller=scripted",
+            "meta_controller=nearest",
             "meta_controller.time_limit_steps=40",
             "episodes=4",
             f"output='{tmp_path}'",
@@ -177,7 +177,7 @@ def test_chain_of_random_policies_writes_option_runs(tmp_path: Path) -> None:
 
 def test_chain_names_the_policy_that_is_missing(tmp_path: Path) -> None:
     config = compose(
-        "evaluate", ["task=cycle", "meta_controller=scripted", f"output='{tmp_path}'", "policies.pick=random"]
+        "evaluate", ["task=cycle", "meta_controller=nearest", f"output='{tmp_path}'", "policies.pick=random"]
     )
     assert isinstance(config, EvaluateConfig)
     with pytest.raises(ConfigError, match=r"policies\.place is not given"):
@@ -245,7 +245,7 @@ def test_checkpoints_of_a_chain_are_taken_at_equal_fractions_of_training(tmp_pat
         for at in steps:
             step_path(tmp_path / part / "checkpoints", at).touch()
     words = [override(f"policies.{part}", tmp_path / part) for part in kept]
-    config = compose("evaluate", ["task=cycle", "meta_controller=scripted", "checkpoints=all", *words])
+    config = compose("evaluate", ["task=cycle", "meta_controller=nearest", "checkpoints=all", *words])
     assert isinstance(config, EvaluateConfig)
     found = [{part: policy_steps(file) for part, file in each.items()} for each in checkpoints_of(config)]
     assert [each["place"] for each in found] == [25, 50, 75, 100] and "return" not in found[0]

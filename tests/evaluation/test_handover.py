@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hrl_comfort.evaluation.handover.RECORDED_EPISODES", 30)
         output = tmp_path_factory.mktemp("handover")
-        words = ["task=cycle", "meta_controller=scripted", *POLICIES, "episodes=12", f"output={output}"]
+        words = ["task=cycle", "meta_controller=nearest", *POLICIES, "episodes=12", f"output={output}"]
         assert main(["evaluate", "handover", *words]) == 0
     return output
 
@@ -52,9 +52,9 @@ def test_observations_are_named_with_how_far_they_lie_from_those_of_training(fol
     ("words", "says"),
     [
         (["task=pick", f"policy={REFERENCE / 'pick'}"], "meta_controller=none chains nothing"),
-        (["task=cycle", "meta_controller=scripted", *POLICIES[:2]], "policies.return is not given"),
+        (["task=cycle", "meta_controller=nearest", *POLICIES[:2]], "policies.return is not given"),
         (
-            ["task=cycle", "meta_controller=scripted", *POLICIES, f"episodes={EVALUATION_EPISODES + 1}"],
+            ["task=cycle", "meta_controller=nearest", *POLICIES, f"episodes={EVALUATION_EPISODES + 1}"],
             "episodes=",
         ),
     ],

@@ -200,7 +200,7 @@ def test_an_arm_that_begins_anew_after_physics_diverged_touches_nobody(monkeypat
 
 def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    words = ["task=cycle", "meta_controller=scripted", *skills, "split=train", "episodes=4", "output=unused"]
+    words = ["task=cycle", "meta_controller=nearest", *skills, "split=train", "episodes=4", "output=unused"]
     table = rollout(compose("evaluate", [*ALONE, *words])).table  # type: ignore[arg-type]
     assert table["success"].all()
     assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
@@ -208,7 +208,7 @@ def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
 
 def test_handover_records_nothing_with_a_gripper(tmp_path: Path) -> None:
     skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    words = ["task=cycle", "meta_controller=scripted", *skills, f"output='{tmp_path}'"]
+    words = ["task=cycle", "meta_controller=nearest", *skills, f"output='{tmp_path}'"]
     with pytest.raises(ConfigError, match="two_finger does not go with handover"):
         handover(compose("evaluate", [*ALONE, *words]))  # type: ignore[arg-type]
 

@@ -172,7 +172,7 @@ def test_a_missing_policy_is_named_in_one_line() -> None:
 
 @pytest.mark.parametrize("division", ["three", "two", "one"])
 def test_every_division_of_the_task_chains_to_the_whole_cycle(division: str) -> None:
-    config = compose("evaluate", ["task=cycle", "meta_controller=scripted", f"division={division}", "episodes=2"])
+    config = compose("evaluate", ["task=cycle", "meta_controller=nearest", f"division={division}", "episodes=2"])
     policies = dict.fromkeys(config.meta_controller.options, "expert")
     result = rollout(replace(config, policies=policies))
     assert [episode.success for episode in result.episodes] == [True, True]

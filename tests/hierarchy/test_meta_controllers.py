@@ -14,7 +14,7 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.sort import sorting_table
-from hrl_comfort.hierarchy.tops import cautious, scripted
+from hrl_comfort.hierarchy.tops import cautious, nearest
 from hrl_comfort.sim.engine import Engine
 from tests.hierarchy.test_sort import EXPERTS, META, STILL, config
 
@@ -29,7 +29,7 @@ def asked() -> Decision:
 
 def test_nearest_takes_the_nearest_object(asked: Decision) -> None:
     away = (asked.state.objects - asked.state.tcp_pos[:, None]).norm(dim=-1)
-    assert torch.equal(scripted(asked), away.argmin(dim=1))
+    assert torch.equal(nearest(asked), away.argmin(dim=1))
 
 
 def test_cautious_waits_for_a_person_at_the_goal_but_not_for_ever(asked: Decision) -> None:
@@ -64,7 +64,7 @@ def test_cautious_waits_six_times_in_a_row_beside_a_person_who_stays() -> None:
 
 
 @pytest.mark.parametrize("near", [False, True])
-@pytest.mark.parametrize("name", ["scripted", "cautious"])
+@pytest.mark.parametrize("name", ["nearest", "cautious"])
 def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_may(name: str, near: bool) -> None:
     engine = Engine(config("comfort=sort"), 8, 0)
     engine.reset()
@@ -82,7 +82,7 @@ def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_m
     plain, told = found
     assert told == [each if each in ("wait", "retreat") else f"{each}_as_6" for each in plain]
     assert ("wait" in plain) == (name == "cautious")
-    assert not near or name == "scripted" or set(plain) == {"wait"}
+    assert not near or name == "nearest" or set(plain) == {"wait"}
 
 
 def test_a_controller_that_does_not_sort_is_refused() -> None:
@@ -106,12 +106,12 @@ def test_a_controller_that_does_not_sort_is_refused() -> None:
 def test_a_chain_refuses_what_is_for_sorting(word: str) -> None:
     skills = [f"policies.{name}=random" for name in STILL]
     with pytest.raises(ConfigError, match=r"^meta_controller\.\w+=\[?\d\]? is for task=sort and shift; choose "):
-        rollout(compose("evaluate", ["task=cycle", "meta_controller=scripted", "episodes=1", word, *skills]))
+        rollout(compose("evaluate", ["task=cycle", "meta_controller=nearest", "episodes=1", word, *skills]))
 
 
 def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() -> None:
     def limit(*overrides: str) -> int:
-        config = compose("evaluate", ["meta_controller=scripted", *overrides])
+        config = compose("evaluate", ["meta_controller=nearest", *overrides])
         assert isinstance(config, EvaluateConfig)
         return config.meta_controller.time_limit_steps
 

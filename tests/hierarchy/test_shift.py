@@ -34,7 +34,7 @@ def config(*overrides: str) -> EnvConfig:
 
 def shift(*overrides: str) -> EvaluateConfig:
     chained = [] if "meta_controller=none" in overrides else EXPERTS
-    asked = ["task=shift", "meta_controller=scripted", *chained, "split=validation", "episodes=2", *overrides]
+    asked = ["task=shift", "meta_controller=nearest", *chained, "split=validation", "episodes=2", *overrides]
     found = compose("evaluate", asked)
     assert isinstance(found, EvaluateConfig)
     return found

@@ -19,10 +19,10 @@ from hrl_comfort.hierarchy.executor import TERMINATIONS, OptionExecutor, execute
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.options import OptionTable, Termination
 from hrl_comfort.hierarchy.sort import sorting_table, stop
-from hrl_comfort.hierarchy.tops import cautious, scripted
+from hrl_comfort.hierarchy.tops import cautious, nearest
 from hrl_comfort.sim.engine import Engine
 
-META = replace(compose("evaluate", ["task=sort", "meta_controller=scripted"]).meta_controller, time_limit_steps=500)
+META = replace(compose("evaluate", ["task=sort", "meta_controller=nearest"]).meta_controller, time_limit_steps=500)
 EXPERTS = {"pick": "expert", "place": "expert", "return": "expert"}
 STILL = {"pick": "random", "place": "random", "return": "random"}
 
@@ -70,7 +70,7 @@ def test_aiming_moves_the_goal_and_is_refused_while_an_object_is_held() -> None:
         engine.episodes.aim(torch.tensor([1]), torch.tensor([0]))
 
 
-@pytest.mark.parametrize("choose", [scripted, cautious])
+@pytest.mark.parametrize("choose", [nearest, cautious])
 def test_experts_sort_every_object_once(choose) -> None:
     engine = Engine(config("task.objects=3", "human=none"), 2, 0)
     options = sorting_table(META, EXPERTS, engine.scene, engine.episodes.config, 0)
@@ -125,7 +125,7 @@ def test_what_was_preempted_goes_home_before_anything_else() -> None:
         lost = state.with_(joint_pos=away, stage=torch.full((8,), stage))
         mask = executor.available(lost)
         assert mask[:, idle(executor)[1]].all() and (mask.sum(dim=1) == 1).all()
-        for choose in (scripted, cautious):
+        for choose in (nearest, cautious):
             asked = replace(executor.decision(engine.episodes.state), state=lost, mask=mask)
             assert (choose(asked) == options.position("retreat")).all()
     assert executor.available(state.with_(joint_pos=near))[:, :4].all()
@@ -207,7 +207,7 @@ def test_a_skill_may_be_told_another_level_than_the_one_in_force(begun) -> None:
     asked = OptionExecutor(options, engine.episodes).decision(engine.episodes.state)
     assert (asked.mask[:, :4] == asked.mask[:, 6:10]).all()
     wait = options.position("wait")
-    for choose in (scripted, cautious):  # at the first level that they may give
+    for choose in (nearest, cautious):  # at the first level that they may give
         assert {*choose(asked).tolist()} <= {6, 7, 8, 9, wait}
 
 

@@ -92,7 +92,7 @@ def config(name: str, *overrides: str, folder: Path | None = None) -> EvaluateCo
     found = compose("evaluate", ["task=sort", "task.objects=3", "split=validation", *SKILLS, *words])
     assert isinstance(found, EvaluateConfig)
     if name == "learned":
-        names = executor(config("scripted", *overrides))[0].table.names
+        names = executor(config("nearest", *overrides))[0].table.names
         agent = compose("train_meta_controller", ["meta_controller_agent.hidden=[8]"]).meta_controller_agent
         spec = {"names": names, "levels": 10, "objects": 3, "max_waits": None}
         learner = QLearner(agent, observation_dim(agent.observation, 3), len(names), 0)
@@ -199,7 +199,7 @@ def test_a_page_and_onnx_files_say_that_they_carry_no_top(tmp_path: Path) -> Non
 
 
 def test_what_is_chosen_where_no_option_has_ended_is_ignored() -> None:
-    made, _, state = executor(config("scripted"))
+    made, _, state = executor(config("nearest"))
     some = torch.arange(ROWS) < 3
     top = Top("some", lambda decision: torch.where(decision.deciding, 1, -7))
     assert top(made.decision(state, some))[some].tolist() == [1, 1, 1]
@@ -231,7 +231,7 @@ def test_patience_grows_as_the_level_falls() -> None:
 
 
 def test_a_termination_may_be_a_probability_and_is_drawn_again_alike() -> None:
-    engine = Engine(environment(config("scripted")), 64, 0)
+    engine = Engine(environment(config("nearest")), 64, 0)
     state = engine.reset()
     option = Option(
         "drift", lambda s: torch.zeros_like(s.joint_pos), lambda s: s.steps >= 0, lambda s, _: s.steps * 0.0 + 0.3
@@ -245,10 +245,10 @@ def test_a_termination_may_be_a_probability_and_is_drawn_again_alike() -> None:
 
 
 def test_a_controllers_training_of_before_the_options_were_values_goes_on() -> None:
-    made, _, _ = executor(config("scripted"))
+    made, _, _ = executor(config("nearest"))
     made.begin(torch.ones(ROWS, dtype=torch.bool), torch.zeros(ROWS, dtype=torch.int64))
     before = {name: value for name, value in made.state_dict().items() if name not in ("stage", "generator")}
-    after, _, _ = executor(config("scripted"))
+    after, _, _ = executor(config("nearest"))
     after.load_state_dict({**before, "_first": torch.zeros(ROWS, dtype=torch.int64), "_last": after.stage + 1})
     assert all(torch.equal(value, made.state_dict()[name]) for name, value in after.state_dict().items())
 

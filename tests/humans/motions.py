@@ -10,12 +10,12 @@ from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.humans import body, free
 from hrl_comfort.humans.kernels import CLEARANCE_M, LEAVE_S, TURN_RAD_S, TURN_RAD_S2, WAIT_STEPS
 from hrl_comfort.humans.motions.kernels import (
-    APART_M,
     ASIDE_M,
+    ASTRAY,
     FACTOR_M_S2,
     HIGHEST_M,
     IMPORTANCE,
-    INTO_M,
+    LONGEST,
     LOOKING_M,
     LOWEST_M,
     NEAR_GOAL_M,
@@ -27,9 +27,10 @@ from hrl_comfort.humans.motions.kernels import (
     RELAXATION_S,
     SHARP,
     SHARPER,
+    SHORTEST,
     STAY_S,
-    STRAIGHT_M,
 )
+from hrl_comfort.humans.motions.moves import APART_M, INTO_M, STRAIGHT_M
 from hrl_comfort.humans.retreat import retreat_limits
 from hrl_comfort.humans.steering import CARRYING, SLOWEST
 from hrl_comfort.humans.walk import SPEED_SMOOTHING, Array, KeepOut, Stride, Surroundings, Walk, facing_base, length
@@ -227,20 +228,53 @@ def worker(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) 
     memory[:, 0] = np.where(clock > 2 * REACH_S + STAY_S + PAUSE_S, CONTROL_STEP_S, clock)
     drawn = np.stack([LOWEST_M + (HIGHEST_M - LOWEST_M) * noise[:, 0], ASIDE_M * (2 * noise[:, 1] - 1)], axis=-1)
     memory[:, 1:3] = np.where(begins[:, None], drawn, memory[:, 1:3])
-    return Stride(position, yaw, body.reaching(_hands(config, walk, memory, table - walk.position)), memory)
+    share = _reached(memory[:, 0], REACH_S + STAY_S)
+    hands = _hands(walk, share, memory[:, 1], memory[:, 2], table - walk.position)
+    return Stride(position, yaw, body.reaching(hands), memory)
 
 
-def _hands(config: HumanConfig, walk: Walk, memory: Array, table: Array) -> Array:
+def fetcher(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
+    """Go from station to station by habit, and reach into the place before each for about `stay_s`.
+
+    Each goes round the robot in a direction of their own, and turns back with the probability ASTRAY. Memory: number
+    of the station from 1 on, time at it (s; 0 on the way), and how long this stay lasts (s).
+    """
+    assert config.acceleration_m_s2 is not None
+    stations, count, before = around.stations, around.stations.shape[1], walk.memory
+    nearest = length(stations - walk.position[:, None]).argmin(axis=1)
+    number = np.where(before[:, 0] == 0, nearest, before[:, 0] - 1).astype(np.int64)
+    leaving = (before[:, 1] > 0) & (before[:, 1] >= before[:, 2])
+    way = np.where((walk.traits[:, 2] < 0.5) == (noise[:, 0] >= ASTRAY), 1, -1)
+    number = np.where(leaving, (number + way) % count, number)
+    station = stations[np.arange(len(number)), number]
+    there = length(station - walk.position) < NEAR_TABLE_M
+    clock = np.where(leaving, 0.0, before[:, 1])
+    drawn = config.stay_s * (SHORTEST + (LONGEST - SHORTEST) * noise[:, 1])
+    stay = np.where(there & (clock == 0), drawn, before[:, 2])
+    clock = np.where(there | (clock > 0), clock + CONTROL_STEP_S, 0.0)
+    wanted = round_robot(walk.position, station, pace(config, walk), config.acceleration_m_s2 / 2)
+    position = step(walk, wanted, config, around)
+    table = station * (1 - INTO_M / np.maximum(length(station), INTO_M))[:, None]
+    yaw = turn(walk, bearing_of(np.where(there[:, None], table - position, wanted)))
+    share = np.where(clock > 0, np.maximum(_reached(clock, stay - REACH_S), 0.0), 0.0)
+    hands = _hands(walk, share, np.full(len(share), LOWEST_M), np.zeros(len(share)), table - walk.position)
+    return Stride(position, yaw, body.reaching(hands), np.stack([number + 1.0, clock, stay], axis=-1))
+
+
+def _reached(clock: Array, back_s: Array | float) -> Array:
+    """Return the share (n,) of a reach that began `clock` (n,) s ago, and is taken back from `back_s` on."""
+    out, back = (np.clip(each / REACH_S, 0.0, 1.0) for each in (clock, clock - back_s))
+    return _minimum_jerk(out) - _minimum_jerk(back)
+
+
+def _hands(walk: Walk, share: Array, height: Array, across: Array, table: Array) -> Array:
     """Return the hands (n, 2, 3) m in the person's frame; `table` (n, 2) m is where its middle is from the person."""
-    out = np.clip(memory[:, 0] / REACH_S, 0.0, 1.0)
-    back = np.clip((memory[:, 0] - REACH_S - STAY_S) / REACH_S, 0.0, 1.0)
-    share = _minimum_jerk(out) - _minimum_jerk(back)
     cos, sin = np.cos(walk.yaw), np.sin(walk.yaw)
     ahead, aside = cos * table[:, 0] + sin * table[:, 1], cos * table[:, 1] - sin * table[:, 0]
     target = np.empty((len(table), 2, 3))
     target[..., 0] = ahead[:, None]
-    target[..., 1] = (aside + memory[:, 2])[:, None] + APART_M * body.SIDES
-    target[..., 2] = memory[:, 1:2]
+    target[..., 1] = (aside + across)[:, None] + APART_M * body.SIDES
+    target[..., 2] = height[:, None]
     return np.asarray(CARRYING + share[:, None, None] * (target - CARRYING))
 
 
@@ -377,4 +411,4 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, seen: Surroundings) -
     )
 
 
-FUNCTIONS = {each.__name__: each for each in (random_walk, arc, approach, patrol, worker, reactive)}
+FUNCTIONS = {each.__name__: each for each in (random_walk, arc, approach, patrol, worker, reactive, fetcher)}

@@ -72,7 +72,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_an_unknown_motion_is_refused_with_the_list_of_motions() -> None:
     with pytest.raises(ConfigError, match=r"human\.motion='dance'.*random_walk.*recorded"):
         humans.begin(human("dance"), np.zeros((1, 2)))
-    assert set(humans.MOTIONS) == {*PAPER, "none", "worker", "reactive", "adversary", "recorded", "live"}
+    assert set(humans.MOTIONS) == {*PAPER, "none", "worker", "reactive", "fetcher", "adversary", "recorded", "live"}
 
 
 @pytest.mark.parametrize("motion", PAPER)

@@ -22,7 +22,7 @@ from tests.humans.around import STATIONS, around
 OWN = Path(__file__).with_name("reach.bvh")
 GOALS = np.array([[-0.615, -0.070], [0.647, -0.055], [0.126, 0.453]])
 PEOPLE, STEPS = 48, 1000
-LIVELY = ("patrol", "worker", "reactive", "adversary")
+LIVELY = ("patrol", "worker", "reactive", "fetcher", "adversary")
 
 
 @cache
@@ -100,12 +100,31 @@ def test_limbs_of_people_who_live_there_hang_together_and_never_jump(name: str) 
     assert fastest <= (human(name).speed_m_s + 1e-6 if name == "adversary" else 2.0)
 
 
-@pytest.mark.parametrize("name", ["patrol", "worker", "reactive"])
+@pytest.mark.parametrize("name", ["patrol", "worker", "reactive", "fetcher"])
 def test_they_walk_round_the_discs_without_being_cut_at_them(name: str) -> None:
     position = stacked(strolled(name), "position")
     discs = humans.around(GOALS, human(name).keep_out_m, PEOPLE).centres
     assert np.linalg.norm(position[:, :, None] - discs, axis=-1).min() >= human(name).keep_out_m - 0.01
     assert np.linalg.norm(position, axis=-1).max() < 2.5
+
+
+def test_a_fetcher_goes_round_the_stations_by_habit_and_reaches_into_each() -> None:
+    walks = strolled("fetcher")
+    memory, hand, stations = stacked(walks, "memory"), hands(walks), np.array(STATIONS)
+    number, clock, stay = (memory[1:, :, index] for index in range(3))
+    left = (number[1:] != number[:-1]).nonzero()
+    assert len(left[0]) > PEOPLE, "most people have left a station"
+    assert (clock[:-1][left] >= stay[:-1][left]).all()
+    assert ((stay[:-1][left] >= 0.8 * 6.0) & (stay[:-1][left] <= 1.2 * 6.0)).all()
+    way = (number[1:] - number[:-1])[left] % len(stations) == 1
+    own = walks[0].traits[left[1], 2] < 0.5
+    assert 0.8 < (way == own).mean() < 1.0, "in their own direction, but for a few"
+    working = (clock > 1.5) & (clock < stay - 1.5)
+    at = stations[number.astype(int) - 1]
+    apart = np.linalg.norm(stacked(walks[1:], "position") - at, axis=-1)
+    assert apart[working].max() < 0.1
+    table = at * (1 - 0.4 / np.linalg.norm(at, axis=-1, keepdims=True))
+    assert np.linalg.norm(hand[1:, ..., :2] - table[:, :, None], axis=-1)[working].max() < 0.2
 
 
 def test_the_worker_reaches_with_both_hands_to_where_the_objects_lie() -> None:

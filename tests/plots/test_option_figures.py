@@ -60,7 +60,7 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     experts = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
     words = [
         "task=cycle",
-        "meta_controller=scripted",
+        "meta_controller=nearest",
         "human=none",
         "episodes=3",
         *experts,

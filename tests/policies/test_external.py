@@ -113,7 +113,7 @@ def test_a_callable_sees_the_standard_observation_and_the_level_last() -> None:
 
 def test_a_chain_takes_policies_from_anywhere(elsewhere: Path) -> None:
     sources = ["policies.pick=somebody:wave", "policies.place=somebody:Still", "policies.return=random"]
-    folder = command("task=cycle", "meta_controller=scripted", *sources)
+    folder = command("task=cycle", "meta_controller=nearest", *sources)
     episodes = read_table(folder / "episodes.csv")
     assert episodes is not None and len(episodes) == 2
 

@@ -16,7 +16,7 @@ from hrl_comfort.sim.variation.disturbance import BLOCK_STEPS
 
 
 def measured(*overrides: str) -> Result:
-    config = compose("evaluate", ["meta_controller=scripted", "human=none", "episodes=4", *overrides])
+    config = compose("evaluate", ["meta_controller=nearest", "human=none", "episodes=4", *overrides])
     assert isinstance(config, EvaluateConfig)
     return rollout(replace(config, policies=dict.fromkeys(config.meta_controller.options, "expert")))
 

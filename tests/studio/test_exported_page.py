@@ -34,7 +34,7 @@ from tests.studio.browser import opened, until
 CHAIN = {"pick_place": "runs/reference/comfort/stages/seed0", "return": "runs/reference/return"}
 """A policy with levels, and one without."""
 WORDS = [
-    *(f"policies.{name}={folder}" for name, folder in CHAIN.items()), "task=cycle", "meta_controller=scripted",
+    *(f"policies.{name}={folder}" for name, folder in CHAIN.items()), "task=cycle", "meta_controller=nearest",
     "division=two", "task.precision.grasp_tolerance_m=0.3", "task.precision.place_tolerance_m=0.3",
 ]  # fmt: skip
 WEB = Path("hrl_comfort/studio/web")

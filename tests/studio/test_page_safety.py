@@ -32,7 +32,7 @@ from hrl_comfort.studio.web.safety import safety
 
 REFERENCE = Path("runs/reference/comfort_shift/levels0")
 SHIELDED = ["robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact"]
-CHAIN = [*(f"policies.{name}={REFERENCE / name}" for name in ("pick", "place", "return")), "meta_controller=scripted"]
+CHAIN = [*(f"policies.{name}={REFERENCE / name}" for name in ("pick", "place", "return")), "meta_controller=nearest"]
 HERE = Path(__file__).parent
 STEPS = 200
 """Control steps, of 20 ms, of the episode that is played."""

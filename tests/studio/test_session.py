@@ -285,7 +285,7 @@ def test_options_are_forced_where_they_can_start() -> None:
 
 def sorting_config() -> StudioConfig:
     policies = [f"policies.{name}=random" for name in ("pick", "place", "return")]
-    config = compose("studio", ["task=sort", "task.objects=2", "meta_controller=scripted", "human=still", *policies])
+    config = compose("studio", ["task=sort", "task.objects=2", "meta_controller=nearest", "human=still", *policies])
     assert isinstance(config, StudioConfig)
     return config
 

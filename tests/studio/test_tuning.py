@@ -125,7 +125,7 @@ def test_a_parameter_takes_effect_at_the_next_reset_and_the_page_says_so(shown: 
 
 def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
     chain = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    config = compose("studio", ["task=cycle", "meta_controller=scripted", *chain, "human=still", "port=0"])
+    config = compose("studio", ["task=cycle", "meta_controller=nearest", *chain, "human=still", "port=0"])
     assert isinstance(config, StudioConfig)
     studio = LiveStudio(config)
     studio.loop.running = False

@@ -102,7 +102,7 @@ def test_a_chain_runs_in_the_cell_of_its_policies(tmp_path: Path) -> None:
     save_config(config, tmp_path / "config.yaml")
     chained = [
         "task=cycle",
-        "meta_controller=scripted",
+        "meta_controller=nearest",
         f"policies.pick='{tmp_path}'",
         "policies.place=expert",
     ]
@@ -143,7 +143,7 @@ def test_a_training_that_ended_before_its_first_checkpoint_leaves_its_folder_fre
 
 
 def test_a_chain_takes_no_policy_and_a_policy_no_chain() -> None:
-    with pytest.raises(ConfigError, match="does not go with meta_controller=scripted"):
-        evaluation("policy=expert", "task=cycle", "meta_controller=scripted")
-    with pytest.raises(ConfigError, match="meta_controller=scripted"):
+    with pytest.raises(ConfigError, match="does not go with meta_controller=nearest"):
+        evaluation("policy=expert", "task=cycle", "meta_controller=nearest")
+    with pytest.raises(ConfigError, match="meta_controller=nearest"):
         evaluation("task=cycle", "policies.pick=expert")

@@ -178,7 +178,7 @@ def test_a_learned_controller_is_killed_goes_on_and_is_evaluated(tmp_path, capsy
         train_hierarchy(small(folder, *overrides))
     assert f"{folder} is finished" in capsys.readouterr().out
     assert load_config(folder / "controller").task.objects == 2
-    for name in ("pick", "place", "return", "cycle", "sort_scripted", "sort_learned"):
+    for name in ("pick", "place", "return", "cycle", "sort_nearest", "sort_learned"):
         assert (folder / name / "eval" / "summary.json").is_file()
     for page in (folder, folder / "controller"):
         assert main(["report", override("run", page), "video=false"]) == 0

@@ -11,8 +11,9 @@ from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.humans.motions.adversary import adversary
-from hrl_comfort.humans.motions.kernels import COMPILED, NUMBERS, propose
+from hrl_comfort.humans.motions.kernels import COMPILED, propose
 from hrl_comfort.humans.motions.live import live
+from hrl_comfort.humans.motions.moves import NUMBERS
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import recorded
 from hrl_comfort.humans.motions.still import still
@@ -54,7 +55,7 @@ MOTIONS: dict[str, Motion] = {
     **dict.fromkeys(COMPILED, compiled),
     **{each.__name__: each for each in (adversary, recorded, live)},
 }
-CARRIERS = ("patrol", "worker", "reactive")
+CARRIERS = ("patrol", "worker", "reactive", "fetcher")
 """Motions of people who hold their hands before the body."""
 STEERED = (*CARRIERS, "adversary")
 """Motions that keep to `acceleration_m_s2` where it is set, and mind keep-out discs themselves."""

@@ -1,8 +1,8 @@
 """Compiled motions, one function each for one person, and what holds for people of all motions.
 
-A motion is given who moves (`who`: x, y, yaw, velocity x, y and yaw rate, spawn x, y, pace in [0, 1)), its numbers
-(`of`, by the names below), memory and noise, and what it sees; it changes `memory`, and `limbs` if it moves them, and
-returns position, m, and yaw, rad.
+A motion is given who moves (`who`: x, y, yaw, velocity x, y and yaw rate, spawn x, y, pace and habit in [0, 1)), its
+numbers (`of`, by their names in `moves`), memory and noise, and what it sees; it changes `memory`, and `limbs` if it
+moves them, and returns position, m, and yaw, rad.
 """
 
 from __future__ import annotations
@@ -14,22 +14,32 @@ from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel
 from hrl_comfort.config import CONTROL_STEP_S
-from hrl_comfort.humans.body import FARTHEST_M, FOREARM_M, NEAREST_M, POLE, SHOULDERS, SIDES, UPPER_ARM_M
-from hrl_comfort.humans.kernels import reach, stepped, turned
-from hrl_comfort.humans.steering import CARRYING, SLOWEST
+from hrl_comfort.humans.kernels import turned
+from hrl_comfort.humans.motions.moves import (
+    ACCELERATION,
+    ARC,
+    ARC_STEPS,
+    CURIOSITY,
+    FORWARD,
+    FORWARD_PROBABILITY,
+    FULL_TURN,
+    JITTER,
+    SPEED,
+    STAY,
+    before,
+    minimum_jerk,
+    pace,
+    reach_out,
+    towards,
+    walking,
+    way_round,
+)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Place = tuple[float, float, float]
-COMPILED = ("random_walk", "arc", "approach", "patrol", "worker", "reactive")
+COMPILED = ("random_walk", "arc", "approach", "patrol", "worker", "reactive", "fetcher")
 """Motions by their kind in `propose`."""
-NUMBERS = (
-    "speed_m_s", "acceleration_m_s2", "stay_s", "jitter_m", "forward_m", "forward_probability", "curiosity", "arc_deg",
-    "arc_steps",
-)  # fmt: skip
-"""Numbers of a motion, keys of `HumanConfig`; an acceleration of None is NaN."""
-SPEED, ACCELERATION, STAY, JITTER, FORWARD, FORWARD_PROBABILITY, CURIOSITY, ARC, ARC_STEPS = range(len(NUMBERS))
-FULL_TURN = 2 * math.pi
 EPSILON = 1e-9
 NEAR_STATION_M, NEAR_TABLE_M, NEAR_GOAL_M = 0.02, 0.05, 0.1
 """Distances at which `patrol`, `worker` and `reactive` have reached a station."""
@@ -39,10 +49,10 @@ REACH_S, STAY_S, PAUSE_S = 1.2, 0.8, 0.8
 is 0.9 m/s."""
 LOWEST_M, HIGHEST_M = 1.0, 1.25
 """Of the hands above the floor; the balls of the paper's cell lie at 1.04 m."""
-INTO_M = 0.4
-"""From the station to the hands' place, towards the robot: stations lie that far behind the objects' places."""
-ASIDE_M, APART_M = 0.10, 0.06
-"""Farthest of the hands from the middle of the table to its side, and of each hand from between them."""
+ASIDE_M = 0.10
+"""Farthest of the hands from the middle of the table to its side."""
+ASTRAY, SHORTEST, LONGEST = 0.1, 0.8, 1.2
+"""Probability that a `fetcher` turns back, and bounds of a stay as shares of `stay_s`."""
 RELAXATION_S = 0.5
 """Time in which people reach their desired velocity (Helbing and Molnár, Physical Review E 51, 1995)."""
 IMPORTANCE, RANGE, SHARP, SHARPER, FACTOR_M_S2 = 2.0, 0.35, 2.0, 3.0, 5.1
@@ -51,8 +61,6 @@ LARGEST = math.log(1.5 * FACTOR_M_S2)
 """Logarithm of more than the largest force, m/s², of something at no distance."""
 LOOKING_M = 0.7
 """Distance from the tool at which a curious human stops: the arm's length of two people who talk."""
-STRAIGHT_M = 0.3
-"""Distance from the goal below which people walk straight to it."""
 
 
 @kernel
@@ -91,27 +99,6 @@ def approach(who: Array, of: Array, tcp: Array) -> Place:
     distance = math.sqrt(dx * dx + dy * dy)
     stride, size = min(of[SPEED] * CONTROL_STEP_S, distance), max(distance, 1e-9)
     return who[0] + dx / size * stride, who[1] + dy / size * stride, math.atan2(dy, dx)
-
-
-@kernel
-def towards(dx: float, dy: float, speed_m_s: float, acceleration_m_s2: float) -> tuple[float, float]:
-    """See `steering.towards`, of an offset (dx, dy) m."""
-    distance, brake = math.sqrt(dx * dx + dy * dy), acceleration_m_s2 * CONTROL_STEP_S
-    arriving = math.sqrt(brake * brake + 2 * acceleration_m_s2 * distance) - brake
-    share = min(speed_m_s, arriving) / max(distance, 1e-9)
-    return dx * share, dy * share
-
-
-@kernel
-def pace(who: Array, of: Array) -> float:
-    """Return the walking speed, m/s, of people whose `traits` differ: 60 to 100 % of `speed_m_s`."""
-    return of[SPEED] * (SLOWEST + (1 - SLOWEST) * who[8])
-
-
-@kernel
-def walking(who: Array, of: Array, wx: float, wy: float, discs: Array, radius_m: float) -> tuple[float, float]:
-    """See `steering.step`: somebody who wants (wx, wy) m/s beside discs."""
-    return stepped(who[0], who[1], who[3], who[4], wx, wy, discs, radius_m, of[SPEED], of[ACCELERATION])
 
 
 @kernel
@@ -176,13 +163,6 @@ def patrol(who: Array, of: Array, memory: Array, noise: Array, stations: Array, 
 
 
 @kernel
-def minimum_jerk(share: float) -> float:
-    """Return the part of a reach that is done after a `share` of its time."""
-    share = min(max(share, 0.0), 1.0)
-    return share * share * share * (10 - 15 * share + 6 * (share * share))
-
-
-@kernel
 def worker(
     who: Array, of: Array, memory: Array, limbs: Array, noise: Array, stations: Array, discs: Array, radius_m: float
 ) -> Place:
@@ -201,8 +181,7 @@ def worker(
     there = math.sqrt(dx * dx + dy * dy) < NEAR_TABLE_M
     wx, wy = towards(dx, dy, pace(who, of), of[ACCELERATION] / 2)
     there_x, there_y = walking(who, of, wx, wy, discs, radius_m)
-    into = 1 - INTO_M / max(math.sqrt(sx * sx + sy * sy), INTO_M)
-    tx, ty = sx * into, sy * into
+    tx, ty = before(sx, sy)
     heading = math.atan2(ty - there_y, tx - there_x) if there else math.atan2(dy, dx)
 
     whole, begun = 2 * REACH_S + STAY_S + PAUSE_S, memory[0]
@@ -211,17 +190,43 @@ def worker(
         memory[1], memory[2] = LOWEST_M + (HIGHEST_M - LOWEST_M) * noise[0], ASIDE_M * (2 * noise[1] - 1)
     memory[0] = clock = CONTROL_STEP_S if clock > whole else clock
     share = minimum_jerk(clock / REACH_S) - minimum_jerk((clock - REACH_S - STAY_S) / REACH_S)
-    cos, sin, dx, dy = math.cos(yaw), math.sin(yaw), tx - x, ty - y
-    ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
-    for side in range(2):
-        limbs[side, 0] = limbs[side, 1] = limbs[side, 2] = np.nan
-        hx, hy, hz = CARRYING[side]
-        across = aside + memory[2] + APART_M * SIDES[side]
-        hand = hx + share * (ahead - hx), hy + share * (across - hy), hz + share * (memory[1] - hz)
-        reach(
-            hand, SHOULDERS[side], POLE[side], limbs[2 + side], limbs[4 + side], UPPER_ARM_M, FOREARM_M, NEAREST_M,
-            FARTHEST_M,
-        )  # fmt: skip
+    reach_out(limbs, x, y, yaw, tx, ty, share, memory[1], memory[2])
+    return there_x, there_y, turned(yaw, who[5], heading)
+
+
+@kernel
+def fetcher(
+    who: Array, of: Array, memory: Array, limbs: Array, noise: Array, stations: Array, discs: Array, radius_m: float
+) -> Place:
+    """Go from station to station by habit, and reach into the place before each for about `stay_s`.
+
+    Each goes round the robot in a direction of their own, and turns back with the probability ASTRAY. Memory: number
+    of the station from 1 on, time at it (s; 0 on the way), and how long this stay lasts (s).
+    """
+    x, y, yaw, count = who[0], who[1], who[2], len(stations)
+    if memory[0] == 0:
+        least = np.inf
+        for index in range(count):
+            dx, dy = stations[index, 0] - x, stations[index, 1] - y
+            gap = math.sqrt(dx * dx + dy * dy)
+            if gap < least:
+                memory[0], least = index + 1, gap
+    if memory[1] > 0 and memory[1] >= memory[2]:
+        way = 1 if (who[9] < 0.5) == (noise[0] >= ASTRAY) else -1
+        memory[0], memory[1] = (int(memory[0]) - 1 + way) % count + 1, 0.0
+    sx, sy = stations[int(memory[0]) - 1]
+    dx, dy = sx - x, sy - y
+    there = math.sqrt(dx * dx + dy * dy) < NEAR_TABLE_M
+    if there and memory[1] == 0:
+        memory[2] = of[STAY] * (SHORTEST + (LONGEST - SHORTEST) * noise[1])
+    memory[1] = clock = memory[1] + CONTROL_STEP_S if there or memory[1] > 0 else 0.0
+    dx, dy = way_round(x, y, sx, sy)
+    wx, wy = towards(dx, dy, pace(who, of), of[ACCELERATION] / 2)
+    there_x, there_y = walking(who, of, wx, wy, discs, radius_m)
+    tx, ty = before(sx, sy)
+    heading = math.atan2(ty - there_y, tx - there_x) if there else math.atan2(dy, dx)
+    share = minimum_jerk(clock / REACH_S) - minimum_jerk((clock + REACH_S - memory[2]) / REACH_S)
+    reach_out(limbs, x, y, yaw, tx, ty, max(share, 0.0) if clock > 0 else 0.0, LOWEST_M, 0.0)
     return there_x, there_y, turned(yaw, who[5], heading)
 
 
@@ -271,13 +276,7 @@ def reactive(
 
     gx, gy = stations[goal]
     speed, change = pace(who, of), of[ACCELERATION] / 2
-    dx, dy = gx - x, gy - y
-    if math.sqrt(dx * dx + dy * dy) >= STRAIGHT_M:  # the shorter way round the robot
-        bearing, radius = math.atan2(y, x), math.sqrt(x * x + y * y)
-        left = (math.atan2(gy, gx) - bearing + math.pi) % FULL_TURN - math.pi
-        outwards, aside = math.sqrt(gx * gx + gy * gy) - radius, radius * left
-        cos, sin = math.cos(bearing), math.sin(bearing)
-        dx, dy = cos * outwards - sin * aside, sin * outwards + cos * aside
+    dx, dy = way_round(x, y, gx, gy)
     wx, wy = towards(dx, dy, speed, change)
     tool_x, tool_y = tcp[0] - x, tcp[1] - y
     share = 1 - LOOKING_M / max(math.sqrt(tool_x * tool_x + tool_y * tool_y), LOOKING_M)
@@ -310,10 +309,10 @@ def propose(
 
     Each draws one of the motions of `kinds`, indices of COMPILED, with their `numbers`; those of another kind stay.
     """
-    n, who = len(yaw), np.empty(9)
+    n, who = len(yaw), np.empty(10)
     there, facing, bent, kept = np.empty((n, 2)), np.empty(n), limbs.copy(), memory.copy()
     for m in range(n):
-        who[0], who[1], who[2], who[8] = position[m, 0], position[m, 1], yaw[m], traits[m, 1]
+        who[0], who[1], who[2], who[8], who[9] = position[m, 0], position[m, 1], yaw[m], traits[m, 1], traits[m, 2]
         who[3], who[4], who[5], who[6], who[7] = (
             velocity[m, 0],
             velocity[m, 1],
@@ -338,5 +337,7 @@ def propose(
             x, y, heading = reactive(
                 who, of, mine, steps[m] == 0, noise[m], stations[m], discs[m], radius_m, tcp[m], points[m], moving[m]
             )
+        elif kind == 6:
+            x, y, heading = fetcher(who, of, mine, bent[m], noise[m], stations[m], discs[m], radius_m)
         there[m, 0], there[m, 1], facing[m] = x, y, heading
     return there, facing, bent, kept

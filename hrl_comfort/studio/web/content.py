@@ -136,7 +136,7 @@ def refuse(config: StudioConfig) -> None:
     for key, value, only in allowed:
         if value != only:
             raise ConfigError(f"{key}={value}: a page of export= has {key}={'null' if only is None else only} alone")
-    if (top := config.meta_controller.name) not in ("none", "scripted"):
+    if (top := config.meta_controller.name) not in ("none", "nearest"):
         raise ConfigError(f"meta_controller={top}: a page of export= runs options in order, and carries no controller")
     if config.task.name in SORTING:
         raise ConfigError(f"task={config.task.name}: a page of export= shows one policy, or a chain of them, once")

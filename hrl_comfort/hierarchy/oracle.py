@@ -1,0 +1,83 @@
+"""An oracle that looks ahead: it tries every option in copies of the cells, which know what people will do.
+
+The value of an option is the return of the next HORIZON_S if it is chosen now and the rule `due` chooses later. The
+copies are exact, random numbers included: the oracle foresees what no top can know, and nobody reaches a regret of 0.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.hierarchy.decision import Decision, Top
+from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.tops import due
+from hrl_comfort.sim.engine import Engine
+
+HORIZON_S = 15.0
+"""Time for which the oracle looks ahead, s."""
+
+
+class Oracle:
+    """Values of the options of the cells of `engine`, run by `executor`."""
+
+    def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
+        self._engine, self._executor = engine, executor
+
+    def __call__(self, decision: Decision) -> Tensor:
+        """Return the options (N,) of highest value."""
+        return self.values(decision).argmax(dim=1)
+
+    def values(self, decision: Decision) -> Tensor:
+        """Return the values (N, K) of the options in the rows that decide among several; -inf where none can start.
+
+        Elsewhere they are 0 for options that can start.
+        """
+        values = torch.zeros(decision.mask.shape, dtype=torch.float64).masked_fill(~decision.mask, -torch.inf)
+        several = decision.deciding & (decision.mask.sum(dim=1) > 1)
+        rows, tried = torch.nonzero(decision.mask & several[:, None]).unbind(dim=1)
+        if len(rows):
+            values[rows, tried] = self._returns(rows, tried)
+        return values
+
+    def _returns(self, rows: Tensor, tried: Tensor) -> Tensor:
+        """Return the returns (r,) of copies of `rows` (r,) that begin with the options `tried` (r,)."""
+        engine = self._engine.copies(rows)
+        executor = self._executor.copies(engine.episodes, rows)
+        assert engine.episodes.state is not None
+        end = engine.episodes.state.steps + round(HORIZON_S / CONTROL_STEP_S)
+        first, returns = torch.ones(len(rows), dtype=torch.bool), torch.zeros(len(rows), dtype=torch.float64)
+
+        def choose(decision: Decision) -> Tensor:
+            chosen = torch.where(first, tried, due(decision))
+            first[decision.deciding] = False
+            return chosen
+
+        for step in execute(engine, executor, Top("oracle", choose)):
+            within = step.active & (step.result.state.steps <= end)
+            returns += torch.where(within, step.result.reward, 0.0)
+            if not bool(within.any()):
+                break
+        engine.close()
+        return returns
+
+
+class Judged(Top):
+    """A `top` whose choices an `oracle` judges: `regret` (N,) is the value of the best option less that of the latest.
+
+    Raises:
+      ConfigError: as `Top`.
+    """
+
+    def __init__(self, top: Top, oracle: Oracle) -> None:
+        super().__init__(top.name, top, top.begin, together=True)
+        self._oracle, self.regret = oracle, torch.zeros(0)
+
+    def __call__(self, decision: Decision) -> Tensor:
+        """See `Top`."""
+        chosen, values = super().__call__(decision), self._oracle.values(decision)
+        lost = values.max(dim=1).values - values.gather(1, chosen[:, None]).squeeze(1)
+        before = self.regret if len(self.regret) else torch.zeros_like(lost)
+        self.regret = torch.where(decision.deciding, lost, before)
+        return chosen
