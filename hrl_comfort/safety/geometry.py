@@ -43,7 +43,7 @@ class ArmGeometry:
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        self.joints = len(joints)
+        self.joints, self.bodies = len(joints), bodies
         turn, self._offset = _relative_poses(model, bodies)
         axis = model.jnt_axis[joints]
         cross = np.cross(np.eye(3), axis[:, None, :])  # (J, 3, 3), v -> axis x v
@@ -53,11 +53,12 @@ class ArmGeometry:
         found = [part for part in _capsules(model, data) if part[0] in bodies]
         self.link = np.array([bodies.index(part[0]) for part in found])
         """(C,) joint that moves each capsule."""
-        self._local = np.stack([part[1] for part in found])
+        self.local = np.stack([part[1] for part in found])
+        """(C, 2, 3) m, ends of the axis of each capsule in the frame of its link."""
         self.radius = np.array([part[2] for part in found])
         """(C,) m."""
         steps = np.ascontiguousarray(self._steps[..., 0])
-        self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
+        self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self.local
         """Its part that kernels take."""
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
@@ -83,7 +84,7 @@ class ArmGeometry:
             sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
             return ArmPose(*kernels.pose(sine, versine, *self.compiled))
         rotation, anchor, origins = self._frames(angles)
-        local = self._local.transpose(2, 0, 1)[..., None]
+        local = self.local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
         return ArmPose(_turned(rotation, self._axis.T[..., None]), anchor, ends)
 
@@ -154,7 +155,7 @@ class ArmGeometry:
         between = np.linalg.norm(self._offset - np.vstack([np.zeros(3), self._anchor[:-1]]), axis=1)
         levers = np.zeros((len(self.link), self.joints))
         for part, link in enumerate(self.link):
-            tip = np.linalg.norm(self._local[part] - self._anchor[link], axis=1).max() + self.radius[part]
+            tip = np.linalg.norm(self.local[part] - self._anchor[link], axis=1).max() + self.radius[part]
             for joint in range(link + 1):
                 levers[part, joint] = tip + between[joint + 1 : link + 1].sum()
         return levers
