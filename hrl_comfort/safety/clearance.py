@@ -39,17 +39,18 @@ class Clearance:
         self._pairs = np.array(_pairs(scene.planning, arm), dtype=np.int64).reshape(-1, 2)
         self._posts, self._floor_z = _posts(scene.planning), scene.floor_z
 
-    def nearing(self, begin: Array, end: Array, tops: Array) -> NDArray[np.bool_]:
-        """Return (N,) whether arms that go from `begin` to `end` (N, J) rad come too near.
+    def keeps(self, begin: Array, end: Array, tops: Array) -> NDArray[np.bool_]:
+        """Return (N,) whether arms that go from `begin` to `end` (N, J) rad keep clear, or come no nearer.
 
         `tops` (N, F, 6) as in `State.tops`.
         """
         if plain(begin, end, tops):
             given = contiguous(begin, end, tops)
             fixed = self._begins, self._along, self._pairs, self._posts, self._floor_z, self._clearance_m
-            return kernels.nearing(*given, self._arm.compiled, self._arm.radius, *fixed)
+            return kernels.keeps(*given, self._arm.compiled, self._arm.radius, *fixed)
         here, there = (self._distances(self._arm.pose(angles).ends, tops) for angles in (begin, end))
-        return np.asarray(np.logical_and(there < self._clearance_m, there < here - CLOSER_M).any(axis=0))
+        kept: NDArray[np.bool_] = ((there >= self._clearance_m) | (there >= here - CLOSER_M)).all(axis=0)
+        return kept
 
     def _distances(self, ends: Array, tops: Array) -> Array:
         """Return the distances (R, N) m of arms with capsules' `ends` (3, C, 2, N) from all that they may meet."""

@@ -1,4 +1,4 @@
-"""Compiled twin of `Clearance.nearing`; see `hrl_comfort.compiled`."""
+"""Compiled twin of `Clearance.keeps`; see `hrl_comfort.compiled`."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def between(ends: Array, first: int, second: int, m: int) -> float:
 
 
 @kernel
-def nearing(
+def keeps(
     begin: Array, end: Array, tops: Array, geometry: Geometry, radius: Array, begins: NDArray[np.int64], along: Array,
     pairs: NDArray[np.int64], posts: Array, floor_z: float, clearance_m: float,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """See `Clearance.nearing`; then come fields of it and of the arm."""
+    """See `Clearance.keeps`; then come fields of it and of the arm."""
     here, there = posed(begin, geometry)[2], posed(end, geometry)[2]
-    link, found = geometry[4], np.zeros(len(begin), dtype=np.bool_)
+    link, kept = geometry[4], np.ones(len(begin), dtype=np.bool_)
     count, column = tops.shape[1], np.zeros((tops.shape[1] + len(posts), 7))
     for index in range(len(posts)):
         column[count + index, 3], column[count + index, 2] = posts[index, 0], posts[index, 1]
@@ -63,16 +63,16 @@ def nearing(
             shares, near = along[begins[capsule] : begins[capsule + 1]], radius[capsule] + clearance_m
             lowest = min(there[2, capsule, 0, m], there[2, capsule, 1, m])
             before = min(here[2, capsule, 0, m], here[2, capsule, 1, m])
-            found[m] |= lowest - floor_z < near and lowest < before - CLOSER_M
+            kept[m] &= lowest - floor_z >= near or lowest >= before - CLOSER_M  # NaN is not
             for index in range(len(column)):
                 meets = index < count or link[capsule] >= posts[index - count, 2]
-                if meets and lowest - column[index, 2] < near:  # else all of it is well above the top
+                if meets and not lowest - column[index, 2] >= near:  # else all of it is well above the top
                     gap = over(there, m, capsule, shares, column[index])
-                    if gap < near:
-                        found[m] |= gap < over(here, m, capsule, shares, column[index]) - CLOSER_M
+                    if not gap >= near:
+                        kept[m] &= gap >= over(here, m, capsule, shares, column[index]) - CLOSER_M
         for index in range(len(pairs)):
             a, b = pairs[index]
             gap = between(there, a, b, m)
-            if gap < radius[a] + radius[b] + clearance_m:
-                found[m] |= gap < between(here, a, b, m) - CLOSER_M
-    return found
+            if not gap >= radius[a] + radius[b] + clearance_m:
+                kept[m] &= gap >= between(here, a, b, m) - CLOSER_M
+    return kept

@@ -136,30 +136,35 @@ class Drive:
             self.shield.end_decision(last)
 
     def step(
-        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, tops: Array, limbs: Array | None = None
+        self,
+        before: SetPoints,
+        asked: Array,
+        joints: Array,
+        now: Encounter,
+        limbs: Array | None = None,
+        tops: Array | None = None,
     ) -> tuple[Array, SetPoints]:
         """Return where the set-points of the next control step begin (N, J) rad, and they at its end.
 
         `asked` (N, J) rad/s is the motion that the policy wants, `joints` (N, 2 J) the measured angles, rad, and
-        velocities, rad/s, `now` the arms there beside the people, `tops` (N, F, 6) what stands there, as
-        `State.tops`. The shield sees the people at `limbs` (N, L, 7) instead, if given.
+        velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
+        instead, if given. `tops` (N, F, 6), as `State.tops`, is what the arm keeps clear of where it keeps a clearance.
         """
         begin, after = self._passed(before, asked, joints, now, limbs)
-        return begin, after if self._clearance is None else self._kept_clear(self._clearance, before, begin, after, tops)
+        return begin, after if self._clearance is None else self._kept_clear(before, begin, after, tops)
 
-    def _kept_clear(
-        self, clearance: Clearance, before: SetPoints, begin: Array, after: SetPoints, tops: Array
-    ) -> SetPoints:
-        """Return set-points `after` a control step that `begin` at (N, J) rad, or those of the brake, where that keeps
-        a clearance.
+    def _kept_clear(self, before: SetPoints, begin: Array, after: SetPoints, tops: Array | None) -> SetPoints:
+        """Return the set-points `after` a step from `begin` (N, J) rad, or those of the brake to keep the clearance.
 
-        Where the set-points were taken back to the arm, they stand.
+        Set-points that were taken back to the arm stand, and stay.
         """
-        nearing = clearance.nearing(begin, self._rating.rest(begin, after.velocity), tops)
-        velocity = np.where(nearing[:, None], self._rating.brake(before.velocity), after.velocity)
+        assert self._clearance is not None and tops is not None
+        clear = self._clearance.keeps(begin, self._rating.rest(begin, after.velocity), tops)
+        velocity = np.where(clear[:, None], after.velocity, self._rating.brake(before.velocity))
         angles = np.clip(begin + velocity * CONTROL_STEP_S, self._low, self._high)
         speed, passed = np.linalg.norm(velocity, axis=1), np.linalg.norm(after.velocity, axis=1)
-        share = np.where(nearing, np.minimum(after.share * speed / np.maximum(passed, 1e-9), 1.0), after.share)
+        braked = np.minimum(after.share * speed / np.maximum(passed, 1e-9), 1.0)
+        share = np.where(clear, after.share, braked)
         return replace(after, angles=angles, velocity=velocity, share=share, share_sum=before.share_sum + share)
 
     def _passed(

@@ -164,7 +164,7 @@ class Plan:
                 moving = joints()
                 now = self._separation.encounter(moving[:, : joint_target.shape[1]], crowd.limbs)
                 asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
-                begin, point = self.drive.step(points[-1], asked, moving, now, draw.tops, seen)
+                begin, point = self.drive.step(points[-1], asked, moving, now, seen, draw.tops)
                 targets = point.ramp(begin, self._substeps)
             crowd = self.people.step(noise[:, k], times[:, k], now)
             if self.drive is not None:
