@@ -159,7 +159,7 @@ class Drive:
         Set-points that were taken back to the arm stand, and stay.
         """
         assert self._clearance is not None and tops is not None
-        clear = self._clearance.keeps(begin, self._rating.rest(begin, after.velocity), tops)
+        clear = self._clearance.keeps(begin, begin + self._rating.way(after.velocity), tops)
         velocity = np.where(clear[:, None], after.velocity, self._rating.brake(before.velocity))
         angles = np.clip(begin + velocity * CONTROL_STEP_S, self._low, self._high)
         speed, passed = np.linalg.norm(velocity, axis=1), np.linalg.norm(after.velocity, axis=1)

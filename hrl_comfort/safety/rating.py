@@ -63,11 +63,11 @@ class Rating:
         share = np.where(np.abs(velocity) > fastest, fastest / np.maximum(np.abs(velocity), ROUNDING), 1.0)
         return velocity * np.maximum(share, 0.0).min(axis=1)[:, None]
 
-    def rest(self, angles: Array, velocity: Array) -> Array:
-        """Return the angles (N, J) rad of arms that run `velocity` (N, J) rad/s for a control step, and brake then."""
+    def way(self, velocity: Array) -> Array:
+        """Return the way (N, J) rad of arms that run `velocity` (N, J) rad/s for a control step, and brake then."""
         steps = np.maximum(self.stopping_time(velocity) / CONTROL_STEP_S, ROUNDING)
         whole = np.floor(steps)
-        return angles + velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]
+        return velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]
 
     def keeps(self, low: Array, high: Array, angles: Array, velocity: Array) -> NDArray[np.bool_]:
         """Return (N,) whether joints at `angles` (N, J) rad stay between `low` and `high` (J,).
@@ -75,6 +75,6 @@ class Rating:
         They run `velocity` (N, J) rad/s for a control step, and brake then. The brake slows all joints together, so
         that one may need more room than it would alone.
         """
-        end = self.rest(angles, velocity)
+        end = angles + self.way(velocity)
         inside: NDArray[np.bool_] = ((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1)
         return inside
