@@ -75,6 +75,6 @@ class Rating:
         They run `velocity` (N, J) rad/s for a control step, and brake then. The brake slows all joints together, so
         that one may need more room than it would alone.
         """
-        end = angles + self.way(velocity)
+        end = np.add(angles, self.way(velocity))
         inside: NDArray[np.bool_] = ((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1)
         return inside
