@@ -8,6 +8,7 @@ what was allowed once stays allowed. Places and obstacles count as solid from th
 from __future__ import annotations
 
 from itertools import combinations, pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -49,7 +50,7 @@ class Clearance:
             fixed = self._begins, self._along, self._pairs, self._posts, self._floor_z, self._clearance_m
             return kernels.keeps(*given, self._arm.compiled, self._arm.radius, *fixed)
         here, there = (self._distances(self._arm.pose(angles).ends, tops) for angles in (begin, end))
-        clear = np.logical_or(there >= self._clearance_m, there >= here - CLOSER_M)
+        clear: Any = (there >= self._clearance_m) | (there >= here - CLOSER_M)
         kept: NDArray[np.bool_] = clear.all(axis=0)
         return kept
 

@@ -7,6 +7,7 @@ scale the time in which the path is run, not its direction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,6 @@ class Rating:
         They run `velocity` (N, J) rad/s for a control step, and brake then. The brake slows all joints together, so
         that one may need more room than it would alone.
         """
-        end = np.add(angles, self.way(velocity))
+        end: Any = angles + self.way(velocity)
         inside: NDArray[np.bool_] = ((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1)
         return inside
