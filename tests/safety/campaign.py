@@ -38,7 +38,7 @@ MOTIONS = {
     "recorded": (), "mixture": (),
 }  # fmt: skip
 BEHIND = "runs/reference/shielded/seed1"
-SIGHT = ("task.observation=sight", "task.arrival_speed_rad_s=0.5")
+SIGHT = ("task.observation=sight", "safety.clearance_m=0.01", "task.arrival_speed_rad_s=0.5")
 LEVEL = ("comfort=conditioned", "comfort.source=fixed", "comfort.level=5")
 POLICIES = {
     "frozen": ("tests.safety.campaign:frozen", "pick_place"),
