@@ -71,7 +71,7 @@ class Clearance:
         pose = self._arm.pose(angles)
         near = self._vectors(pose, tops)
         rates = near.rates(pose)
-        limit = np.where(near.room < REACH_M, np.maximum(near.room, 0.0) / DAMPING_S, np.inf)
+        limit = np.where(near.room < REACH_M, np.maximum(near.room, 0.0) / DAMPING_S, FAR_AWAY_M / DAMPING_S)
         for _ in range(ROUNDS):
             slack = limit + sum(rates[j] * asked[:, j] for j in range(self._arm.joints))
             worst = slack.argmin(axis=0)[None]
@@ -100,7 +100,7 @@ class Clearance:
             share = np.maximum(1 - radius / np.maximum(outside, 1e-9), 0.0)
             beside = np.stack([points[0] * share, points[1] * share, np.maximum(points[2] - top, 0.0)])
             found.append(np.where((links >= link)[:, None], beside, FAR_AWAY_M))
-        flat = np.zeros_like(points[2])
+        flat = 0.0 * points[2]
         found.append(np.stack([flat, flat, np.maximum(points[2] - self._floor_z, 0.0)]))
         a, b = self._pairs.T
         on_a, on_b = closest_points(ends[:, a, 0], ends[:, a, 1], ends[:, b, 0], ends[:, b, 1])
