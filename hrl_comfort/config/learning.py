@@ -110,6 +110,9 @@ class AgentConfig:
     takes, but not `random`; null is none."""
     demonstrator_envs: Annotated[int, within(0, 65535)]
     """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
+    demonstrator_takeover: Annotated[float, within(1e-3, 1.0)]
+    """Probability, at each decision, that the demonstrator takes over an episode from the actor (Ross and Bagnell 2014,
+    arXiv:1406.5979); at 1 it acts from the beginning. Less shows how to go on from where the actor gets to."""
     bc_weight: Annotated[float, within(0.0, 1e6)]
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""

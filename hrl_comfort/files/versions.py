@@ -16,7 +16,7 @@ from hrl_comfort.config.checks import UnknownKeyError
 
 BEFORE: dict[str, Any] = {}
 """Value, by dotted key, that does what was done before the key came; where it is the default of conf/, none."""
-GONE: dict[str, Any] = {"reward.human_collision": 0.0}
+GONE: dict[str, Any] = {"reward.human_collision": 0.0, "human.masked": False}
 """Value, by dotted key, with which a key that is gone did nothing."""
 TASK = {"colour": "object", "balls": "objects", "ball_jitter_m": "object_jitter_m"}
 """Keys of the section `task` that were renamed."""

@@ -235,11 +235,11 @@ def spawns_apart(
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
     """Return the human position (n, 2) m in the observation for true positions (n, 2) m.
 
-    `masked` and motion `none` give a position far away. `clipping=full` gives the nearest spawn point;
+    Motion `none` gives a position far away. `clipping=full` gives the nearest spawn point;
     `partial` gives that point only if it is nearer to the robot than the human. The paper's "a given point
     nearer than the human" does not say nearer to what. This reading never reports a human as farther away.
     """
-    if config.masked or config.motion == "none":
+    if config.motion == "none":
         return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))
     if config.clipping == "off":
         return position

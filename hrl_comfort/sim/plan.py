@@ -165,7 +165,7 @@ class Plan:
             else:
                 moving = joints()
                 now = self._separation.beside(moving[:, : joint_target.shape[1]], crowd.ends)
-                begin, point = self.drive.step(points[-1], asked, moving, now, self.tracker.shown)
+                begin, point = self.drive.step(points[-1], asked, moving, now, self.tracker.shown, draw.tops)
                 targets = point.ramp(begin, self._substeps)
             crowd = self.people.step(noise[:, k], times[:, k], now)
             if self.drive is not None:

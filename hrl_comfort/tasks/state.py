@@ -62,7 +62,7 @@ class State:
     humans_seen: Tensor
     """(N, P, 2) m, their positions as the policy observes them (tracker, clipping, masking)."""
     humans_shown: Tensor
-    """(N, P) bool, `humans_seen` is where they were measured, neither clipped nor masked."""
+    """(N, P) bool, `humans_seen` is where they were measured, not clipped."""
     layout: Tensor
     """(N, F, 7) m and quaternion, poses of the cell's places (the middle of their tops), then of its obstacles."""
     tops: Tensor

@@ -70,7 +70,7 @@ def test_a_mixture_may_be_among_the_others() -> None:
         (("human=none", SECOND + "{motion: still}"), "motion=none is nobody; choose a motion for the first"),
         (("human=pair", SECOND + "{motion: none}"), r"human.others.second.motion=none is nobody"),
         (("human=pair", SECOND + "{motion: live}"), r"human.others.second.file=null: only the first"),
-        (("human=pair", SECOND + "{masked: true}"), r"human.others.second.masked cannot be changed"),
+        (("human=pair", SECOND + "{clipping: full}"), r"human.others.second.clipping cannot be changed"),
         (("human=pair", SECOND + "{colour: red}"), r"human.others.second.colour cannot be changed"),
         (("human=pair", SECOND + "{speed_m_s: 9}"), r"human.others.second: speed_m_s=9.0 is outside"),
         (("human=nobody.yaml",), r"human=nobody.yaml: there is no such file; give one, or choose one of "),

@@ -25,6 +25,7 @@ from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import build_scene
 from hrl_comfort.sim.people import share_walked
+from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web import content
 from hrl_comfort.studio.web.arrays import recorded
@@ -58,9 +59,12 @@ def rows_of(**fields: NDArray[np.float64]) -> list[dict[str, Any]]:
     ]
 
 
-@pytest.mark.parametrize(("bound", "states"), [("observed", 1000), ("worst", 200)])
-def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bound: str, states: int) -> None:
-    env = environment(compose("evaluate", ["task=cycle", "policy=expert", f"safety.bound={bound}", *SHIELDED]))
+@pytest.mark.parametrize(("bound", "clearance", "states"), [("observed", "null", 1000), ("worst", "0.02", 200)])
+def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(
+    bound: str, clearance: str, states: int
+) -> None:
+    safe = [f"safety.bound={bound}", f"safety.clearance_m={clearance}"]
+    env = environment(compose("evaluate", ["task=cycle", "policy=expert", *SHIELDED, *safe]))
     scene = build_scene(env.robot, env.cell, env.engine.substeps, env.task.objects)
     graphs = safety(scene, env, humans.begin(env.human, np.array([[0.8, 0.2]])))
     separation = Separation(scene)
@@ -81,7 +85,9 @@ def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bou
     now = separation.encounter(measured[:, :6], limbs)
     drive.shield.memory = Memory(separation.person.ends(earlier), trail.transpose(1, 2, 0).copy())
     reach = drive.shield.reach(now, velocity)
-    begin, after = drive.step(SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64)), asked, measured, now)
+    before = SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64))
+    standing = np.tile(tops(env.cell, *np.split(scene.layout, [len(env.cell.places)])), (states, 1, 1))
+    begin, after = drive.step(before, asked, measured, now, tops=standing)
     room, gap = separation.gap(measured[:, :6], earlier), now.apart.min(axis=0)
     assert after.braking.any() and (gap < 0).any() and ((after.share > 0) & (after.share < 1)).any()
     assert (begin != angles).any() and (begin == angles).all(axis=1).any()

@@ -17,6 +17,7 @@ from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
+from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.web.arrays import recorded
 
 Array = NDArray[Any]
@@ -32,6 +33,8 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
     separation = Separation(scene)
     drive, arm, person = make_drive(scene, separation, env, 1, every_row), separation.arm, separation.person
     shielded = drive is not None and drive.shield is not None
+    places, obstacles = np.split(scene.layout, [len(env.cell.places)])
+    standing = tops(env.cell, places, obstacles)[None]
 
     def driven(
         joint_target: Array, target_vel: Array, joint_pos: Array, joint_vel: Array, asked: Array, limbs: Array,
@@ -44,7 +47,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
             drive.shield.memory = Memory(person.ends(limbs_before), trail)
             made["reach"] = drive.shield.reach(now, target_vel)
         before = SetPoints.unshielded(joint_target, target_vel, np.zeros(1, np.int64))
-        begin, after = drive.step(before, asked, np.concatenate([joint_pos, joint_vel], axis=1), now)
+        begin, after = drive.step(before, asked, np.concatenate([joint_pos, joint_vel], axis=1), now, tops=standing)
         if drive.shield is not None:
             made["trail"] = drive.shield.memory.trail
         return made | {

@@ -102,12 +102,12 @@ export class Cell {
 
   /** Return the fields of the state that graphs read, as of one row. */
   fields(stage, level) {
-    const { state, content, object, person } = this, { place, yaw } = person.walk, far = [content.person.far, 0];
+    const { state, content, object, person } = this, { place, yaw } = person.walk;
     const people = (data) => ({ shape: [1, 1, data.length], data });
     return {
       joint_pos: row(state.joint_pos), joint_vel: row(state.joint_vel), joint_target: row(this.target),
       tcp_pos: row(state.tcp_pos), tcp_home: row(content.tcp_home), joint_home: row(content.home),
-      humans_pos: people(place), humans_yaw: row([yaw]), humans_seen: people(content.person.masked ? far : place),
+      humans_pos: people(place), humans_yaw: row([yaw]), humans_seen: people(place),
       target_object: row(object.place), target_place: row(content.kind_places[object.kind]), target_kind: one(object.kind),
       kind_places: { shape: [1, content.kind_places.length, 3], data: content.kind_places.flat() },
       points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
