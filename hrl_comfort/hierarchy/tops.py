@@ -159,8 +159,8 @@ def with_waits(rule: Choose) -> MakeTop:
     def make(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
         if "wait" not in table.names:
             raise ConfigError(
-                f"meta_controller={config.meta_controller.name} is for task={', '.join(SORTING)}, which have an option to "
-                f"wait; task={config.task.name} takes meta_controller=nearest"
+                f"meta_controller={config.meta_controller.name} is for task={', '.join(SORTING)}, which have an option "
+                f"to wait; task={config.task.name} takes meta_controller=nearest"
             )
         return rule
 

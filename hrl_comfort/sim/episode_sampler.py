@@ -14,7 +14,7 @@ from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
-from hrl_comfort.sim.variation.layouts import Layout, Layouts
+from hrl_comfort.sim.variation.layouts import Layout, Layouts, check_slots
 from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Start, Subtask
 
@@ -334,20 +334,3 @@ def turned(points: Array, yaw: float) -> Array:
     """Return `points` (n, 2) turned about the origin by `yaw` rad."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return points @ np.array([[cos, sin], [-sin, cos]])
-
-
-def check_slots(config: EnvConfig) -> None:
-    """Raise ConfigError where objects could overlap."""
-    cell, jitter = config.cell, config.task.object_jitter_m
-    if config.task.objects == 1:
-        return
-    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
-        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
-        slots = np.array(cell.places[name].slots_m)
-        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
-        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
-        if apart < width - 1e-9:
-            raise ConfigError(
-                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
-                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
-            )
