@@ -8,13 +8,18 @@ from typing import Annotated
 from pydantic import ConfigDict, Field
 
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
-from hrl_comfort.config.checks import ConfigError, between, choice, one_of, unique, within
+from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
+<<<<<<< HEAD
 from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import MetaControllerConfig
+=======
+from hrl_comfort.config.constants import PREGRASP, SPLITS, STARTS
+from hrl_comfort.config.hierarchy import ORACLE, MetaControllerConfig
+>>>>>>> kitting
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
-from hrl_comfort.config.task import RANDOM, SORTING, RewardConfig, TaskConfig
+from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig, check_objects
 
 DISTURBANCES = ("none", "drop", "block")
 """Kinds of `sim.variation.disturbance`: nothing; the object is dropped; a human blocks a place."""
@@ -67,20 +72,7 @@ class EnvConfig(CommandConfig):
                 f"cell.vary.layouts={cell.vary.layouts} are not made for grasps; with robot.gripper.name="
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
-        one_of("task.object", task.object, (RANDOM, *cell.kinds))
-        if task.name == "kitting" and task.objects != len(cell.kinds):
-            raise ConfigError(
-                f"task.objects={task.objects}: task.name=kitting has one of each kind; with these cell.objects choose "
-                f"task.objects={len(cell.kinds)}"
-            )
-        if task.observation == "paper" and len(cell.kinds) < 2:
-            raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
-        for name in sorted({each.arrives_at for each in cell.objects.values()}):
-            if task.objects > (slots := len(cell.places[name].slots_m)):
-                raise ConfigError(
-                    f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots, or choose "
-                    f"task.objects={slots}"
-                )
+        check_objects(task, cell)
 
     @property
     def substeps(self) -> int:
@@ -167,6 +159,8 @@ class EvaluateConfig(EnvConfig):
         for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None), ("regret", False):
             if (value := getattr(self, key)) != default:
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
+        if self.meta_controller.name == ORACLE:
+            raise ConfigError("meta_controller=oracle looks ahead in simulation alone; choose another")
 
     def _check_disturbance(self) -> None:
         if self.disturbance == "drop" and self.task.name not in PICK_AND_PLACE:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import XYZ, ConfigError, choice, within
+from hrl_comfort.config.cell import CellConfig
+from hrl_comfort.config.checks import XYZ, ConfigError, choice, one_of, within
 
 OBSERVATIONS = ("default", "proximity", "set_points", "sight", "paper")
 SORTING = ("sort", "shift", "kitting")
@@ -145,3 +146,21 @@ class RewardConfig:
     """Factor of the weight `place` (Eq. 1 of the paper)."""
     k3: Weight
     """Factor of the weight `home` (Eq. 1 of the paper)."""
+
+
+def check_objects(task: TaskConfig, cell: CellConfig) -> None:
+    """Raise ConfigError where a task does not go with the objects of a cell."""
+    one_of("task.object", task.object, (RANDOM, *cell.kinds))
+    if task.name == "kitting" and task.objects != len(cell.kinds):
+        raise ConfigError(
+            f"task.objects={task.objects}: task.name=kitting has one of each kind; with these cell.objects choose "
+            f"task.objects={len(cell.kinds)}"
+        )
+    if task.observation == "paper" and len(cell.kinds) < 2:
+        raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
+    for name in sorted({each.arrives_at for each in cell.objects.values()}):
+        if task.objects > (slots := len(cell.places[name].slots_m)):
+            raise ConfigError(
+                f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots, or choose "
+                f"task.objects={slots}"
+            )

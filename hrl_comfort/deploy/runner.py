@@ -21,7 +21,6 @@ from rich.console import Console
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.config.hierarchy import ORACLE
 from hrl_comfort.deploy.arms import Arm, SimulatedArm
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
@@ -86,10 +85,8 @@ def refuse(config: DeployConfig) -> None:
     """Raise ConfigError for what an arm is not run with."""
     robot, human, name = config.robot.name, config.human, config.connection.name
     if config.task.name in ("shift", "kitting"):
-        name = config.task.name
-        raise ConfigError(f"task.name={name} goes on after failures, which deploy does not; choose task=cycle")
-    if config.meta_controller.name == ORACLE:
-        raise ConfigError("meta_controller=oracle looks ahead in copies of a simulation; choose another")
+        repeated = config.task.name
+        raise ConfigError(f"task.name={repeated} goes on after failures, which deploy does not; choose task=cycle")
     if config.split == "test":
         raise ConfigError("split=test is for hrl-comfort evaluate, which keeps its ledger; choose split=validation")
     if name == "ur" and not robot.startswith("ur"):
