@@ -10,13 +10,8 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-<<<<<<< HEAD
 from hrl_comfort.config.constants import PREGRASP, SPLITS
-from hrl_comfort.config.hierarchy import MetaControllerConfig
-=======
-from hrl_comfort.config.constants import PREGRASP, SPLITS, STARTS
 from hrl_comfort.config.hierarchy import ORACLE, MetaControllerConfig
->>>>>>> kitting
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
 from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig, check_objects

@@ -52,7 +52,7 @@ def renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, An
 
 
 def converted(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the `values` of a configuration with `cell`, `task`, `human` and `meta_controller` as this version has them.
+    """Return the `values` of a configuration with its sections as this version has them.
 
     A cell had a ball table and two drop tables, a task the slots of the balls, and people had stations, if any.
     Sections that are damaged, or that this version cannot have, stay as they are: the check of keys refuses them.

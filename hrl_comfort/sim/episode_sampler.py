@@ -15,7 +15,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.objects import check_slots, turned
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
-from hrl_comfort.sim.variation.layouts import Layout, Layouts, check_slots
+from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Start, Subtask
 
@@ -353,12 +353,3 @@ class EpisodeSampler:
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
                 return points
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
-<<<<<<< HEAD
-=======
-
-
-def turned(points: Array, yaw: float) -> Array:
-    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])
->>>>>>> kitting
