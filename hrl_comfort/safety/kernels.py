@@ -260,9 +260,7 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
 
 
 @kernel
-def met(
-    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array
-) -> Array:
+def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array) -> Array:
     """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
 
     `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.

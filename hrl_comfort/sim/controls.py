@@ -29,7 +29,7 @@ def pack_controls(
     of kinds (n, B), and points (n, P, 3) m over all of them.
     Objects are absent if there are points; loose ones are not controlled.
     """
-    n, driven = len(targets), targets.shape[-1]
+    driven = targets.shape[-1]
     if driven < scene.model.nu:
         targets = np.concatenate([targets, np.zeros((*targets.shape[:2], scene.model.nu - driven))], axis=-1)
     bodies = 0 if scene.loose else len(scene.cell.objects)
