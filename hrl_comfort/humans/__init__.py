@@ -126,11 +126,7 @@ class Motions:
         discs, points = contiguous(seen.keep_out.centres, arm)
         velocity, walked, speed, steps, left = kernels.settle(
             there, facing, bent, kept, self._limits,
-            *walk.arrays(
-                "position", "yaw", "spawn", "walked_m", "speed_m_s", "step", "velocity", "limbs", "memory", "traits",
-                "retreat",
-            ),
-            discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
+            *contiguous(*vars(walk).values()), discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
         )  # fmt: skip
         return Walk(there, facing, walk.spawn, walked, speed, steps, velocity, bent, kept, walk.traits, left)
 

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
+from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive_kernels import SHARES
 from hrl_comfort.safety.geometry import ArmPose, farthest
@@ -92,9 +93,9 @@ class Shield:
         if (last == last[0]).all():
             self.memory = self._decision[last[0]]
             return
-        rows = np.arange(len(last))
+        early = ended_early(last, len(self._decision))
         kept = ([getattr(memory, name) for memory in self._decision] for name in vars(self.memory))
-        self.memory = Memory(*(np.stack(each)[last, ..., rows].transpose(*range(1, each[0].ndim), 0) for each in kept))
+        self.memory = Memory(*(chosen(each, early, rows_last=True) for each in kept))
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs, rows first."""

@@ -120,7 +120,7 @@ def limb_poses(
 
 def walkers_limbs(walk: Walk, floor_z: float) -> NDArray[np.float64]:
     """Return the limbs (n, 7, 7) of n people, as of `limb_poses` in their gait."""
-    fields = walk.arrays("position", "yaw", "walked_m", "speed_m_s", "limbs")
+    fields = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
     limbs: NDArray[np.float64] = kernels.walkers_limbs(*fields, floor_z, *_CONSTANTS)
     return limbs
 

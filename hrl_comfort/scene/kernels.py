@@ -92,6 +92,16 @@ def walkers_limbs(
 
 
 @kernel
+def felt(readings: Array, first: int, end: int) -> NDArray[np.bool_]:
+    """Return (n,) whether any of the sensors from `first` to before `end` reads something; `readings` (n, nsensor)."""
+    found = np.zeros(len(readings), np.bool_)
+    for m in range(len(readings)):
+        for sensor in range(first, end):
+            found[m] |= readings[m, sensor] != 0.0
+    return found
+
+
+@kernel
 def controls(
     targets: Array, limbs: Array, layout: Array, objects: Array, kinds: Ints, points: Array, marks: int, bodies: int,
     spare: int, away_m: float,

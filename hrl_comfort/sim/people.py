@@ -18,6 +18,7 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.retreat import begin_retreat
+from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
@@ -70,9 +71,12 @@ class Crowd:
         if (index == index[0]).all():
             return crowds[index[0]]
         walks = [humans.Walk.chosen(walks, index) for walks in zip(*(each.walks for each in crowds), strict=True)]
-        limbs, ends, rows = (each.limbs for each in crowds), (each.ends for each in crowds), np.arange(len(index))
-        every = np.moveaxis(np.stack(list(ends))[index, ..., rows], 0, -1)
-        return cls(tuple(walks), np.stack(list(limbs))[index, rows], np.ascontiguousarray(every))
+        early = ended_early(index, len(crowds))
+        limbs, ends = (
+            chosen([each.limbs for each in crowds], early),
+            chosen([each.ends for each in crowds], early, True),
+        )
+        return cls(tuple(walks), limbs, ends)
 
 
 class People:
@@ -216,9 +220,9 @@ def _stopped(
     ends = person.ends(limbs)
     given = contiguous(now.pose.ends, now.apart, now.person, ends)
     gap = kernels.met(*given, arm.radius, person.radius)  # somebody else may have been nearer than this person
-    touched = np.flatnonzero(gap <= 0.0)
-    if not len(touched):
+    if not (gap <= 0.0).any():
         return Crowd((walk,), limbs, ends)
+    touched = np.flatnonzero(gap <= 0.0)
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     gap = gap[touched]

@@ -146,11 +146,13 @@ class Plan:
         asked = increment / CONTROL_STEP_S
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
-        discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
+        discs = self._sampler.keep_out(draw.points, draw.goals)
+        tool = np.ascontiguousarray(state.tcp_pos.numpy()[:, :2])
         holds = self._subtask.object_at(ObjectAt.TOOL, state.stage).numpy()
         held = np.where(holds, state.target_kind.numpy(), -1)
         self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations, held))
-        noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
+        index = np.minimum(times, self._sampler.horizon - 1).T
+        noise = draw.noise[np.arange(self._rows), index]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
@@ -167,7 +169,7 @@ class Plan:
                 now = self._separation.beside(moving[:, : joint_target.shape[1]], crowd.ends)
                 begin, point = self.drive.step(points[-1], asked, moving, now, self.tracker.shown, draw.tops)
                 targets = point.ramp(begin, self._substeps)
-            crowd = self.people.step(noise[:, k], times[:, k], now)
+            crowd = self.people.step(noise[k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
                 point = self.drive.beside(point, now, crowd.ends)
@@ -237,7 +239,8 @@ class Plan:
         )
         measured = places if measured is None else measured
         seen = self.shown(measured)
-        whole = (seen == measured).all(axis=-1)
+        same = seen == measured
+        whole = same[..., 0] & same[..., 1]
         return {
             "humans_pos": places, "humans_yaw": yaw, "humans_vel": velocity, "humans_seen": seen, "humans_shown": whole,
         }  # fmt: skip

@@ -1,11 +1,15 @@
 """Sensor readings as fields of State."""
 
+from functools import reduce
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
+from hrl_comfort.scene import kernels
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.hand.sensors import Fields, HandSensors, still
 from hrl_comfort.sim.plan import Planned
@@ -84,7 +88,7 @@ class Sensors:
         """
         fields = dict(planned.fields)
         fields |= {name: sensed[..., self._at[name]] for name in MEASURED}
-        fields |= {name: np.asarray(sensed[..., self._at[key]].any(axis=-1)) for name, key in COLLISIONS.items()}
+        fields |= {name: self._felt(sensed, key) for name, key in COLLISIONS.items()}
         resting = np.broadcast_to(home[:, None], fields["joint_pos"].shape)
         for name, angles, measured in (
             ("arm_distance", fields["joint_pos"], self._measure_arm),
@@ -92,6 +96,11 @@ class Sensors:
         ):
             fields[name] = self._gap(angles, planned.limbs) if measured else np.full(sensed.shape[:2], np.nan)
         return fields
+
+    def _felt(self, readings: Array, key: str) -> NDArray[np.bool_]:
+        """Return (...,) whether any of the sensors `key` reads something, of readings (..., nsensor)."""
+        at, each = self._at[key], readings.reshape(-1, readings.shape[-1])
+        return kernels.felt(*contiguous(each), at.start, at.stop).reshape(readings.shape[:-1])
 
     def _gap(self, angles: Array, limbs: Array) -> Array:
         """Return the distance (n, K) m of arms at `angles` (n, K, J) rad from people at `limbs` (n, K, L, 7)."""
@@ -105,8 +114,8 @@ class Sensors:
         people at `limbs_before` (n, L, 7).
         """
         old = {"contact": before.contact.numpy(), "unsafe_contact": before.unsafe_contact.numpy()}
-        felt: NDArray[np.bool_] = np.asarray(readings[..., self._at["human"]].any(axis=-1))
-        touching: NDArray[np.bool_] = np.asarray(felt.any(axis=2))
+        felt = self._felt(readings, "human")
+        touching = reduce(np.logical_or, np.moveaxis(felt, 2, 0))  # over so few, reductions of numpy take long
         if touching.any():
             speed = self.approach(felt, readings, limbs, before, limbs_before)
             new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}
@@ -146,5 +155,4 @@ class Sensors:
             begins[again] = False
         fastest = np.full(felt.shape, -np.inf)
         fastest[row, time] = np.where(begins, speed.transpose(2, 0, 1), -np.inf).max(axis=(1, 2))
-        largest: Array = fastest.reshape(n, count, substeps).max(axis=2)
-        return largest
+        return reduce(np.maximum, np.moveaxis(fastest.reshape(n, count, substeps), 2, 0))
