@@ -17,10 +17,10 @@ from hrl_comfort.tasks import State, Subtask
 
 OPS = {
     "abs", "add", "addmm", "amax", "any", "arange", "argmin", "bitwise_and", "bitwise_not", "bitwise_or", "cat",
-    "clamp", "cos", "div", "eq", "expand", "full", "full_like", "gather", "ge", "gt", "index", "le", "linalg_vector_norm",
-    "logical_and", "logical_not", "logical_or", "lt", "maximum", "min", "minimum", "mul", "ne", "neg", "permute",
-    "relu", "scalar_tensor", "select", "sin", "slice", "sort", "split_with_sizes", "sqrt", "squeeze", "sub", "sum",
-    "tanh", "unsqueeze", "view", "where",
+    "clamp", "cos", "div", "eq", "expand", "full", "full_like", "gather", "ge", "gt", "index", "le",
+    "linalg_vector_norm", "logical_and", "logical_not", "logical_or", "lt", "maximum", "min", "minimum", "mul", "ne",
+    "neg", "permute", "relu", "scalar_tensor", "select", "sin", "slice", "sort", "split_with_sizes", "sqrt", "squeeze",
+    "sub", "sum", "tanh", "unsqueeze", "view", "where",
 }  # fmt: skip
 """Operations of `src/graph.js`; one whose arguments it would not understand is refused too."""
 PLAIN = {"_to_copy", "alias", "clone"}
