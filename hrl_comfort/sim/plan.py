@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
-from hrl_comfort.compiled import contiguous
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
@@ -299,7 +299,11 @@ def capsules(ends: Array, radius: Array) -> Array:
 
     Without radii return the ends (N, C, 6) alone.
     """
-    return kernels.capsules(*contiguous(ends, radius))
+    if plain(ends, radius):
+        return kernels.capsules(*contiguous(ends, radius))
+    (parts, _, n), axes = ends.shape[1:], ends.transpose(3, 1, 2, 0)
+    found = axes.reshape(n, parts, 6)
+    return np.concatenate([found, np.tile(radius[:, None], (n, 1, 1))], axis=2) if len(radius) else found
 
 
 def instants(each: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -22,6 +22,7 @@ from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import build_scene, scene_of
 from hrl_comfort.sim.controls import limbs_of
+from hrl_comfort.sim.plan import capsules
 
 Array = NDArray[np.float64]
 RATED = ["task=pick", "robot.rating=collaborative", "safety=ssm", "human=mixture", "task.terminate_on=unsafe_contact"]
@@ -118,10 +119,10 @@ def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) 
 def test_capsules_one_after_the_other(rows: int) -> None:
     rng = np.random.default_rng(rows)
     ends, radius = rng.normal(size=(3, 5, 2, rows)), rng.random(5)
-    both = ends.transpose(3, 1, 2, 0).reshape(rows, 5, 6)
-    np.testing.assert_array_equal(kernels.capsules(ends, np.empty(0)), both)
-    np.testing.assert_array_equal(kernels.capsules(ends, radius)[..., :6], both)
-    assert (kernels.capsules(ends, radius)[..., 6] == radius).all()
+    both(capsules, ends, radius)
+    both(capsules, ends, np.empty(0))
+    np.testing.assert_array_equal(capsules(ends, radius)[:, 2, 3:6], ends[:, 2, 1].T)
+    assert (capsules(ends, radius)[..., 6] == radius).all()
 
 
 WORLDS = {

@@ -43,7 +43,8 @@ LOOK_UNIT_M = 1e-4
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "humans_pos", "humans_yaw",
     "humans_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
-    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share",
+    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share", "tops", "arm_body", "humans_body",
+    "humans_body_vel",
 }  # fmt: skip
 """What the page has of a State."""
 
@@ -78,6 +79,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "kind_places": state.kind_places[0].tolist(),
         "kinds": [{"shape": each.shape, "size": each.size_m, "rgb": each.rgb} for each in env.cell.objects.values()],
         "layout": episodes.draw.layout([0])[0].tolist(),
+        "tops": state.tops[0].tolist(),
         "tolerances": {name: float(getattr(state, f"{name}_tolerance")) for name in ("grasp", "place", "home")},
         "stages": {
             "names": [stage.name for stage in task.stages],
@@ -127,6 +129,7 @@ def refuse(config: StudioConfig) -> None:
     """Raise ConfigError where a page cannot show what `config` says."""
     allowed: tuple[tuple[str, Any, Any], ...] = (
         ("task.action", config.task.action, "joint"),
+        ("cell.vary.layouts", config.cell.vary.layouts, 0),
         ("human.clipping", config.human.clipping, "off"),
         ("human.others", ",".join(config.human.others) or "{}", "{}"),
         ("disturbance", config.disturbance, "none"),

@@ -17,6 +17,7 @@ from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
+from hrl_comfort.sim.plan import capsules
 from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.web.arrays import recorded
 
@@ -28,7 +29,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
 
     `drive` (None in the paper's world) is a control step of `safety.drive.Drive`, `gap` the distance of arm and
     person, `walked` the share of a person's step that ends at the arm, `pairs` the distance of each pair of capsules
-    and the speed at which the arm's closes it.
+    and the speed at which the arm's closes it, `bodies` the fields of `Plan.bodies`.
     """
     separation = Separation(scene)
     drive, arm, person = make_drive(scene, separation, env, 1, every_row), separation.arm, separation.person
@@ -63,6 +64,14 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
         apart, speed = separation.pairs(joint_pos, joint_vel, limbs)
         return {"apart": apart, "speed": speed}
 
+    def bodies(joint_pos: Array, limbs: Array, limbs_before: Array, since: Array) -> dict[str, Array]:
+        ends, before = person.ends(limbs), person.ends(limbs_before)
+        return {
+            "arm_body": capsules(arm.pose(joint_pos).ends, arm.radius),
+            "humans_body": capsules(ends, person.radius),
+            "humans_body_vel": capsules((ends - before) / since, np.empty(0)),
+        }
+
     angles, limbs = scene.home[None], limbs_of(scene, walk)
     still, shield = np.zeros_like(angles), None if drive is None else drive.shield
     rest = np.zeros((len(arm.radius), 1, 1)) if shield is None else np.zeros_like(shield.memory.trail)
@@ -81,6 +90,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
         "gap": recorded(lambda joint_pos, limbs: {"gap": separation.gap(joint_pos, limbs)}, beside),
         "walked": recorded(walked, {**beside, "limbs_before": limbs}),
         "pairs": recorded(pairs, moving),
+        "bodies": recorded(bodies, {**beside, "limbs_before": limbs, "since": np.ones(1)}),
         "shielded": shielded,
         "stops": drive is not None or env.task.terminate_on == "unsafe_contact",
         "terminate_on": env.task.terminate_on,
