@@ -206,7 +206,7 @@ class StudioConfig(EvaluateConfig):
         super().__post_init__()
         self._check_left_out()
         if self.export is not None:
-            _check_riding("studio export=", self)
+            self.robot.gripper.refuse("studio export=")
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class DeployConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        _check_riding("deploy", self)
+        self.robot.gripper.refuse("deploy")
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":
@@ -249,15 +249,6 @@ class ExportConfig(EnvConfig):
         super().__post_init__()
         if (self.policy is None) == (not self.policies):
             raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
-
-
-def _check_riding(command: str, config: EnvConfig) -> None:
-    """Raise ConfigError if a gripper holds the objects, which `command` does not know."""
-    if config.robot.gripper.holds:
-        raise ConfigError(
-            f"robot.gripper.name={config.robot.gripper.name} does not go with {command}; choose gripper=none, or look "
-            "at this run with hrl-comfort evaluate, studio and report"
-        )
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from hrl_comfort.config import PREGRASP, RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.objects import check_slots, turned
-from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
+from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts, unseen_left_out
 from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Start, Subtask
@@ -136,7 +136,7 @@ class EpisodeSampler:
         """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
         self._recorded = recorded_starts(config, task.start, self._joints, hand)
         if self._recorded is not None and self._drawn:
-            self._recorded = [self._unseen_left_out(bank) for bank in self._recorded]
+            self._recorded = [unseen_left_out(bank, self._own, config, self.spawns[0]) for bank in self._recorded]
 
     def blank(self, rows: int) -> Draw:
         """Return the draws of `rows` cells, to be filled in; raise ConfigError if none can be made."""
@@ -253,24 +253,6 @@ class EpisodeSampler:
             before = before if way == 1.0 else arm[: self._joints]
             arm = at_rest(arm[None, : self._joints] + way * (layout.home - arm[: self._joints]))[0]
         return arm, before, hand
-
-    def _unseen_left_out(self, bank: Array) -> Array:
-        """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
-
-        Raises:
-          ConfigError: there is none.
-        """
-        if bank.shape[1] == self._own:
-            return bank
-        human = self._config.human
-        apart = bank[:, None, self._own : self._own + 2] - self.spawns[0][list(human.held_out)]
-        clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
-        if not clear.any():
-            raise ConfigError(
-                f"task.start={self._config.task.start!r}: in each of its starts the human is within "
-                f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
-            )
-        return bank[clear]
 
     def _objects(
         self, kind: int, rng: np.random.Generator

@@ -117,3 +117,22 @@ def recorded(
         if not np.isin(layout, np.arange(layouts)).all():
             raise ConfigError(f"task.start={path!r}: {kind!r} has layouts that are not in 0 to {layouts - 1}")
     return banks
+
+
+def unseen_left_out(bank: Array, own: int, config: EnvConfig, spawns: Array) -> Array:
+    """Return the starts (M, `own` or more) whose human, if any, is clear of each held-out one of `spawns` (s, 2) m.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    if bank.shape[1] == own:
+        return bank
+    human = config.human
+    apart = bank[:, None, own : own + 2] - spawns[list(human.held_out)]
+    clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
+    if not clear.any():
+        raise ConfigError(
+            f"task.start={config.task.start!r}: in each of its starts the human is within "
+            f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
+        )
+    return bank[clear]
