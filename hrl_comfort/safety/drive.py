@@ -150,6 +150,8 @@ class Drive:
         velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
         instead, if given. `tops` (N, F, 6), as `State.tops`, is what the arm keeps clear of where it keeps a clearance.
         """
+        if self._clearance is not None and tops is not None:
+            asked = self._clearance.damped(before.angles, asked, tops)
         begin, after = self._passed(before, asked, joints, now, limbs)
         return begin, after if self._clearance is None else self._kept_clear(before, begin, after, tops)
 

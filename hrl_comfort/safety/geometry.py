@@ -113,16 +113,16 @@ class ArmGeometry:
         first, second = pose.ends[:, :, 0], pose.ends[:, :, 1]
         points = np.concatenate([first, (first + second) / 2, second], axis=1)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         link = np.tile(self.link, 3)
-        moving = _cross(turning[:, link], points) - shift[:, link]
+        moving = cross(turning[:, link], points) - shift[:, link]
         return points.transpose(2, 1, 0), moving.transpose(2, 1, 0)
 
     def point_velocity(self, pose: ArmPose, velocity: Array, points: Array) -> Array:
         """Return the velocities (3, C, P, N) m/s of P points (3, C, P, N) m fixed to each capsule."""
         turning = np.cumsum(pose.axis * velocity.T, axis=1)[:, self.link, None]
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, self.link, None]
-        return _cross(turning, points) - shift
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, self.link, None]
+        return cross(turning, points) - shift
 
     def speeds(self, pose: ArmPose, velocity: Array) -> Array:
         """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
@@ -130,9 +130,9 @@ class ArmGeometry:
             moving = contiguous(pose.axis, pose.anchor, pose.ends, velocity)
             return kernels.speeds(*moving, self.link, self.radius)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         spin = turning[:, self.link]
-        at_ends = _cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
+        at_ends = cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
         fastest: Array = norm(at_ends).max(axis=1) + self.radius[:, None] * norm(spin)
         return fastest
 
@@ -258,7 +258,8 @@ def dot(first: Array, second: Array) -> Array:
     return product
 
 
-def _cross(first: Array, second: Array) -> Array:
+def cross(first: Array, second: Array) -> Array:
+    """Return the cross products (3, ...) of vectors (3, ...)."""
     a, b, c = first
     x, y, z = second
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])

@@ -236,11 +236,11 @@ def farthest(ends: Array, before: Array) -> Array:
 
 
 @kernel
-def axes_apart(
+def closest_shares(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     qx: float, qy: float, qz: float, ex: float, ey: float, ez: float,
-) -> float:  # fmt: skip
-    """Return the distance, m, of the segments from p to p + d and from q to q + e; see `geometry.segment_distance`."""
+) -> tuple[float, float]:  # fmt: skip
+    """Return the shares of the segments from p by d and from q by e at which they are nearest; see `closest_points`."""
     rx, ry, rz = px - qx, py - qy, pz - qz
     aa, ee = max(dx * dx + dy * dy + dz * dz, 1e-12), max(ex * ex + ey * ey + ez * ez, 1e-12)
     b = dx * ex + dy * ey + dz * ez
@@ -249,9 +249,7 @@ def axes_apart(
     denominator = aa * ee - b * b
     s = (b * f - c * ee) / denominator if denominator > 1e-12 else 0.0
     t = min(max((b * min(max(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
-    s = min(max((b * t - c) / aa, 0.0), 1.0)
-    ux, uy, uz = px + dx * s - (qx + ex * t), py + dy * s - (qy + ey * t), pz + dz * s - (qz + ez * t)
-    return np.sqrt(ux * ux + uy * uy + uz * uz)  # type: ignore[no-any-return]
+    return min(max((b * t - c) / aa, 0.0), 1.0), t
 
 
 @kernel
@@ -263,8 +261,9 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
     for other in range(limbs.shape[1]):
         qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
         ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
-        gap = axes_apart(px, py, pz, dx, dy, dz, qx, qy, qz, ex, ey, ez)
-        nearest = min(gap - (arm_radius[part] + person_radius[other]), nearest)
+        s, t = closest_shares(px, py, pz, dx, dy, dz, qx, qy, qz, ex, ey, ez)
+        ux, uy, uz = px + dx * s - (qx + ex * t), py + dy * s - (qy + ey * t), pz + dz * s - (qz + ez * t)
+        nearest = min(np.sqrt(ux * ux + uy * uy + uz * uz) - (arm_radius[part] + person_radius[other]), nearest)
     return nearest
 
 

@@ -75,3 +75,15 @@ def test_an_arm_that_cannot_brake_keeps_no_clearance() -> None:
     config = compose_environment("train", ["task=pick", "safety.clearance_m=0.01"])
     with pytest.raises(ConfigError, match=r"safety\.clearance_m=0\.01 needs an arm that brakes within its rating"):
         Engine(config, 1, 0)
+
+
+def test_the_kernel_damps_as_its_definition_does() -> None:
+    config = compose_environment("train", [*RATED, "cell=bench"])
+    scene = build_scene(config.robot, config.cell, config.substeps)
+    clearance, rng = Clearance(scene, ArmGeometry(scene), 0.02), np.random.default_rng(0)
+    angles, asked = rng.uniform(*scene.joint_range.T, (300, 6)), rng.normal(0, 1.0, (300, 6))
+    standing = np.tile(tops(config.cell, *np.split(scene.layout, [len(config.cell.places)])), (300, 1, 1))
+    found = clearance.damped(angles, asked, standing)
+    defined = clearance.damped(angles.view(Numpy), asked.view(Numpy), standing.view(Numpy))
+    np.testing.assert_allclose(found, np.asarray(defined), rtol=0, atol=1e-9)
+    assert (found == asked).all(axis=1).any() and (found != asked).any(axis=1).any()

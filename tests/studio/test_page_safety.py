@@ -71,7 +71,7 @@ def rows_of(**fields: NDArray[np.float64]) -> list[dict[str, Any]]:
     ]
 
 
-@pytest.mark.parametrize(("bound", "clearance", "states"), [("observed", "0.02", 1000), ("worst", "null", 200)])
+@pytest.mark.parametrize(("bound", "clearance", "states"), [("observed", "null", 1000), ("worst", "0.02", 200)])
 def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(
     bound: str, clearance: str, states: int
 ) -> None:
