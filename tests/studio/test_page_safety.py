@@ -194,14 +194,14 @@ def seeing_page(seeing: StudioConfig) -> dict[str, Any]:
 def test_joints_of_a_policy_with_sight_go_where_they_go_in_python_for_whole_episodes(
     seeing: StudioConfig, seeing_page: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept, keeps = list[bool](), Clearance.keeps
+    slides, damped = list[bool](), Clearance.damped
 
-    def watched(clearance: Clearance, *given: NDArray[np.float64]) -> NDArray[np.bool_]:
-        clear = keeps(clearance, *given)
-        kept.extend(clear)
-        return clear
+    def watched(clearance: Clearance, *given: NDArray[np.float64]) -> NDArray[np.float64]:
+        passed = damped(clearance, *given)
+        slides.append(bool(np.abs(passed - given[1]).max() > 1e-3))
+        return passed
 
-    monkeypatch.setattr(Clearance, "keeps", watched)
+    monkeypatch.setattr(Clearance, "damped", watched)
     session, shares = Session(seeing), list[float]()
     session.set_level(session.slider.value)
     for played in in_node(content=seeing_page, steps=STEPS):
@@ -215,10 +215,9 @@ def test_joints_of_a_policy_with_sight_go_where_they_go_in_python_for_whole_epis
         assert len(ours) == 151 and played["outcome"] == step.outcome == "out of time"
         assert np.ptp(ours, axis=0).max() > 0.5
         assert np.abs(ours - theirs).max() < 1e-6
-        shares += played["shares"]
+        shares += played["shares"][SPEEDING_UP:]
     session.close()
-    slowed = np.array(shares) < 0.8
-    assert len(slowed) == len(kept) == 300 and not all(kept) and (slowed & kept)[SPEEDING_UP:].any()
+    assert any(slides) and min(shares) < 0.8
 
 
 def test_a_policy_with_sight_sees_and_does_on_the_page_what_it_does_in_python(
