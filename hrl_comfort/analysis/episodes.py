@@ -12,7 +12,9 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.files.tables import column
 
-TERMINATIONS = ("success", "unsafe contact", "contact", "hit table", "self-collision", "object lost", "time limit")
+TERMINATIONS = (
+    "success", "unsafe contact", "contact", "hit table", "self-collision", "object lost", "dropped", "time limit"
+)  # fmt: skip
 LEVEL = r"(?:_as_\d+)?"
 """End of the name of an option with a level of its own."""
 PICK = re.compile(rf"pick_(\d+){LEVEL}")
@@ -30,6 +32,7 @@ def terminations(episodes: DataFrame) -> pd.Series:
         (other == "table").to_numpy(dtype=bool),
         (other == "self").to_numpy(dtype=bool),
         column(episodes, "object_lost") > 0,
+        timed_out & (column(episodes, "drops") > 0),
         timed_out,
     ]
     return pd.Series(np.select(conditions, TERMINATIONS, "other"), index=episodes.index)

@@ -27,7 +27,7 @@ _SHIELDED = (
     "human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact",
 )  # fmt: skip
 WORLDS = {
-    "shielded": ("task=cycle", *_SHIELDED, "human.masked=true"),
+    "shielded": ("task=cycle", *_SHIELDED, "task.observation=sight"),
     "shift": ("task=shift", *_SHIELDED, "comfort=distance_and_speed", "task.observation=proximity"),
 }
 """World beside the one that is configured -> what configures it."""

@@ -21,7 +21,7 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 
-OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime", "task.observation", "human.masked")
+OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime", "task.observation")
 """Keys that a policy may set without leaving the suite; the last two say what an outside policy observes."""
 
 
@@ -80,7 +80,7 @@ def entry_of(config: EvaluateConfig, folder: Path) -> Entry:
         "policy": name_of(config),
         "policies": {name: hash_of(source) for name, source in config.policies.items()},
         "commit": commit(),
-        "observation": {"task.observation": config.task.observation, "human.masked": config.human.masked},
+        "observation": {"task.observation": config.task.observation},
         "changed": changed(config),
         "levels": levels,
     }

@@ -31,7 +31,8 @@ class GripperConfig:
 
     name: str = "none"
     """`none`: a picked object rides on the tool without mass. Otherwise objects are bodies with mass and friction:
-    `two_finger`, a gripper that an installed package offers as an entry point, or `package.module:name`."""
+    `two_finger`, `robotiq_2f85`, a gripper that an installed package offers as an entry point, or
+    `package.module:name`."""
     force_n: Annotated[float, within(1.0, 500.0)] = 40.0
     """Largest force of the drive that closes the fingers, N."""
 
@@ -39,6 +40,14 @@ class GripperConfig:
     def holds(self) -> bool:
         """Whether objects are held by friction."""
         return self.name != "none"
+
+    def refuse(self, command: str) -> None:
+        """Raise ConfigError if it holds objects, which `command` does not know."""
+        if self.holds:
+            raise ConfigError(
+                f"robot.gripper.name={self.name} does not go with {command}; choose gripper=none, or look at this run "
+                "with hrl-comfort evaluate, studio and report"
+            )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
-from hrl_comfort.config.constants import PREGRASP, SPLITS, STARTS
+from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import ORACLE, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import SafetyConfig
@@ -61,11 +61,6 @@ class EnvConfig(CommandConfig):
         if task.start == PREGRASP and not self.robot.gripper.holds:
             raise ConfigError(
                 "task.start=pregrasp puts a hand in front of an object; choose gripper=two_finger, or task.start=ik"
-            )
-        if self.robot.gripper.holds and task.start not in STARTS:
-            raise ConfigError(
-                f"task.start={task.start!r} knows no fingers and no object in them; with robot.gripper.name="
-                f"{self.robot.gripper.name} choose task.start=ik"
             )
         if self.robot.gripper.holds and cell.vary.layouts:
             raise ConfigError(
@@ -210,7 +205,8 @@ class StudioConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        _check_riding("studio", self)
+        if self.export is not None:
+            self.robot.gripper.refuse("studio export=")
 
 
 @dataclass(frozen=True)
@@ -224,7 +220,7 @@ class DeployConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        _check_riding("deploy", self)
+        self.robot.gripper.refuse("deploy")
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":
@@ -253,16 +249,6 @@ class ExportConfig(EnvConfig):
         super().__post_init__()
         if (self.policy is None) == (not self.policies):
             raise ConfigError(f"policy={self.policy} policies={self.policies}: give one of the two")
-        _check_riding("export", self)
-
-
-def _check_riding(command: str, config: EnvConfig) -> None:
-    """Raise ConfigError if a gripper holds the objects, which `command` does not know."""
-    if config.robot.gripper.holds:
-        raise ConfigError(
-            f"robot.gripper.name={config.robot.gripper.name} is for hrl-comfort train and evaluate; {command} takes "
-            "gripper=none"
-        )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from hrl_comfort.config.checks import XY, ConfigError, between, choice, first_er
 
 MOST_PEOPLE = 3
 """Largest number of people in a cell."""
-COMMON = ("others", "masked", "clipping", "partitioned")
+COMMON = ("others", "clipping", "partitioned")
 """Keys that are the same for all people of a cell."""
 
 
@@ -70,8 +70,8 @@ class HumanConfig:
     episode draws one of these motions."""
     others: dict[str, dict[str, Any]]
     """Further people, by a name that says who they are, each with the `human` values to change for them, such as
-    `{colleague: {motion: patrol}}`; there are at most three people in all. `masked`, `clipping` and `partitioned` are
-    the same for all of them, and only the first can be moved by hand."""
+    `{colleague: {motion: patrol}}`; there are at most three people in all. `clipping` and `partitioned` are the same
+    for all of them, and only the first can be moved by hand."""
     partitioned: bool
     """Whether `train`, `validation` and `test` each have their own traits of people, recordings and arm starts. If so,
     training sees those of `train` alone."""
@@ -82,8 +82,6 @@ class HumanConfig:
     clipping: Annotated[str, choice("off", "full", "partial")]
     """Position of the person that policies observe. `off`: the true one. `full`: the spawn point nearest to the person.
     `partial`: whichever of these two is nearer to the robot."""
-    masked: bool
-    """Hide the person from the policy, which then observes one far away."""
     stations_m: Annotated[list[XY], Field(min_length=1)] | None
     """Stations (x, y), m: `worker` uses the one nearest to its spawn point, others use all. null:
     those of the cell."""

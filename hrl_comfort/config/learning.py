@@ -26,6 +26,9 @@ class StageConfig:
     """`fresh` resets the optimiser's moments at the start of the stage; `keep` keeps them."""
 
 
+Reach = Annotated[list[Annotated[float, within(0.0, 100.0)]], Field(min_length=2, max_length=2)]
+
+
 @dataclass(frozen=True)
 class CurriculumConfig:
     """Precision schedule and stages of a training.
@@ -49,6 +52,9 @@ class CurriculumConfig:
     """`adaptive`: number of episodes."""
     fraction: Annotated[float, within(0.01, 1.0)]
     """`linear`: share of the curriculum stage after which `end_m` is reached."""
+    reach: Reach | None
+    """With a gripper, where tasks begin that begin with a pick: anywhere up to this part of the way from in front of
+    the object to home, at `start_m` and at `end_m`; beyond 1 more of them begin at home. null: as `task.start` says."""
 
     def __post_init__(self) -> None:
         between("curriculum.start_m", self.start_m, self.end_m, 0.5)
@@ -104,6 +110,9 @@ class AgentConfig:
     takes, but not `random`; null is none."""
     demonstrator_envs: Annotated[int, within(0, 65535)]
     """Number of environments, of `engine.num_envs`, in which the demonstrator acts; metrics.csv leaves them out."""
+    demonstrator_takeover: Annotated[float, within(1e-3, 1.0)]
+    """Probability, at each decision, that the demonstrator takes over an episode from the actor (Ross and Bagnell 2014,
+    arXiv:1406.5979); at 1 it acts from the beginning. Less shows how to go on from where the actor gets to."""
     bc_weight: Annotated[float, within(0.0, 1e6)]
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""

@@ -30,5 +30,8 @@ class SafetyConfig:
     latency_s: Annotated[float, within(0.0, 2.0)]
     """Time from a set-point until the servos have it, s. In `deploy` it is the time from sending a set-point until the
     resulting angles are measured, minus `lag_s`."""
+    clearance_m: Annotated[float, within(0.001, 0.2)] | None
+    """Distance that set-points of a rated arm keep from places, obstacles, the floor and the arm's own links, by
+    braking in time, m; null: the arm may run into them."""
     margin_m: Annotated[float, within(0.0, 0.5)]
     """Largest error of the measured positions of person and arm, m."""

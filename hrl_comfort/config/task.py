@@ -74,8 +74,8 @@ class TaskConfig:
     start: str
     """Starts of `place` and `return`. `ik`: at rest, in postures by inverse kinematics. A file (.npz) written by
     `evaluate terminal_states=`: each episode starts at the joint angles and velocities of one of its states; in
-    training also with the person and level of that state. With a gripper there are no files; tasks that begin with a
-    pick take `pregrasp`, the open hand 0.11 m in front of the object, beside `ik`, at home."""
+    training also with the person and level of that state; with a gripper, with what it holds. With a gripper, tasks
+    that begin with a pick take `pregrasp`, the open hand 0.11 m in front of the object, beside `ik`, at home."""
     arrival_speed_rad_s: Annotated[float, within(0.01, 100.0)] | None
     """A stage can become done only while the speed of all joints together (Euclidean norm) is below this, rad/s; null:
     at any speed."""

@@ -24,6 +24,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.progress import progress, success_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.tasks import State
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -105,7 +106,7 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
     executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
     state = engine.reset()
     observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []
-    infos = [_infos(state.level, state.stage, torch.full((rows,), NO_OPTION))]
+    infos = [_infos(state, torch.full((rows,), NO_OPTION))]
     for executed in execute(engine, executor, top):
         result = executed.result
         observations.append(engine.episodes.observe())
@@ -114,7 +115,7 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
         terminated.append(result.terminated)
         given_up.append(executed.ended & ~result.terminated)
         active.append(executed.active)
-        infos.append(_infos(result.level, result.state.stage, executed.option, result))
+        infos.append(_infos(result.state.with_(level=result.level), executed.option, result))
     engine.close()
     lengths = torch.stack(active).sum(dim=0).tolist()
 
@@ -138,17 +139,19 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
     ], executor.table.names
 
 
-def _infos(
-    level: torch.Tensor, stage: torch.Tensor, option: torch.Tensor, result: StepResult | None = None
-) -> dict[str, torch.Tensor]:
-    """Return the infos (N,) of a decision, or of the start of episodes."""
-    none = torch.zeros_like(stage, dtype=torch.bool)
+def _infos(state: State, option: torch.Tensor, result: StepResult | None = None) -> dict[str, torch.Tensor]:
+    """Return the infos (N,) of a decision that led to `state`, or of the start of episodes."""
+    none = torch.zeros_like(state.contact)
+    held: dict[str, torch.Tensor] = {
+        name: getattr(state, name) for name in ("drops", "object_lost") if name in state.fields()
+    }
     return {
-        "comfort_level": level,
-        "stage": stage,
+        "comfort_level": state.level,
+        "stage": state.stage,
         "option": option,
-        "contact": none if result is None else result.state.contact,
-        "unsafe_contact": none if result is None else result.state.unsafe_contact,
+        "contact": none if result is None else state.contact,
+        "unsafe_contact": none if result is None else state.unsafe_contact,
         "success": none if result is None else result.success,
-        "control_steps": torch.zeros_like(stage) if result is None else result.decision_steps,
+        "control_steps": torch.zeros_like(state.steps) if result is None else result.decision_steps,
+        **held,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -15,7 +16,17 @@ from hrl_comfort.files.run_config import environment, save_config
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.graph import PolicyGraph, description, inputs_of, write_onnx
 from hrl_comfort.policies.load import observed_by
+from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.hand.fingers import CLOSING_S
+
+
+def fingers_of(scene: Scene) -> dict[str, Any]:
+    """Return the ends of the drive of a hand and the least time from one to the other; empty without a gripper."""
+    if scene.gripper is None:
+        return {}
+    opened, closed = scene.model.actuator_ctrlrange[len(scene.joints)].tolist()
+    return {"gripper": {"name": scene.gripper.name, "open": opened, "closed": closed, "closing_s": CLOSING_S}}
 
 
 def export(config: ExportConfig) -> Path:
@@ -50,6 +61,7 @@ def export(config: ExportConfig) -> Path:
             "joint_names": [scene.model.joint(index).name for index in range(len(scene.home))],
             "joint_limits_rad": scene.joint_range.tolist(),
             "home_rad": scene.home.tolist(),
+            **fingers_of(scene),
         }
         write_json(output / "policies.json", made)
         save_config(config, output / "config.yaml")

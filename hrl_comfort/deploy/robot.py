@@ -239,12 +239,12 @@ def joined(results: list[StepResult], count: int) -> StepResult:
     last, missing = results[-1], count - len(results)
     padded = results + [last] * missing
     taken = torch.arange(count)[None] < len(results)
-    fields = last.instants.fields()
-    instants = {name: torch.cat([getattr(each.instants, name) for each in padded], dim=1) for name in fields}
+    moving = {name: np.concatenate([each.moving[name] for each in padded], axis=1) for name in last.moving}
     return replace(
         last,
         reward_terms=torch.stack([each.reward_terms for each in results]).sum(dim=0),
         step_rewards=torch.cat([each.step_rewards for each in padded], dim=1) * taken,
         decision_steps=torch.tensor([len(results)]),
-        instants=State(**instants),
+        before=results[0].before,
+        moving=moving,
     )

@@ -108,6 +108,10 @@ class CellEnv(EnvBase):
         """Set the grasp tolerance from each row's next episode on, m; the other tolerances keep their ratio to it."""
         self.engine.episodes.precision_m = precision_m
 
+    def set_reach(self, reach: float) -> None:
+        """Set the part of the way from in front of the object to home up to which each row's next episode begins."""
+        self.engine.episodes.sampler.reach = reach
+
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Return the state for a bit-identical continuation."""
         return self.engine.state_dict()

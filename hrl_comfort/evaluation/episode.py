@@ -40,6 +40,7 @@ class Episode:
     protective_stops: int | None
     human_beyond_bound: int | None
     drops: int | None
+    slip_mm: float | None
     object_lost: bool | None
     diverged: bool | None
     measures: dict[str, float | None]

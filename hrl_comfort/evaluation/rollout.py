@@ -255,6 +255,7 @@ class EpisodeRecorder:
             protective_stops=int(state.protective_stops[row]) if shielded else None,
             human_beyond_bound=int(state.human_beyond_bound[row]) if shielded else None,
             drops=int(state.drops[row]) if held else None,
+            slip_mm=1000 * float(state.slip[row]) if held else None,
             object_lost=bool(state.object_lost[row]) if held else None,
             diverged=bool(state.diverged[row]) if held else None,
             measures={},

@@ -22,8 +22,9 @@ from hrl_comfort.sim.starts import fingerprint
 def record_terminal_states(config: EvaluateConfig) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
-    A state holds the joints and, with people, the first one's position and the level in force. Episodes are drawn as
-    in training, from seeds of their own: what is recorded becomes training data.
+    A state holds the joints, with a gripper all bodies and the set-point of the fingers, and, with people, the first
+    one's position and the level in force. Episodes are drawn as in training, from seeds of their own: what is recorded
+    becomes training data.
 
     Raises:
       ConfigError: the path does not end in .npz, or no episode of a kind succeeded.
@@ -43,7 +44,7 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
         if not states:
             raise ConfigError(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
     banks: dict[str, Any] = {kind: np.array(states) for kind, states in found.items()}
-    if config.cell.vary.layouts:
+    if config.cell.vary.layouts or config.robot.gripper.holds:
         banks["cell"] = np.array(fingerprint(environment(config)))
     write_atomically(path, lambda file: np.savez(file, **banks))
     count = sum(map(len, found.values()))
@@ -60,6 +61,9 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
     for executed in execute(engine, executor, top):
         state = executed.result.state
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
+        if config.robot.gripper.holds:  # sensors lag behind the bodies by a physics step
+            physics = torch.from_numpy(engine.physics.state)
+            parts = [physics[:, engine.scene.moving], state.joint_target, physics[:, 1:], state.grip_target[:, None]]
         if config.human.motion != "none":
             parts += [state.humans_pos[:, 0], executed.result.level[:, None]]
         if config.cell.vary.layouts:

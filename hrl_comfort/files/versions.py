@@ -16,10 +16,12 @@ from hrl_comfort.config.checks import UnknownKeyError
 
 BEFORE: dict[str, Any] = {}
 """Value, by dotted key, that does what was done before the key came; where it is the default of conf/, none."""
-GONE: dict[str, Any] = {"reward.human_collision": 0.0}
+GONE: dict[str, Any] = {"reward.human_collision": 0.0, "human.masked": False}
 """Value, by dotted key, with which a key that is gone did nothing."""
 TASK = {"colour": "object", "balls": "objects", "ball_jitter_m": "object_jitter_m"}
 """Keys of the section `task` that were renamed."""
+RULES = {"scripted": "nearest"}
+"""Values of `meta_controller.name` that were renamed."""
 CONTROLLER = {"balls": "objects"}
 """Keys that were renamed in the `spec` of a controller's file."""
 EXECUTOR = {"_first": "stage"}
@@ -50,7 +52,7 @@ def renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, An
 
 
 def converted(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the `values` of a configuration with the sections `cell`, `task` and `human` as this version has them.
+    """Return the `values` of a configuration with its sections as this version has them.
 
     A cell had a ball table and two drop tables, a task the slots of the balls, and people had stations, if any.
     Sections that are damaged, or that this version cannot have, stay as they are: the check of keys refuses them.
@@ -65,6 +67,9 @@ def converted(values: Mapping[str, Any]) -> dict[str, Any]:
     human = values.get("human")
     if isinstance(human, Mapping) and human.get("stations_m") == []:  # of motions that have none
         found["human"] = {**human, "stations_m": None}
+    top = values.get("meta_controller")
+    if isinstance(top, Mapping) and top.get("name") in RULES:
+        found["meta_controller"] = {**top, "name": RULES[top["name"]]}
     hierarchy = values.get("hierarchy")
     if isinstance(hierarchy, Mapping) and isinstance(hierarchy.get("controller"), Mapping):
         found["hierarchy"] = {**hierarchy, "controller": converted(hierarchy["controller"])}

@@ -126,11 +126,7 @@ class Motions:
         discs, points = contiguous(seen.keep_out.centres, arm)
         velocity, walked, speed, steps, left = kernels.settle(
             there, facing, bent, kept, self._limits,
-            *walk.arrays(
-                "position", "yaw", "spawn", "walked_m", "speed_m_s", "step", "velocity", "limbs", "memory", "traits",
-                "retreat",
-            ),
-            discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
+            *contiguous(*vars(walk).values()), discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
         )  # fmt: skip
         return Walk(there, facing, walk.spawn, walked, speed, steps, velocity, bent, kept, walk.traits, left)
 
@@ -235,11 +231,11 @@ def spawns_apart(
 def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
     """Return the human position (n, 2) m in the observation for true positions (n, 2) m.
 
-    `masked` and motion `none` give a position far away. `clipping=full` gives the nearest spawn point;
+    Motion `none` gives a position far away. `clipping=full` gives the nearest spawn point;
     `partial` gives that point only if it is nearer to the robot than the human. The paper's "a given point
     nearer than the human" does not say nearer to what. This reading never reports a human as farther away.
     """
-    if config.masked or config.motion == "none":
+    if config.motion == "none":
         return np.tile([FAR_AWAY_M, 0.0], (len(position), 1))
     if config.clipping == "off":
         return position

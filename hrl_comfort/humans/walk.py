@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
+from hrl_comfort.instants import chosen, ended_early
 
 Array = NDArray[np.float64]
 
@@ -49,10 +49,6 @@ class Walk:
     retreat: NDArray[np.int64]
     """(n,) control steps left of a retreat from the arm."""
 
-    def arrays(self, *names: str) -> list[Array]:
-        """Return the fields `names`, in C order."""
-        return contiguous(*[getattr(self, name) for name in names])
-
     def rows(self, index: NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `index`."""
         return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
@@ -80,8 +76,8 @@ class Walk:
         """Return n humans of whom each is as in the one of `walks` that `index` (n,) names."""
         if (index == index[0]).all():
             return walks[index[0]]
-        rows = np.arange(len(index))
-        return cls(**{f.name: np.stack([getattr(each, f.name) for each in walks])[index, rows] for f in fields(cls)})
+        early = ended_early(index, len(walks))
+        return cls(**{f.name: chosen([getattr(each, f.name) for each in walks], early) for f in fields(cls)})
 
 
 @dataclass(frozen=True)

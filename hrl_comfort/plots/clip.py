@@ -30,6 +30,8 @@ class Frame:
     """(L, 7), as `scene.human.limb_poses`, of one person after the other."""
     props: Array
     """(P, 3), positions of the points and objects by their order in `Scene.mocap`; NaN where one is not there."""
+    bodies: Array | None = None
+    """With a gripper: (nq,) positions of all joints of the model, those of fingers and loose objects among them."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class Clip:
     props: Array
     """(T, P, 3) m; a prop is where it was at the last instant before the picture."""
     floor_z: float
+    bodies: Array | None = None
+    """With a gripper: (T, nq), as `Frame.bodies`."""
 
     @property
     def person(self) -> Array:
@@ -63,12 +67,16 @@ class Clip:
         after = min(index + 1, last)
         span = self.time[after] - self.time[index]
         share = 0.0 if span <= 0 else float(np.clip((time_s - self.time[index]) / span, 0.0, 1.0))
-        joints, people = ((1 - share) * rows[index] + share * rows[after] for rows in (self.joints, self.people))
+
+        def between(rows: Array) -> Array:
+            return np.asarray((1 - share) * rows[index] + share * rows[after])
+
+        joints, people = between(self.joints), between(self.people)
         props = self.props[after if share >= 1.0 else index]
         directions = people[:, 5:].reshape(len(people), -1, 3) if people.shape[1] > 5 else None
         x, y, yaw, phase, swing = people[:, :5].T
         limbs = limb_poses(x, y, yaw, phase, swing, self.floor_z, directions)
-        return Frame(joints, limbs.reshape(-1, 7), props)
+        return Frame(joints, limbs.reshape(-1, 7), props, None if self.bodies is None else between(self.bodies))
 
 
 def gait(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -109,6 +117,8 @@ def path_clip(path: DataFrame, scene: Scene, task: str, kind: str | None) -> Cli
 
 def set_pose(data: mujoco.MjData, scene: Scene, frame: Frame) -> None:
     """Put every body of `data` where it is in a picture."""
+    if frame.bodies is not None:
+        data.qpos[:] = frame.bodies
     data.qpos[[scene.model.joint(joint).qposadr[0] for joint in scene.joints]] = frame.joints
     people = len(frame.limbs)
     data.mocap_pos[:people], data.mocap_quat[:people] = frame.limbs[:, :3], frame.limbs[:, 3:]

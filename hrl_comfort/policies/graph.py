@@ -1,4 +1,4 @@
-"""A trained policy as one graph, from named quantities of the cell to joint increments, and its ONNX file."""
+"""A trained policy as one graph, from named quantities of the cell to what it commands, and its ONNX file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, GripperConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.versions import INPUTS, ONE_PERSON
 from hrl_comfort.policies.actor import ActorPolicy
@@ -31,6 +31,10 @@ from hrl_comfort.tasks.subtask import StateFunction
 ONNX = "onnx:"
 """Prefix of a file that `hrl-comfort export` wrote."""
 OUTPUT = "joint_increment"
+NO_GRIPPER = GripperConfig().name
+"""Of policies that do not say what their gripper was, too."""
+INCREMENTS = "(N, joints) rad, added to the joint targets in each control step of a decision"
+FINGERS = "; a last number is the target of the fingers, from -1, open, to 1, closed"
 DERIVED = tuple(name for name, each in vars(State).items() if isinstance(each, cached_property))
 """What a state tells of its fields: for one target, not for all objects."""
 NAMES = (*(field.name for field in fields(State)), *DERIVED)
@@ -64,18 +68,26 @@ class PolicyGraph(nn.Module):
     """Observation terms, normaliser, actor and scale of a policy: named fields of State to joint increments, rad.
 
     Floating-point inputs are float32. The output (N, joints) is what the joint targets move by in each control
-    step of the decision.
+    step of the decision; with a hand a last number is the target of its fingers, from -1, open, to 1, closed.
     """
 
     def __init__(self, policy: ActorPolicy, task: Subtask, inputs: Sequence[str], max_step_rad: float) -> None:
         super().__init__()
-        self.actor, self.normaliser = policy.actor, policy.normaliser
+        self.actor, self.normaliser, self._hand = policy.actor, policy.normaliser, has_hand(policy.spec)
         self._task, self._inputs, self._max_step_rad = task, tuple(inputs), max_step_rad
 
     def forward(self, *values: Tensor) -> Tensor:
-        """Return the increments (N, joints) for the inputs, in the order of `inputs`."""
+        """Return the increments (N, joints), and perhaps fingers, for the inputs, in the order of `inputs`."""
         observation = self._task.observe(state_of(self._inputs, values)).float()
-        return self._max_step_rad * self.actor.mode(self.normaliser(observation))
+        action = self.actor.mode(self.normaliser(observation))
+        if not self._hand:
+            return self._max_step_rad * action
+        return torch.cat([self._max_step_rad * action[:, :-1], action[:, -1:]], dim=-1)
+
+
+def has_hand(spec: dict[str, Any]) -> bool:
+    """Return whether the last number of the actions of a policy of this description is the target of fingers."""
+    return bool(spec["environment"].get("gripper", NO_GRIPPER) != NO_GRIPPER)
 
 
 def state_of(inputs: Sequence[str], values: Sequence[Tensor]) -> State:
@@ -96,9 +108,10 @@ def description(task: Subtask, inputs: Sequence[str], config: EnvConfig, spec: d
     return {
         "task": task.name,
         "robot": config.robot.name,
-        "joints": spec["action_dim"],
+        "joints": spec["action_dim"] - has_hand(spec),
+        "gripper": spec["environment"].get("gripper", NO_GRIPPER),
         "inputs": {name: meanings[name] for name in inputs},
-        "output": {OUTPUT: "(N, joints) rad, added to the joint targets in each control step of a decision"},
+        "output": {OUTPUT: INCREMENTS + FINGERS * has_hand(spec)},
         "frame": "cell: origin in the robot's base, z up",
         "stages": [stage.name for stage in task.stages],
         "control_step_s": CONTROL_STEP_S,
@@ -154,7 +167,7 @@ class OnnxPolicy:
     about: dict[str, Any]
 
     def __call__(self, state: State) -> Tensor:
-        """Return actions (N, joints) in [-1, 1], float64.
+        """Return actions (N, joints), or (N, joints + 1) with fingers, in [-1, 1], float64.
 
         Raises:
           ConfigError: it sees several people, and there are others.
@@ -171,7 +184,9 @@ class OnnxPolicy:
         state = people
         given = {name: value.numpy() for name, value in zip(names, arguments(state, names), strict=True)}
         increment = torch.from_numpy(self.session.run([OUTPUT], given)[0]).double()
-        return (increment / torch.deg2rad(torch.tensor(self.about["max_step_deg"]).double())).clamp(-1.0, 1.0)
+        joints = self.about["joints"]
+        increment[:, :joints] /= torch.deg2rad(torch.tensor(self.about["max_step_deg"]).double())
+        return increment.clamp(-1.0, 1.0)
 
 
 def read_onnx(source: str) -> OnnxPolicy:

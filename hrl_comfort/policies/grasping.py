@@ -26,6 +26,8 @@ ROUND = ("sphere", "cylinder", "capsule")
 """Shapes that a hand grasps from any side."""
 PICK, PLACE = 0.0, 1.0
 """First number of a goal: a posture in front of an object, or above its place."""
+SQUARE_M = 0.002
+"""Difference of half its sides up to which an object is taken by any."""
 ROUND_M, ROUND_RAD = 0.005, 0.05
 """Objects that are nearer to each other than this have the same postures."""
 LATERAL_M, AHEAD_M = 0.02, 0.03
@@ -145,10 +147,11 @@ class GraspingExpert(Expert):
         across = turn[:, 0] * [1.0, 1.0, 0.0]
         across /= max(float(np.linalg.norm(across)), 1e-6)
         rolled, yawed = abs(float(np.arcsin(np.clip(turn[2, 0], -1, 1)))), 0.0
-        yaw = self._yaw(state, row)
-        if yaw is not None:
+        side = self._side(state, row)
+        if side is not None:
+            yaw, between = side
             bearing = float(np.arctan2(across[1], across[0])) - yaw
-            yawed = bearing - np.pi / 2 * round(bearing / (np.pi / 2))
+            yawed = bearing - between * round(bearing / between)
             bearing += yaw - yawed
             across = np.array([np.cos(bearing), np.sin(bearing), 0.0])
         down = turn[:, 2] - (turn[:, 2] @ across) * across
@@ -156,14 +159,20 @@ class GraspingExpert(Expert):
         level = np.stack([across, np.cross(down, across), down], axis=1)
         return level, rolled < ROLLED_RAD and abs(yawed) < YAWED_RAD
 
-    def _yaw(self, state: State, row: int) -> float | None:
-        """Return the turn about the vertical, rad, of a side of the target; None if it is round."""
+    def _side(self, state: State, row: int) -> tuple[float, float] | None:
+        """Return the bearing, rad, of a side of the target that pads take, and to the next one; None if it is round.
+
+        It is the narrow side, of a square any.
+        """
         target = int(state.target[row])
         if self._round[int(state.kinds[row, target])]:
             return None
         axes = _axes(state.objects_quat[row, target].numpy())
-        flat = axes[:, np.abs(axes[2]).argmin()]
-        return float(np.arctan2(flat[1], flat[0]))
+        level = np.abs(axes[2]).argsort()[:2]
+        half = state.kind_sizes[row, int(state.kinds[row, target])].numpy()[level]
+        square = np.ptp(half) < SQUARE_M
+        side = axes[:, level[0 if square else half.argmin()]]
+        return float(np.arctan2(side[1], side[0])), np.pi / 2 if square else np.pi
 
     def _lift(self, state: State, row: int) -> Step:
         at, turn = self._grasps.pose(state.joint_target[row].numpy())
@@ -215,12 +224,16 @@ class GraspingExpert(Expert):
                 up = self._upright(state, row)
                 goals.append((PLACE, kind, *_rounded(state.target_place[row].numpy(), ROUND_M), *_rounded(up, 0.1)))
             elif self._grasping[stage] or self._releasing[stage]:
-                yaw = self._yaw(state, row)
-                turned = 0.0 if yaw is None else float(_rounded(np.array([yaw % (np.pi / 2)]), ROUND_RAD)[0])
-                goals.append((PICK, kind, *_rounded(obj, ROUND_M), turned))
+                goals.append((PICK, kind, *_rounded(obj, ROUND_M), *self._rounded_side(state, row)))
             else:
                 goals.append(None)
         return goals
+
+    def _rounded_side(self, state: State, row: int) -> tuple[float, ...]:
+        """Return the bearing, to ROUND_RAD, of a side of the target, and to the next one; empty if it is round."""
+        if (side := self._side(state, row)) is None:
+            return ()
+        return float(_rounded(np.array([side[0] % side[1]]), ROUND_RAD)[0]), side[1]
 
     def _upright(self, state: State, row: int) -> Array:
         """Return the axis (3,) of the held target, in the tool's frame, that is to be vertical when it is put down.
@@ -235,8 +248,10 @@ class GraspingExpert(Expert):
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
-        del more
+        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
+
+        Above a place, where many of them are out of reach, it is one unless there are to be `more`.
+        """
         kind, at = int(goal[1]), np.array(goal[2:5])
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
@@ -244,11 +259,11 @@ class GraspingExpert(Expert):
         found: list[Array] = []
         for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
             if goal[0] == PICK:
-                turns = list(approaches(place, None if self._round[kind] else goal[5]))
+                turns = list(approaches(place, *goal[5:]))
                 found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
             else:
                 turns = level_turns(place, np.array(goal[5:8]))
-                found = self._grasps.found(place, turns, home, GOALS, up_m=part * ABOVE_M)
+                found = self._grasps.found(place, turns, home, GOALS if more else 1, up_m=part * ABOVE_M)
             if found:
                 break
         else:

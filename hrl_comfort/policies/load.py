@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import with_level
-from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig, GripperConfig
+from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.direct import Direct
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
-from hrl_comfort.policies.graph import ONNX, read_onnx
+from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
 from hrl_comfort.policies.grasping import GraspingExpert
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.predictive_sampling import PredictiveSampling
@@ -30,10 +30,6 @@ Act = Callable[[State], Tensor]
 """State of N cells -> actions (N, A) in [-1, 1]."""
 Source = str | Function
 """Value of `policy=`; from Python also a map from observations to actions."""
-
-
-NO_GRIPPER = GripperConfig().name
-"""Of policies that do not say what their gripper was, too."""
 
 
 def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, seed: int) -> Act:

@@ -36,9 +36,12 @@ from hrl_comfort.report.videos import videos
 
 SHOWN_PATHS = 4
 SHOWN_FAILURES = 40
-FAILURE = ["run", "episode", "object", "spawn_id", "motion_id", "seen", "steps", "ended"]
-"""Columns of the table of failures."""
-CONTACTS = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact"}
+FAILURE = {
+    "run": "run", "episode": "episode", "object": "kind", "spawn_id": "spawn", "motion_id": "motion", "seen": "seen",
+    "steps": "steps", "drops": "drops", "slip_mm": "slip (mm)", "ended": "ended by",
+}  # fmt: skip
+"""Columns of the table of failures, and their heads; those of a hand are left out where there is none."""
+COUNTED = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact", "drops": "drops"}
 """Columns of episodes.csv that the table of endings counts too, whatever ended the episode."""
 HEADS = [each.label for each in HEADLINE.values()]
 OPTION_ENDS = ["success", "failure", "preempted"]
@@ -167,12 +170,13 @@ def report(config: ReportConfig) -> Path:
 def _endings(episodes: DataFrame) -> tuple[list[str], list[list[str]]]:
     """Return head and lines of a table of how many episodes of each run ended how, and had a contact."""
     kinds = [kind for kind in [*TERMINATIONS, "other"] if kind in {"success", *episodes["ended"]}]
+    counted = {name: head for name, head in COUNTED.items() if np.isfinite(column(episodes, name)).any()}
     lines = _counts(episodes["run"], episodes["ended"], kinds)
     runs = {str(name): each for name, each in episodes.groupby("run", sort=False)}
     for line in lines:
         line[1:] = [str(len(runs[line[0]])), *line[1:]]
-        line += [f"{column(runs[line[0]], name).sum():.0f}" for name in CONTACTS]
-    return ["run", "episodes", *kinds, *CONTACTS.values()], lines
+        line += [f"{np.nansum(column(runs[line[0]], name)):.0f}" for name in counted]
+    return ["run", "episodes", *kinds, *counted.values()], lines
 
 
 def _provenance(run: Run) -> list[list[str]]:
@@ -199,9 +203,10 @@ def _write_page(runs: list[Run], folder: Path, output: Path, config: ReportConfi
     tables = [
         run.episodes.assign(run=run.name, ended=terminations(run.episodes)) for run in runs if run.episodes is not None
     ]
-    episodes = pd.concat(tables) if tables else DataFrame(columns=FAILURE)
-    failed = episodes[episodes["ended"] != "success"].reindex(columns=FAILURE)
-    shown = failed.head(SHOWN_FAILURES)
+    episodes = pd.concat(tables) if tables else DataFrame(columns=list(FAILURE))
+    failed = episodes[episodes["ended"] != "success"].round({"slip_mm": 1})
+    listed = [name for name in FAILURE if name not in ("drops", "slip_mm") or np.isfinite(column(failed, name)).any()]
+    shown = failed.reindex(columns=listed).head(SHOWN_FAILURES)
     page = render(
         "report.html.j2",
         title=folder.resolve().name,
@@ -217,6 +222,7 @@ def _write_page(runs: list[Run], folder: Path, output: Path, config: ReportConfi
         level_paths=_level_paths(runs),
         timelines=_timelines(runs),
         endings=_endings(episodes) if tables else None,
+        failure_heads=[FAILURE[name] for name in listed],
         failures=shown.astype("str").mask(shown.isna(), "–").to_numpy().tolist(),
         failed=len(failed),
         provenance={run.name: _provenance(run) for run in runs},

@@ -12,6 +12,7 @@ from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, RobotConfig
 from hrl_comfort.safety import drive_kernels
 from hrl_comfort.safety.allowances import check_allowances, largest_lateness
+from hrl_comfort.safety.clearance import Clearance
 from hrl_comfort.safety.geometry import ArmPose, gaps
 from hrl_comfort.safety.rating import Rating
 from hrl_comfort.safety.rows import InRows, Rows, in_rows
@@ -55,8 +56,7 @@ class SetPoints:
 
     def ramp(self, before: Array, substeps: int) -> Array:
         """Return the targets (N, substeps, J) rad of the control step, from `before` (N, J) rad on."""
-        share = np.arange(1, substeps + 1)[:, None] / substeps
-        return np.asarray(before[:, None] + share * (self.angles - before)[:, None])
+        return drive_kernels.ramp(*contiguous(before, self.angles), substeps)
 
 
 class Drive:
@@ -96,6 +96,8 @@ class Drive:
         self.shield: Shield | None = None
         if config.safety.kind == "ssm":
             self.shield = Shield(separation, self._rating, config.safety, rows, within)
+        clearance = config.safety.clearance_m
+        self._clearance = None if clearance is None else Clearance(scene, self.arm, clearance)
         limits = (0.0,) * 9 if self.shield is None else self.shield.limits
         self._constants = [
             *self.arm.compiled, self.arm.radius, self.arm.lever, separation.person.radius,
@@ -133,14 +135,43 @@ class Drive:
             self.shield.end_decision(last)
 
     def step(
-        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, limbs: Array | None = None
+        self,
+        before: SetPoints,
+        asked: Array,
+        joints: Array,
+        now: Encounter,
+        limbs: Array | None = None,
+        tops: Array | None = None,
     ) -> tuple[Array, SetPoints]:
         """Return where the set-points of the next control step begin (N, J) rad, and they at its end.
 
         `asked` (N, J) rad/s is the motion that the policy wants, `joints` (N, 2 J) the measured angles, rad, and
         velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
-        instead, if given.
+        instead, if given. `tops` (N, F, 6), as `State.tops`, is what the arm keeps clear of where it keeps a clearance.
         """
+        if self._clearance is not None and tops is not None:
+            asked = self._clearance.damped(before.angles, asked, tops)
+        begin, after = self._passed(before, asked, joints, now, limbs)
+        return begin, after if self._clearance is None else self._kept_clear(before, begin, after, tops)
+
+    def _kept_clear(self, before: SetPoints, begin: Array, after: SetPoints, tops: Array | None) -> SetPoints:
+        """Return the set-points `after` a step from `begin` (N, J) rad, or those of the brake to keep the clearance.
+
+        Set-points that were taken back to the arm stand, and stay.
+        """
+        assert self._clearance is not None and tops is not None
+        clear = self._clearance.keeps(begin, begin + self._rating.way(after.velocity), tops)
+        velocity = np.where(clear[:, None], after.velocity, self._rating.brake(before.velocity))
+        angles = np.clip(begin + velocity * CONTROL_STEP_S, self._low, self._high)
+        speed, passed = np.linalg.norm(velocity, axis=1), np.linalg.norm(after.velocity, axis=1)
+        braked = np.minimum(after.share * speed / np.maximum(passed, 1e-9), 1.0)
+        share = np.where(clear, after.share, braked)
+        return replace(after, angles=angles, velocity=velocity, share=share, share_sum=before.share_sum + share)
+
+    def _passed(
+        self, before: SetPoints, asked: Array, joints: Array, now: Encounter, limbs: Array | None
+    ) -> tuple[Array, SetPoints]:
+        """Return what rating and shield let pass; see `step`."""
         if plain(joints, now.apart):
             return self._stepped(before, asked, joints, now, now if limbs is None else self._seen(now, limbs))
         measured, moving = joints[:, : self.arm.joints], joints[:, self.arm.joints :]
@@ -187,11 +218,16 @@ class Drive:
             shield.remember(seen.person, trail)
         return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
 
-    def beside(self, points: SetPoints, now: Encounter, limbs: Array) -> SetPoints:
-        """Return the set-points of a control step in which people move on from `now` to `limbs` (N, L, 7)."""
+    def beside(self, points: SetPoints, now: Encounter, after: Array) -> SetPoints:
+        """Return the set-points of a control step in which people move on from `now`, their capsules' ends to `after`.
+
+        These are (3, P, 2, N) m.
+        """
         if self.shield is None:
             return points
-        beyond = self.shield.beyond_bound(now, limbs)
+        beyond = self.shield.beyond_bound(now, after)
+        if not beyond.any():
+            return points
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)
 
     def _motion(self, pose: ArmPose, error: Array, moving: Array) -> Motion:
@@ -276,6 +312,11 @@ def make_drive(
         )
     if robot.rating != "paper":
         return Drive(scene, separation, config, rows, within, takes_back)
+    if config.safety.clearance_m is not None:
+        raise ConfigError(
+            f"safety.clearance_m={config.safety.clearance_m} needs an arm that brakes within its rating; "
+            "choose robot.rating=collaborative or full instead of paper, or safety.clearance_m=null"
+        )
     if kind != "none":
         raise ConfigError(
             f"safety.kind={kind} needs an arm that brakes within its rating; "

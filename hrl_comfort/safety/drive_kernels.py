@@ -45,13 +45,21 @@ class Limits(NamedTuple):
 
 
 @kernel
-def bend(velocity: Array, m: int, lever: Array, part: int) -> float:
-    """See `ArmGeometry.bending`: of one capsule, with its `lever` (C, J), in row `m`."""
-    total, found = 0.0, 0.0
+def sweep(velocity: Array, m: int, swept: Array) -> None:
+    """Fill in what `bend` takes of row `m`, `swept` (J,)."""
+    total = 0.0
     for j in range(velocity.shape[1]):
         rate = abs(velocity[m, j])
-        found += lever[part, j] * (rate * (rate + 2 * total))
+        swept[j] = rate * (rate + 2 * total)
         total += rate
+
+
+@kernel
+def bend(swept: Array, lever: Array, part: int) -> float:
+    """See `ArmGeometry.bending`: of one capsule, with its `lever` (C, J)."""
+    found = 0.0
+    for j in range(len(swept)):
+        found += lever[part, j] * swept[j]
     return found
 
 
@@ -105,18 +113,19 @@ def bound(time_s: float, pace: float, limits: Limits) -> float:
 @kernel
 def unsafe(
     velocity: Array, row: int, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float,
-    lever: Array, acceleration: Array, limits: Limits, first: int,
+    lever: Array, acceleration: Array, limits: Limits, first: int, swept: Array,
 ) -> int:  # fmt: skip
     """Return a capsule for which `Shield._safe` does not hold, -1 if all are safe; look at the `first` before others.
 
     The arm of cell `m` runs the `row` of `velocity`; its capsules move at `share` of the way from `slow` to `fast`
-    (C, N) m/s.
+    (C, N) m/s. `swept` (J,) is for its own use.
     """
     braking, parts = stopping_time(velocity, row, acceleration), len(slow)
+    sweep(velocity, row, swept)
     for index in range(parts):
         part = first + index if first + index < parts else first + index - parts
         speed = slow[part, m] + share * (fast[part, m] - slow[part, m]) if share < 1.0 else fast[part, m]
-        fastest = speed + bend(velocity, row, lever, part) * (CONTROL_STEP_S + braking / 2)
+        fastest = speed + bend(swept, lever, part) * (CONTROL_STEP_S + braking / 2)
         left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
         until = 0.0 if left >= 1.0 else CONTROL_STEP_S + braking * (1 - left) + limits.settled_s  # NaN stays
         travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
@@ -144,6 +153,18 @@ def presses(
         here = min(apart_of(ends, part, beside, 0, radius, person_radius), here)
         ahead = min(apart_of(ends, part, beside, 1, radius, person_radius), ahead)
     return ahead < here
+
+
+@kernel
+def ramp(before: Array, after: Array, substeps: int) -> Array:
+    """See `SetPoints.ramp`."""
+    targets = np.empty((len(before), substeps, before.shape[1]))
+    for m in range(len(before)):
+        for step in range(substeps):
+            share = (step + 1) / substeps
+            for j in range(before.shape[1]):
+                targets[m, step, j] = before[m, j] + share * (after[m, j] - before[m, j])
+    return targets
 
 
 @kernel
@@ -179,11 +200,13 @@ def drive(
     moving = speeds(axis, anchor, ends, drawn, link, radius)
     pace = farthest(person_seen, seen) / CONTROL_STEP_S
     held, begin, before = np.zeros(n, dtype=np.bool_), angles.copy(), velocity.copy()
+    swept = np.empty(count)
     for m in range(n):
+        sweep(error, m, swept)
         for j in range(count):
             held[m] |= abs(error[m, j]) / following[j] > 1.0
         for part in range(parts):
-            way[part, m] += bend(error, m, lever, part) / 2
+            way[part, m] += bend(swept, lever, part) / 2
         if shielded:
             gets = bound(limits.settled_s, pace[m], limits) + limits.margin_m
             for part in range(parts):
@@ -204,8 +227,9 @@ def drive(
     brake, wanted = np.empty((n, count)), np.empty((n, count))
     for m in range(n):
         most, most_bending = 0.0, 0.0
+        sweep(limited, m, swept)
         for part in range(parts):
-            most, most_bending = max(fastest[part, m], most), max(bend(limited, m, lever, part), most_bending)
+            most, most_bending = max(fastest[part, m], most), max(bend(swept, lever, part), most_bending)
         over = max((most + most_bending * CONTROL_STEP_S) / limits.tool_speed, 1.0)
         for j in range(count):
             limited[m, j] /= over
@@ -236,15 +260,16 @@ def drive(
         tried = np.empty((1, count))
         for m in range(n):
             passed, closing = 1.0, pace[m]
-            worst = unsafe(wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0)
+            worst = unsafe(wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0, swept)
             if worst >= 0:
                 passed = 0.0
                 for share in SHARES[::-1]:
                     for j in range(count):
                         tried[0, j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
                     worst = unsafe(
-                        tried, 0, slow, fast, share, room, moving, m, closing, lever, acceleration, limits, worst
-                    )
+                        tried, 0, slow, fast, share, room, moving, m, closing, lever, acceleration, limits, worst,
+                        swept,
+                    )  # fmt: skip
                     if worst < 0:
                         passed = share
                         break

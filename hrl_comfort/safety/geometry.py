@@ -43,7 +43,7 @@ class ArmGeometry:
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        self.joints = len(joints)
+        self.joints, self.bodies = len(joints), bodies
         turn, self._offset = _relative_poses(model, bodies)
         axis = model.jnt_axis[joints]
         cross = np.cross(np.eye(3), axis[:, None, :])  # (J, 3, 3), v -> axis x v
@@ -53,11 +53,12 @@ class ArmGeometry:
         found = [part for part in _capsules(model, data) if part[0] in bodies]
         self.link = np.array([bodies.index(part[0]) for part in found])
         """(C,) joint that moves each capsule."""
-        self._local = np.stack([part[1] for part in found])
+        self.local = np.stack([part[1] for part in found])
+        """(C, 2, 3) m, ends of the axis of each capsule in the frame of its link."""
         self.radius = np.array([part[2] for part in found])
         """(C,) m."""
         steps = np.ascontiguousarray(self._steps[..., 0])
-        self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self._local
+        self.compiled = steps, self._offset, self._axis, self._anchor, self.link, self.local
         """Its part that kernels take."""
         last = bodies[-1]
         self._tcp = (data.site("robot/tcp").xpos - data.xpos[last]) @ data.xmat[last].reshape(3, 3)
@@ -80,10 +81,10 @@ class ArmGeometry:
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
         if plain(angles):
-            sine, versine = contiguous(np.sin(angles.T), 1 - np.cos(angles.T))
-            return ArmPose(*kernels.pose(sine, versine, *self.compiled))
+            turned = np.ascontiguousarray(angles.T)
+            return ArmPose(*kernels.pose(np.sin(turned), 1 - np.cos(turned), *self.compiled))
         rotation, anchor, origins = self._frames(angles)
-        local = self._local.transpose(2, 0, 1)[..., None]
+        local = self.local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
         return ArmPose(_turned(rotation, self._axis.T[..., None]), anchor, ends)
 
@@ -112,16 +113,16 @@ class ArmGeometry:
         first, second = pose.ends[:, :, 0], pose.ends[:, :, 1]
         points = np.concatenate([first, (first + second) / 2, second], axis=1)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         link = np.tile(self.link, 3)
-        moving = _cross(turning[:, link], points) - shift[:, link]
+        moving = cross(turning[:, link], points) - shift[:, link]
         return points.transpose(2, 1, 0), moving.transpose(2, 1, 0)
 
     def point_velocity(self, pose: ArmPose, velocity: Array, points: Array) -> Array:
         """Return the velocities (3, C, P, N) m/s of P points (3, C, P, N) m fixed to each capsule."""
         turning = np.cumsum(pose.axis * velocity.T, axis=1)[:, self.link, None]
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, self.link, None]
-        return _cross(turning, points) - shift
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)[:, self.link, None]
+        return cross(turning, points) - shift
 
     def speeds(self, pose: ArmPose, velocity: Array) -> Array:
         """Return the speed (C, N) m/s of the fastest point of each capsule at joint velocities (N, J) rad/s."""
@@ -129,9 +130,9 @@ class ArmGeometry:
             moving = contiguous(pose.axis, pose.anchor, pose.ends, velocity)
             return kernels.speeds(*moving, self.link, self.radius)
         turning = np.cumsum(pose.axis * velocity.T, axis=1)
-        shift = np.cumsum(_cross(pose.axis, pose.anchor) * velocity.T, axis=1)
+        shift = np.cumsum(cross(pose.axis, pose.anchor) * velocity.T, axis=1)
         spin = turning[:, self.link]
-        at_ends = _cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
+        at_ends = cross(spin[:, :, None], pose.ends) - shift[:, self.link, None]
         fastest: Array = norm(at_ends).max(axis=1) + self.radius[:, None] * norm(spin)
         return fastest
 
@@ -154,7 +155,7 @@ class ArmGeometry:
         between = np.linalg.norm(self._offset - np.vstack([np.zeros(3), self._anchor[:-1]]), axis=1)
         levers = np.zeros((len(self.link), self.joints))
         for part, link in enumerate(self.link):
-            tip = np.linalg.norm(self._local[part] - self._anchor[link], axis=1).max() + self.radius[part]
+            tip = np.linalg.norm(self.local[part] - self._anchor[link], axis=1).max() + self.radius[part]
             for joint in range(link + 1):
                 levers[part, joint] = tip + between[joint + 1 : link + 1].sum()
         return levers
@@ -257,7 +258,8 @@ def dot(first: Array, second: Array) -> Array:
     return product
 
 
-def _cross(first: Array, second: Array) -> Array:
+def cross(first: Array, second: Array) -> Array:
+    """Return the cross products (3, ...) of vectors (3, ...)."""
     a, b, c = first
     x, y, z = second
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])

@@ -236,39 +236,43 @@ def farthest(ends: Array, before: Array) -> Array:
 
 
 @kernel
+def closest_shares(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
+    qx: float, qy: float, qz: float, ex: float, ey: float, ez: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return the shares of the segments from p by d and from q by e at which they are nearest; see `closest_points`."""
+    rx, ry, rz = px - qx, py - qy, pz - qz
+    aa, ee = max(dx * dx + dy * dy + dz * dz, 1e-12), max(ex * ex + ey * ey + ez * ez, 1e-12)
+    b = dx * ex + dy * ey + dz * ez
+    c = dx * rx + dy * ry + dz * rz
+    f = ex * rx + ey * ry + ez * rz
+    denominator = aa * ee - b * b
+    s = (b * f - c * ee) / denominator if denominator > 1e-12 else 0.0
+    t = min(max((b * min(max(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
+    return min(max((b * t - c) / aa, 0.0), 1.0), t
+
+
+@kernel
 def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, person_radius: Array) -> float:
     """Return the distance, m, of one capsule of the arm of cell `m` from the nearest person; see `gaps`."""
     nearest = np.inf
     px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
     dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
-    aa = max(dx * dx + dy * dy + dz * dz, 1e-12)
     for other in range(limbs.shape[1]):
         qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
         ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
-        rx, ry, rz = px - qx, py - qy, pz - qz
-        ee = max(ex * ex + ey * ey + ez * ez, 1e-12)
-        b = dx * ex + dy * ey + dz * ez
-        c = dx * rx + dy * ry + dz * rz
-        f = ex * rx + ey * ry + ez * rz
-        denominator = aa * ee - b * b
-        s = (b * f - c * ee) / denominator if denominator > 1e-12 else 0.0
-        t = min(max((b * min(max(s, 0.0), 1.0) + f) / ee, 0.0), 1.0)
-        s = min(max((b * t - c) / aa, 0.0), 1.0)
+        s, t = closest_shares(px, py, pz, dx, dy, dz, qx, qy, qz, ex, ey, ez)
         ux, uy, uz = px + dx * s - (qx + ex * t), py + dy * s - (qy + ey * t), pz + dz * s - (qz + ez * t)
         nearest = min(np.sqrt(ux * ux + uy * uy + uz * uz) - (arm_radius[part] + person_radius[other]), nearest)
     return nearest
 
 
 @kernel
-def met(
-    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
-    person_radius: Array,
-) -> Array:  # fmt: skip
-    """Return how far (N,) m arms are from people who went on to `limbs`; inf if those did not go as far as the arm was.
+def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array) -> Array:
+    """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
 
-    `person` are the ends of their capsules before, `apart` (C, N) m is how far each part of the arm was from them.
+    `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.
     """
-    after = limb_ends(limbs, limb, local)
     way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
     for m in range(len(gap)):
         if apart[:, m].min() <= way[m]:
@@ -279,11 +283,9 @@ def met(
 
 @kernel
 def approached(
-    ends: Array, apart: Array, person: Array, limbs: Array, arm_radius: Array, limb: NDArray[np.int64], local: Array,
-    person_radius: Array, most_m: float,
-) -> NDArray[np.bool_]:  # fmt: skip
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
+) -> NDArray[np.bool_]:
     """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
-    after = limb_ends(limbs, limb, local)
     way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
     for m in range(len(nearer)):
         if way[m] > most_m:

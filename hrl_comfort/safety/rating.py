@@ -7,6 +7,7 @@ scale the time in which the path is run, not its direction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,15 +64,18 @@ class Rating:
         share = np.where(np.abs(velocity) > fastest, fastest / np.maximum(np.abs(velocity), ROUNDING), 1.0)
         return velocity * np.maximum(share, 0.0).min(axis=1)[:, None]
 
+    def way(self, velocity: Array) -> Array:
+        """Return the way (N, J) rad of arms that run `velocity` (N, J) rad/s for a control step, and brake then."""
+        steps = np.maximum(self.stopping_time(velocity) / CONTROL_STEP_S, ROUNDING)
+        whole = np.floor(steps)
+        return velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]
+
     def keeps(self, low: Array, high: Array, angles: Array, velocity: Array) -> NDArray[np.bool_]:
         """Return (N,) whether joints at `angles` (N, J) rad stay between `low` and `high` (J,).
 
         They run `velocity` (N, J) rad/s for a control step, and brake then. The brake slows all joints together, so
         that one may need more room than it would alone.
         """
-        steps = np.maximum(self.stopping_time(velocity) / CONTROL_STEP_S, ROUNDING)
-        whole = np.floor(steps)
-        way = velocity * (CONTROL_STEP_S * (1 + whole * (2 * steps - whole - 1) / (2 * steps)))[:, None]
-        end = angles + way
+        end: Any = angles + self.way(velocity)
         inside: NDArray[np.bool_] = ((end > low - ROUNDING) & (end < high + ROUNDING)).all(axis=1)
         return inside

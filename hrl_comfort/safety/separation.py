@@ -43,7 +43,11 @@ class Separation:
 
     def encounter(self, angles: Array, limbs: Array) -> Encounter:
         """Return arms at `angles` (N, J) rad beside people at `limbs` (N, L, 7)."""
-        pose, person = self.arm.pose(angles), self.person.ends(limbs)
+        return self.beside(angles, self.person.ends(limbs))
+
+    def beside(self, angles: Array, person: Array) -> Encounter:
+        """Return arms at `angles` (N, J) rad beside people whose capsules have their ends at `person` (3, P, 2, N)."""
+        pose = self.arm.pose(angles)
         return Encounter(pose, person, gaps(self.arm, pose.ends, self.person, person))
 
     def gap(self, angles: Array, limbs: Array) -> Array:

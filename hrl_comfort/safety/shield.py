@@ -18,6 +18,7 @@ from torch import Tensor
 
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, SafetyConfig
+from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive_kernels import SHARES
 from hrl_comfort.safety.geometry import ArmPose, farthest
@@ -92,9 +93,9 @@ class Shield:
         if (last == last[0]).all():
             self.memory = self._decision[last[0]]
             return
-        rows = np.arange(len(last))
+        early = ended_early(last, len(self._decision))
         kept = ([getattr(memory, name) for memory in self._decision] for name in vars(self.memory))
-        self.memory = Memory(*(np.stack(each)[last, ..., rows].transpose(*range(1, each[0].ndim), 0) for each in kept))
+        self.memory = Memory(*(chosen(each, early, rows_last=True) for each in kept))
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs, rows first."""
@@ -163,14 +164,14 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, now: Encounter, limbs: Array) -> NDArray[np.bool_]:
+    def beyond_bound(self, now: Encounter, after: Array) -> NDArray[np.bool_]:
         """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
 
-        They are at `limbs` (N, L, 7) a control step after `now`.
+        Their capsules have their ends at `after` (3, P, 2, N) a control step after `now`.
         """
-        most, person = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING, self._person
-        given = contiguous(now.pose.ends, now.apart, now.person, limbs)
-        return kernels.approached(*given, self.arm.radius, *person.compiled, person.radius, most)
+        most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+        given = contiguous(now.pose.ends, now.apart, now.person, after)
+        return kernels.approached(*given, self.arm.radius, self._person.radius, most)
 
     def _pace(self, now: Encounter) -> Array:
         """Return the speed (N,) m/s of the person's fastest part since the control step before."""

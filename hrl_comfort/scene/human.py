@@ -18,6 +18,7 @@ from hrl_comfort.humans.body import (
     SHOULDER_M,
     UPPER_ARM_M,
 )
+from hrl_comfort.humans.walk import Walk
 from hrl_comfort.scene import kernels
 
 LIMBS = (
@@ -37,6 +38,7 @@ _HIPS, _SIDES = (HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M), (SHOULDER_HALF_WIDTH_M, -
 _SIDE = np.array([0.0, *_HIPS, *_SIDES, *_SIDES])
 _TOP = np.array([HIP_M] * 3 + [SHOULDER_M] * 4)
 _SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
+_CONSTANTS = _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
 
 
 def limbs_of_person(index: int) -> tuple[str, ...]:
@@ -85,8 +87,7 @@ def limb_poses(
     """
     if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
         given: Any = x, y, yaw, phase, swing_rad, directions
-        constants = float(np.asarray(floor_z)), _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
-        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), *constants)
+        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), float(np.asarray(floor_z)), *_CONSTANTS)
         return compiled
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
@@ -115,6 +116,13 @@ def limb_poses(
     if directions is not None:
         _direct(poses, yaw, directions)
     return poses
+
+
+def walkers_limbs(walk: Walk, floor_z: float) -> NDArray[np.float64]:
+    """Return the limbs (n, 7, 7) of n people, as of `limb_poses` in their gait."""
+    fields = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
+    limbs: NDArray[np.float64] = kernels.walkers_limbs(*fields, floor_z, *_CONSTANTS)
+    return limbs
 
 
 def _direct(poses: NDArray[np.float64], yaw: NDArray[np.float64], directions: NDArray[np.float64]) -> None:

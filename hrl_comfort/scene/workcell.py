@@ -108,8 +108,8 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
     """Compile the cell with `substeps` physics steps a control step of 20 ms, for some `objects` and `people`.
 
     Raises:
-      ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints, or
-        `robot.calibration` does not fit the robot.
+      ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints,
+        `robot.calibration` does not fit the robot, or MuJoCo does not take the gripper.
     """
     arm = equipped(robot.name, robot.end_effector, robot.gripper)
     if robot.calibration is not None:
@@ -121,8 +121,14 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
         )
     names = tuple(f"robot/{name}" for name in arm.joints)
     describe = _described_once if isinstance(arm, UrModel) else _described  # others may come from a file that changes
-    xml, assets, sizes = describe(arm, cell, substeps, names, objects, people)
-    model = mujoco.MjModel.from_xml_string(xml, assets)
+    try:
+        xml, assets, sizes = describe(arm, cell, substeps, names, objects, people)
+        model = mujoco.MjModel.from_xml_string(xml, assets)
+    except ValueError as error:
+        if isinstance(error, ConfigError) or not robot.gripper.holds:
+            raise
+        said = " ".join(str(error).split())
+        raise ConfigError(f"robot.gripper.name={robot.gripper.name}: MuJoCo does not take it: {said}") from error
     ends = np.cumsum(list(sizes.values())).tolist()
     joints = [model.joint(name).id for name in names]
     limbs, gripper = limb_names(people), gripper_of(arm)

@@ -7,7 +7,8 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import FAR_AWAY_M
 from hrl_comfort.scene import kernels
-from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene.furniture import POINTS
+from hrl_comfort.scene.human import walkers_limbs
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -15,9 +16,7 @@ Array = NDArray[np.float64]
 
 def limbs_of(scene: Scene, walk: humans.Walk) -> Array:
     """Return the limb poses (n, 7, 7) of n people, each in a cell of their own."""
-    phase, swing = humans.gait(walk)
-    x, y = walk.position.T
-    return limb_poses(x, y, walk.yaw, phase, swing, scene.floor_z, walk.limbs)
+    return walkers_limbs(walk, scene.floor_z)
 
 
 def pack_controls(
@@ -30,9 +29,9 @@ def pack_controls(
     of kinds (n, B), and points (n, P, 3) m over all of them.
     Objects are absent if there are points; loose ones are not controlled.
     """
-    n, driven = len(targets), targets.shape[-1]
+    driven = targets.shape[-1]
     if driven < scene.model.nu:
         targets = np.concatenate([targets, np.zeros((*targets.shape[:2], scene.model.nu - driven))], axis=-1)
-    props = np.empty((n, 0), dtype=np.int64) if scene.loose else scene.object_prop(np.arange(kinds.shape[1]), kinds)
-    given = contiguous(targets, limbs, layout, objects, props, points)
-    return kernels.controls(*given, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)
+    bodies = 0 if scene.loose else len(scene.cell.objects)
+    given = contiguous(targets, limbs, layout, objects, kinds, points)
+    return kernels.controls(*given, len(POINTS), bodies, len(scene.mocap) - scene.first_prop, FAR_AWAY_M)

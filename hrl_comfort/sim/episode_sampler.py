@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
 from hrl_comfort.comfort.sources import DRAWS
-from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
+from hrl_comfort.config import PREGRASP, RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts
-from hrl_comfort.sim.variation.layouts import Layout, Layouts, check_slots
+from hrl_comfort.sim.objects import check_slots, turned
+from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts, unseen_left_out
+from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Start, Subtask
 
@@ -83,6 +84,10 @@ class Draw:
     """(P, 2) m."""
     start: Array
     """(3 J,) angles, velocities and servo targets of the joints (`sim.starts`)."""
+    before: Array
+    """(J,) rad, posture in front of the first object; NaN where that lies where it arrives."""
+    hand: Array
+    """With a gripper the recorded bodies (nq + nv,) and set-point of the fingers, NaN where none are; else (0,)."""
     points: Array
     """(2, 3) m, of `reach` and `point_to_point`."""
     world: Array
@@ -124,9 +129,14 @@ class EpisodeSampler:
         self.horizon = longest + config.task.action_repeat
         self._joints = len(scene.joints)
         self._arm = PARTS * self._joints
-        self._recorded = recorded_starts(config, task.start, self._joints)
+        hand = 0 if scene.gripper is None else scene.model.nq + scene.model.nv + 1
+        self._own = self._arm + hand
+        self._grasps = scene.gripper is not None and task.start == Start.HOME and task.stages[0].grasps
+        self.reach = 0.0 if config.task.start == PREGRASP else np.inf
+        """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
+        self._recorded = recorded_starts(config, task.start, self._joints, hand)
         if self._recorded is not None and self._drawn:
-            self._recorded = [self._unseen_left_out(bank) for bank in self._recorded]
+            self._recorded = [unseen_left_out(bank, self._own, config, self.spawns[0]) for bank in self._recorded]
 
     def blank(self, rows: int) -> Draw:
         """Return the draws of `rows` cells, to be filled in; raise ConfigError if none can be made."""
@@ -173,16 +183,16 @@ class EpisodeSampler:
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
-            if len(start) > self._arm + WITH_HUMAN:
+            if len(start) > self._own + WITH_HUMAN:
                 layout = self._layouts.numbered("train", int(start[-1]))
             spawn_id, spawn, points = self._spawn_and_points(row, rng, layout)
             told = level.copy()
-            person = start[None, self._arm : self._arm + 2]
+            person = start[None, self._own : self._own + 2]
             discs = self.keep_out(points[None], layout.goals[None])
-            given = kept and len(start) > self._arm and self._drawn and np.isfinite(person).all()
+            given = kept and len(start) > self._own and self._drawn and np.isfinite(person).all()
             if given:
                 spawn_id, spawn = -1, humans.outside(person, discs)[0]
-                own_level = start[self._arm + WITH_HUMAN - 1]
+                own_level = start[self._own + WITH_HUMAN - 1]
                 if not np.isnan(own_level):  # the draw that gives this level
                     told[0] = (own_level - 0.5) / self._config.comfort.levels
             spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, spawn)
@@ -192,7 +202,8 @@ class EpisodeSampler:
                 layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
                 arriving[1], turns, *arriving[2:],
             )  # fmt: skip
-            yield Draw(*standing, noise, traits, told, *ids, spawns, start[: self._arm], points, *other)
+            body = self._body(start, layout, rng)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other)
 
     @property
     def _streams(self) -> range:
@@ -225,27 +236,23 @@ class EpisodeSampler:
         start, early = self._task.start, attempt < ATTEMPTS // 2
         if self._recorded is not None and early and (not self._layouts.varies or self._split(row) == "train"):
             return self._recorded[kind]
+        if self._grasps and np.isfinite(self.reach):
+            start = Start.BEFORE_OBJECT
         if start == Start.HOME:
             return at_rest(layout.home[None])
         return at_rest(self._layouts.postures(layout, start, kind))
 
-    def _unseen_left_out(self, bank: Array) -> Array:
-        """Return the starts (M, 3 J or 3 J + 3) whose human, if any, is clear of every held-out spawn point.
-
-        Raises:
-          ConfigError: there is none.
-        """
-        if bank.shape[1] == self._arm:
-            return bank
-        human = self._config.human
-        apart = bank[:, None, self._arm : self._arm + 2] - self.spawns[0][list(human.held_out)]
-        clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
-        if not clear.any():
-            raise ConfigError(
-                f"task.start={self._config.task.start!r}: in each of its starts the human is within "
-                f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
-            )
-        return bank[clear]
+    def _body(self, start: Array, layout: Layout, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Return `start`, `before` and `hand` of a Draw whose start (3 J or more,) of its bank is given."""
+        arm, hand = start[: self._arm], start[self._arm : self._own]
+        before = np.full(self._joints, np.nan)
+        if len(hand) < self._own - self._arm:
+            hand = np.full(self._own - self._arm, np.nan)
+        if self._grasps and np.isfinite(self.reach):
+            way = min(1.0, self.reach * rng.random())
+            before = before if way == 1.0 else arm[: self._joints]
+            arm = at_rest(arm[None, : self._joints] + way * (layout.home - arm[: self._joints]))[0]
+        return arm, before, hand
 
     def _objects(
         self, kind: int, rng: np.random.Generator
@@ -328,9 +335,3 @@ class EpisodeSampler:
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
                 return points
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
-
-
-def turned(points: Array, yaw: float) -> Array:
-    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])

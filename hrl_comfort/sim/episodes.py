@@ -18,7 +18,7 @@ from torch import Tensor
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import with_comfort
 from hrl_comfort.comfort.sources import Source, make_source
-from hrl_comfort.config import PREGRASP, ConfigError, EnvConfig, HumanConfig
+from hrl_comfort.config import ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
 from hrl_comfort.safety.separation import Separation
@@ -62,8 +62,6 @@ class Episodes:
         self.scene, self.config, self.rows = scene, config, rows
         task = config.task
         known = subtask(task.name, task.observation, task.objects, config.robot.gripper.holds)
-        if task.start == PREGRASP and known.start == Start.HOME and known.stages[0].grasps:
-            known = replace(known, start=Start.BEFORE_OBJECT)
         plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
         seen = with_comfort(plain, config.comfort, task.max_step_deg)
         self.subtask: Subtask = seen.observing(share=share) if config.safety.kind != "none" else seen
@@ -290,6 +288,7 @@ class Episodes:
         assert self.state is not None
         return {
             "precision_m": self.precision_m,
+            "reach": self.sampler.reach,
             "episode": torch.from_numpy(self.episode.copy()),
             "draw": {name: torch.from_numpy(value.copy()) for name, value in vars(self.draw).items()},
             "state": dict(self.state.fields()),
@@ -299,7 +298,7 @@ class Episodes:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
-        self.precision_m = saved["precision_m"]
+        self.precision_m, self.sampler.reach = saved["precision_m"], saved["reach"]
         self.episode = saved["episode"].numpy().copy()
         for name, value in saved["draw"].items():
             getattr(self.draw, name)[:] = value.numpy()

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
 from hrl_comfort.tasks import ObjectAt, State, Subtask
 from hrl_comfort.tasks.kitting import fetched
 
@@ -87,3 +87,26 @@ def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:
     if placed.any():
         centres = np.where(placed[..., None], state.object_places.numpy(), centres)
     return np.where((target & held)[..., None], state.tcp_pos.numpy()[:, None], centres)
+
+
+def check_slots(config: EnvConfig) -> None:
+    """Raise ConfigError where objects could overlap."""
+    cell, jitter = config.cell, config.task.object_jitter_m
+    if config.task.objects == 1:
+        return
+    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
+        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
+        slots = np.array(cell.places[name].slots_m)
+        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
+        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
+        if apart < width - 1e-9:
+            raise ConfigError(
+                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
+                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
+            )
+
+
+def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return points @ np.array([[cos, sin], [-sin, cos]])

@@ -18,8 +18,9 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.retreat import begin_retreat
+from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import PersonGeometry, gaps
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
@@ -39,6 +40,8 @@ class Crowd:
     """The walk (N) of each person."""
     limbs: Array
     """(N, L, 7) poses of the limbs of all of them, m and quaternion, by `Scene.limbs`."""
+    ends: Array
+    """(3, Q, 2, N) m, ends of the axes of their capsules."""
 
     @property
     def places(self) -> Array:
@@ -57,10 +60,10 @@ class Crowd:
 
     def put(self, rows: NDArray[np.int64], other: Crowd) -> Crowd:
         """Return a copy whose `rows` (r,) are those of `other` (r)."""
-        limbs = self.limbs.copy()
-        limbs[rows] = other.limbs
+        limbs, ends = self.limbs.copy(), self.ends.copy()
+        limbs[rows], ends[..., rows] = other.limbs, other.ends
         walks = zip(self.walks, other.walks, strict=True)
-        return Crowd(tuple(mine.put(rows, its) for mine, its in walks), limbs)
+        return Crowd(tuple(mine.put(rows, its) for mine, its in walks), limbs, ends)
 
     @classmethod
     def chosen(cls, crowds: Sequence[Crowd], index: NDArray[np.int64]) -> Crowd:
@@ -68,7 +71,12 @@ class Crowd:
         if (index == index[0]).all():
             return crowds[index[0]]
         walks = [humans.Walk.chosen(walks, index) for walks in zip(*(each.walks for each in crowds), strict=True)]
-        return cls(tuple(walks), np.stack([each.limbs for each in crowds])[index, np.arange(len(index))])
+        early = ended_early(index, len(crowds))
+        limbs, ends = (
+            chosen([each.limbs for each in crowds], early),
+            chosen([each.ends for each in crowds], early, True),
+        )
+        return cls(tuple(walks), limbs, ends)
 
 
 class People:
@@ -98,8 +106,9 @@ class People:
 
     def crowd(self, walks: Sequence[humans.Walk]) -> Crowd:
         """Return people who walk as `walks`, one of each person, say."""
-        limbs = [limbs_of(self._scene, walk) for walk in walks]
-        return Crowd(tuple(walks), limbs[0] if len(limbs) == 1 else np.concatenate(limbs, axis=1))
+        each = [limbs_of(self._scene, walk) for walk in walks]
+        limbs = each[0] if len(each) == 1 else np.concatenate(each, axis=1)
+        return Crowd(tuple(walks), limbs, self._separation.person.ends(limbs))
 
     def begin(self, rows: NDArray[np.int64], spawns: Array, traits: Array) -> Crowd:
         """Begin episodes in `rows` (r,), at `spawns` (r, P, 2) m, with `traits` (r, P, TRAITS); return their people."""
@@ -194,24 +203,26 @@ def stop_at_contact(
     found, begin = [], 0
     for person, stood, walk in zip(separation.each, before.walks, walks, strict=True):
         part = slice(begin, begin + len(person.radius))
-        found.append(_stopped(scene, separation, person, replace(now, person=now.person[:, part]), stood, walk))
+        beside = now if len(walks) == 1 else replace(now, person=now.person[:, part])
+        found.append(_stopped(scene, separation.arm, person, beside, stood, walk))
         begin = part.stop
-    limbs = [poses for _, poses in found]
-    return Crowd(tuple(walk for walk, _ in found), limbs[0] if len(limbs) == 1 else np.concatenate(limbs, axis=1))
+    if len(found) == 1:
+        return found[0]
+    limbs, ends = (np.concatenate([getattr(each, name) for each in found], axis=1) for name in ("limbs", "ends"))
+    return Crowd(tuple(each.walks[0] for each in found), limbs, ends)
 
 
 def _stopped(
-    scene: Scene, separation: Separation, person: PersonGeometry, now: Encounter, before: humans.Walk, walk: humans.Walk
-) -> tuple[humans.Walk, Array]:
-    """Return the walk and the limbs (n, 7, 7) of one `person`, whose capsules are those of `now`."""
-    arm, limbs = separation.arm, limbs_of(scene, walk)
-    given = contiguous(now.pose.ends, now.apart, now.person, limbs)
-    gap = kernels.met(
-        *given, arm.radius, *person.compiled, person.radius
-    )  # somebody else may have been nearer than this person
+    scene: Scene, arm: ArmGeometry, person: PersonGeometry, now: Encounter, before: humans.Walk, walk: humans.Walk
+) -> Crowd:
+    """Return one `person`, whose capsules are those of `now`."""
+    limbs = limbs_of(scene, walk)
+    ends = person.ends(limbs)
+    given = contiguous(now.pose.ends, now.apart, now.person, ends)
+    gap = kernels.met(*given, arm.radius, person.radius)  # somebody else may have been nearer than this person
+    if not (gap <= 0.0).any():
+        return Crowd((walk,), limbs, ends)
     touched = np.flatnonzero(gap <= 0.0)
-    if not len(touched):
-        return walk, limbs
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
     gap = gap[touched]
@@ -221,4 +232,5 @@ def _stopped(
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
     limbs[at] = limbs_of(scene, held)
-    return walk.put(at, held), limbs
+    ends[..., at] = person.ends(limbs[at])
+    return Crowd((walk.put(at, held),), limbs, ends)

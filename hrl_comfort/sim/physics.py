@@ -65,6 +65,11 @@ class Rollout:
         """See `Physics`."""
         return self._now[:, self._scene.moving]
 
+    @property
+    def course(self) -> Array:
+        """(N, 1 + T, nstate) states before the latest decision, of all rows, and after each of its physics steps."""
+        return np.concatenate([self._begun[:, None], *self._passed], axis=1)
+
     def sense(self, bodies: Array, control: Array) -> Array:
         """See `Physics`. Readings are those before a step is integrated: other masses make no difference to them."""
         sensed = self._threads.rollout(
@@ -85,7 +90,7 @@ class Rollout:
 
     def begin_decision(self) -> None:
         """See `Physics`."""
-        self._now = self.state.copy()
+        self._now, self._begun = self.state.copy(), self.state.copy()
         self._passed.clear()
 
     def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
@@ -12,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
-from hrl_comfort.compiled import contiguous
+from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
@@ -96,7 +97,7 @@ class Plan:
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
         """m/s, their mean velocity over the decision before."""
-        self._gripping = None if scene.gripper is None else Gripping(scene, subtask)
+        self._gripping = None if scene.gripper is None else Gripping(scene, subtask, sampler.horizon)
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
 
@@ -139,16 +140,19 @@ class Plan:
         if self._gripping is not None:
             action, command, grips = action[:, :-1], action[:, -1], [state.grip_target.numpy()]
         if self._hand is None:
-            increment = action * np.radians(self._task.max_step_deg)
+            increment = action * math.radians(self._task.max_step_deg)
         else:
             increment = self._hand.increments(joint_target, action)
+        asked = increment / CONTROL_STEP_S
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
         arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
-        discs, tool = self._sampler.keep_out(draw.points, draw.goals), state.tcp_pos.numpy()[:, :2]
+        discs = self._sampler.keep_out(draw.points, draw.goals)
+        tool = np.ascontiguousarray(state.tcp_pos.numpy()[:, :2])
         holds = self._subtask.object_at(ObjectAt.TOOL, state.stage).numpy()
         held = np.where(holds, state.target_kind.numpy(), -1)
         self.people.begin_decision(humans.Surroundings(tool, discs, arm, draw.stations, held))
-        noise = draw.noise[np.arange(self._rows)[:, None], np.minimum(times, self._sampler.horizon - 1)]
+        index = np.minimum(times, self._sampler.horizon - 1).T
+        noise = draw.noise[np.arange(self._rows), index]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
         standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
@@ -159,17 +163,16 @@ class Plan:
             if self.drive is None:
                 targets, point = self._ramp(joint_target, increment, k, times[:, k] + 1)
                 if self.people_stop:
-                    now = self._separation.encounter(point.angles, crowd.limbs)
+                    now = self._separation.beside(point.angles, crowd.ends)
             else:
                 moving = joints()
-                now = self._separation.encounter(moving[:, : joint_target.shape[1]], crowd.limbs)
-                asked, seen = increment / CONTROL_STEP_S, self.tracker.shown
-                begin, point = self.drive.step(points[-1], asked, moving, now, seen)
+                now = self._separation.beside(moving[:, : joint_target.shape[1]], crowd.ends)
+                begin, point = self.drive.step(points[-1], asked, moving, now, self.tracker.shown, draw.tops)
                 targets = point.ramp(begin, self._substeps)
-            crowd = self.people.step(noise[:, k], times[:, k], now)
+            crowd = self.people.step(noise[k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
-                point = self.drive.beside(point, now, crowd.limbs)
+                point = self.drive.beside(point, now, crowd.ends)
             points.append(point)
             self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
             followed = self._servos.follow(targets)
@@ -200,7 +203,7 @@ class Plan:
     def _seen_ends(self) -> Array:
         """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
         shown = self.tracker.shown
-        return self._separation.person.ends(self.people.now.limbs if shown is None else shown)
+        return self.people.now.ends if shown is None else self._separation.person.ends(shown)
 
     def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
         """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""
@@ -236,7 +239,8 @@ class Plan:
         )
         measured = places if measured is None else measured
         seen = self.shown(measured)
-        whole = (seen == measured).all(axis=-1)
+        same = seen == measured
+        whole = same[..., 0] & same[..., 1]
         return {
             "humans_pos": places, "humans_yaw": yaw, "humans_vel": velocity, "humans_seen": seen, "humans_shown": whole,
         }  # fmt: skip
@@ -295,7 +299,11 @@ def capsules(ends: Array, radius: Array) -> Array:
 
     Without radii return the ends (N, C, 6) alone.
     """
-    return kernels.capsules(*contiguous(ends, radius))
+    if plain(ends, radius):
+        return kernels.capsules(*contiguous(ends, radius))
+    (parts, _, n), axes = ends.shape[1:], ends.transpose(3, 1, 2, 0)
+    found = axes.reshape(n, parts, 6)
+    return np.concatenate([found, np.tile(radius[:, None], (n, 1, 1))], axis=2) if len(radius) else found
 
 
 def instants(each: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from hrl_comfort.sim.episode_sampler import ARRIVALS, Draw
 from hrl_comfort.sim.objects import go_on, renewed, update_placed
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.sim.sensors import Sensors
-from hrl_comfort.sim.step_result import StepResult, compute_step, reward_weights, source_input
+from hrl_comfort.sim.step_result import Rules, StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.tasks import State, Subtask
 
@@ -51,13 +51,23 @@ class Referee:
         measure_arm: bool,
         pushing: bool,
     ) -> None:
-        self._config, self.subtask, self._disturbance = config, subtask, disturbance
+        self._config, self._disturbance = config, disturbance
         self.source = source
         weights = reward_weights(config.reward, config.comfort.scale)
         self.weights = torch.tensor([weights[name] for name in subtask.rewards], dtype=torch.float64)
+        self.subtask = subtask
         comfort = config.comfort
         paid = comfort.source == "frightened" or (comfort.distance == "arm" and comfort.source != "none")
         self.sensors = Sensors(scene, separation, measure_arm or paid, measure_arm, pushing)
+
+    @property
+    def subtask(self) -> Subtask:
+        """That is judged."""
+        return self._rules.subtask
+
+    @subtask.setter
+    def subtask(self, subtask: Subtask) -> None:
+        self._rules = Rules(subtask, self.weights)
 
     def first(self, sensed: Array, planned: Planned, known: dict[str, Tensor]) -> State:
         """Return the state (r) in which episodes begin: from readings (r, nsensor), and fields that are drawn."""
@@ -78,7 +88,7 @@ class Referee:
         """
         moving = self.sensors.read_decision(readings, planned, before, limbs, rows)
         limits = self.max_episode_steps(before.level)
-        result = compute_step(self.subtask, self.weights, limits, before, moving)
+        result = compute_step(self._rules, limits, before, moving)
         state = result.state
         if self._config.comfort.source != "none":
             state = state.with_(level=torch.from_numpy(self.source.advance(source_input(before, result))))

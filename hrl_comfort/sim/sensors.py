@@ -1,14 +1,19 @@
 """Sensor readings as fields of State."""
 
+from functools import reduce
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.safety.separation import TOUCH_M, UNSAFE_SPEED_M_S, Separation
+from hrl_comfort.scene import kernels
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.hand.sensors import HandSensors, still
+from hrl_comfort.sim.hand.sensors import Fields, HandSensors, still
 from hrl_comfort.sim.plan import Planned
+from hrl_comfort.sim.step_result import tensors
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -43,15 +48,15 @@ class Sensors:
 
         `known` are fields that are drawn, the joints at home (r, J) rad and the kinds of the objects (r, B) among them.
         """
-        read = self._read(sensed[:, None], planned, known["joint_home"])
+        read = self._read(sensed[:, None], planned, known["joint_home"].numpy())
         if self._hand is not None:
             read |= self._hand.first(sensed[:, None], known["kinds"].numpy())
-        fields = {name: value[:, 0] for name, value in read.items()}
+        fields = tensors({name: np.ascontiguousarray(value[:, 0]) for name, value in read.items()})
         return fields | {"contact": fields["touching"], "unsafe_contact": torch.zeros(len(sensed), dtype=torch.bool)}
 
     def read_decision(
         self, readings: Array, planned: Planned, before: State, limbs: Array, rows: NDArray[np.int64] | None
-    ) -> dict[str, Tensor]:
+    ) -> Fields:
         """Return the fields (N, K, ...) of the decision that began in the state `before` (N rows).
 
         `limbs` (N, L, 7) are those of people then. `readings` (r, K, substeps, nsensor) are those of `rows` (r,), all
@@ -60,16 +65,15 @@ class Sensors:
         if rows is None:
             return self._read_all(readings, planned, before, limbs)
         part = Planned({name: value[rows] for name, value in planned.fields.items()}, planned.limbs[rows])
-        at = torch.from_numpy(rows)
-        fields = self._read_all(readings, part, before.rows(at), limbs[rows])
+        fields = self._read_all(readings, part, before.rows(torch.from_numpy(rows)), limbs[rows])
         if len(rows) < len(before.steps):
             for name, value in fields.items():
-                still = getattr(before, name)[:, None].repeat_interleave(value.shape[1], dim=1)
-                fields[name] = still.index_copy(0, at, value)
+                fields[name] = np.repeat(getattr(before, name).numpy()[:, None], value.shape[1], axis=1)
+                fields[name][rows] = value
         return fields
 
-    def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> dict[str, Tensor]:
-        fields = self._read(readings[:, :, -1], planned, before.joint_home)
+    def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> Fields:
+        fields = self._read(readings[:, :, -1], planned, before.joint_home.numpy())
         fields |= self._contacts(readings, planned.limbs, before, limbs)
         if self._hand is None:
             return fields
@@ -77,40 +81,48 @@ class Sensors:
         arm = {name: value for name, value in fields.items() if name not in planned.fields}
         return fields | still(arm, hand["diverged"], before) | hand
 
-    def _read(self, sensed: Array, planned: Planned, home: Tensor) -> dict[str, Tensor]:
-        """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them."""
+    def _read(self, sensed: Array, planned: Planned, home: Array) -> Fields:
+        """Return the fields (n, K, ...) of readings (n, K, nsensor), those that are planned among them.
+
+        The arm's home is at joints (n, J) rad.
+        """
         fields = dict(planned.fields)
         fields |= {name: sensed[..., self._at[name]] for name in MEASURED}
-        fields |= {name: np.asarray(sensed[..., self._at[key]].any(axis=-1)) for name, key in COLLISIONS.items()}
-        resting = np.broadcast_to(home.numpy()[:, None], fields["joint_pos"].shape)
+        fields |= {name: self._felt(sensed, key) for name, key in COLLISIONS.items()}
+        resting = np.broadcast_to(home[:, None], fields["joint_pos"].shape)
         for name, angles, measured in (
             ("arm_distance", fields["joint_pos"], self._measure_arm),
             ("home_distance", resting, self._measure_home),
         ):
             fields[name] = self._gap(angles, planned.limbs) if measured else np.full(sensed.shape[:2], np.nan)
-        return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
+        return fields
+
+    def _felt(self, readings: Array, key: str) -> NDArray[np.bool_]:
+        """Return (...,) whether any of the sensors `key` reads something, of readings (..., nsensor)."""
+        at, each = self._at[key], readings.reshape(-1, readings.shape[-1])
+        return kernels.felt(*contiguous(each), at.start, at.stop).reshape(readings.shape[:-1])
 
     def _gap(self, angles: Array, limbs: Array) -> Array:
         """Return the distance (n, K) m of arms at `angles` (n, K, J) rad from people at `limbs` (n, K, L, 7)."""
         gap = self._separation.gap(angles.reshape(-1, angles.shape[-1]), limbs.reshape(-1, *limbs.shape[2:]))
         return gap.reshape(angles.shape[:2])
 
-    def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> dict[str, Tensor]:
+    def _contacts(self, readings: Array, limbs: Array, before: State, limbs_before: Array) -> Fields:
         """Return `touching`, `contact` and `unsafe_contact` (n, K) of a decision, from all its physics steps.
 
         `readings` (n, K, substeps, nsensor), people at `limbs` (n, K, L, 7), the state `before` (n rows) beside
         people at `limbs_before` (n, L, 7).
         """
         old = {"contact": before.contact.numpy(), "unsafe_contact": before.unsafe_contact.numpy()}
-        felt: NDArray[np.bool_] = np.asarray(readings[..., self._at["human"]].any(axis=-1))
-        touching: NDArray[np.bool_] = np.asarray(felt.any(axis=2))
+        felt = self._felt(readings, "human")
+        touching = reduce(np.logical_or, np.moveaxis(felt, 2, 0))  # over so few, reductions of numpy take long
         if touching.any():
             speed = self.approach(felt, readings, limbs, before, limbs_before)
             new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}
             found = {name: (new[name].cumsum(axis=1) > 0) | old[name][:, None] for name in old}
         else:
             found = {name: np.repeat(value[:, None], touching.shape[1], axis=1) for name, value in old.items()}
-        return {name: torch.from_numpy(value) for name, value in {"touching": touching, **found}.items()}
+        return {"touching": touching, **found}
 
     def approach(
         self, felt: NDArray[np.bool_], readings: Array, limbs: Array, before: State, limbs_before: Array
@@ -143,5 +155,4 @@ class Sensors:
             begins[again] = False
         fastest = np.full(felt.shape, -np.inf)
         fastest[row, time] = np.where(begins, speed.transpose(2, 0, 1), -np.inf).max(axis=(1, 2))
-        largest: Array = fastest.reshape(n, count, substeps).max(axis=2)
-        return largest
+        return reduce(np.maximum, np.moveaxis(fastest.reshape(n, count, substeps), 2, 0))

@@ -2,8 +2,9 @@
 
 A start of an arm of J joints is 3 J numbers: joint angles, rad, velocities, rad/s, and servo targets, rad. Starts
 by inverse kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
-have numbers more, on which the terminal states of a policy depend: the human's x, y (m) and the level, NaN without
-one, and in a cell that varies the number of the layout.
+have numbers more: with a gripper the positions and velocities of all bodies (nq + nv) and the set-point of the fingers;
+then what the terminal states of a policy depend on, the human's x, y (m) and the level, NaN without one, and in a cell
+that varies the number of the layout.
 """
 
 from __future__ import annotations
@@ -30,24 +31,24 @@ MOST = 100.0
 """Largest angle, rad, velocity, rad/s, and coordinate, m, of a valid start."""
 
 
-def recorded_starts(config: EnvConfig, start: Start, joints: int) -> list[Array] | None:
+def recorded_starts(config: EnvConfig, start: Start, joints: int, hand: int = 0) -> list[Array] | None:
     """Return the starts of a file for each kind of object, None where starts are made, not read.
 
     Otherwise `task.start` is an .npz with an array named as each kind of `cell.objects`, as `evaluate terminal_states=`
-    records them: (M, 3 J), (M, 3 J + 3) or, in a cell that varies, (M, 3 J + 4).
+    records them: (M, 3 J + H), (M, 3 J + H + 3) or, in a cell that varies, (M, 3 J + H + 4), H the numbers of a `hand`.
 
     Raises:
       ConfigError: the file is missing, damaged, of another kind of cell or of more levels than `comfort.levels`.
     """
     if start == Start.HOME or config.task.start in STARTS:
         return None
-    cell = config.cell
-    varied = (cell.vary.layouts, fingerprint(config)) if cell.vary.layouts else None
-    return recorded(config.task.start, config.comfort.levels, joints, cell.kinds, varied)
+    layouts = config.cell.vary.layouts
+    own = fingerprint(config) if layouts or hand else None
+    return recorded(config.task.start, config.comfort.levels, joints, config.cell.kinds, hand, layouts, own)
 
 
 def fingerprint(config: EnvConfig) -> int:
-    """Return a number of the cell and the robot, by which recorded starts know the layouts that they name."""
+    """Return a number of the cell and the robot, by which recorded starts know their layouts and bodies."""
     return zlib.crc32(repr((config.cell, config.robot)).encode())
 
 
@@ -69,15 +70,22 @@ def at_rest(joint_pos: Array) -> Array:
 
 
 def recorded(
-    path: str, levels: int, joints: int, kinds: tuple[str, ...], varied: tuple[int, int] | None = None
+    path: str,
+    levels: int,
+    joints: int,
+    kinds: tuple[str, ...],
+    hand: int = 0,
+    layouts: int = 0,
+    cell: int | None = None,
 ) -> list[Array]:
     """Return the recorded starts (M, 3 J or more) of each of `kinds`; their levels are 1 to `levels`.
 
-    `varied` are the number of layouts and the fingerprint of a cell that varies.
+    `hand` is the numbers of a hand, `layouts` the number of layouts of a cell that varies, and `cell` the fingerprint
+    that the file must have, None: any.
     """
-    arm = PARTS * joints
-    whole = arm + WITH_HUMAN
-    widths = (arm, whole) if varied is None else (whole + WITH_LAYOUT,)
+    own = PARTS * joints + hand
+    whole = own + WITH_HUMAN
+    widths = (whole + WITH_LAYOUT,) if layouts else (own, whole)
     shapes = " or ".join(f"(M, {width})" for width in widths)
     if not Path(path).is_file():
         raise ConfigError(f"task.start={path!r} is neither 'ik' nor an existing .npz file")
@@ -85,19 +93,20 @@ def recorded(
         check_archive(Path(path), MOST_BYTES)
         with ZipFile(path) as archive:
             banks = [_bank(archive, f"{kind}.npy") for kind in kinds]
-            own = None if varied is None else int(_bank(archive, "cell.npy"))
+            there = None if cell is None else int(_bank(archive, "cell.npy"))
     except DAMAGED as error:
         raise ConfigError(
             f"task.start={path!r} must hold an array of shape {shapes} for each of {', '.join(kinds)}"
         ) from error
-    if varied is not None and own != varied[1]:
+    if there != cell:
         raise ConfigError(f"task.start={path!r} was recorded in another cell or of another robot; record it anew")
     for kind, bank in zip(kinds, banks, strict=True):
         shaped = bank.ndim == 2 and bank.shape[1] in widths and len(bank)
-        people = bank[:, arm : whole - 1] if shaped else bank
-        if varied is not None:  # nobody is NaN
+        people = bank[:, own : whole - 1] if shaped else bank
+        if layouts:  # nobody is NaN
             people = people[~np.isnan(people).all(axis=1)]
-        if not shaped or not all((np.abs(part) < MOST).all() for part in (bank[:, :arm], people)):
+        bounded = shaped and all((np.abs(part) < MOST).all() for part in (bank[:, : PARTS * joints], people))
+        if not bounded or not np.isfinite(bank[:, :own]).all():
             raise ConfigError(
                 f"task.start={path!r}: {kind!r} has shape {bank.shape}; "
                 f"it must be {shapes}, finite, every value within ±{MOST:g}"
@@ -105,6 +114,25 @@ def recorded(
         level, layout = bank[:, whole - 1 : whole], bank[:, whole:]
         if not (np.isnan(level) | ((level >= 1) & (level <= levels))).all():
             raise ConfigError(f"task.start={path!r}: {kind!r} has levels that are not in 1 to {levels}")
-        if varied is not None and not np.isin(layout, np.arange(varied[0])).all():
-            raise ConfigError(f"task.start={path!r}: {kind!r} has layouts that are not in 0 to {varied[0] - 1}")
+        if not np.isin(layout, np.arange(layouts)).all():
+            raise ConfigError(f"task.start={path!r}: {kind!r} has layouts that are not in 0 to {layouts - 1}")
     return banks
+
+
+def unseen_left_out(bank: Array, own: int, config: EnvConfig, spawns: Array) -> Array:
+    """Return the starts (M, `own` or more) whose human, if any, is clear of each held-out one of `spawns` (s, 2) m.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    if bank.shape[1] == own:
+        return bank
+    human = config.human
+    apart = bank[:, None, own : own + 2] - spawns[list(human.held_out)]
+    clear = ~(np.linalg.norm(apart, axis=-1) < human.spawn_margin_m).any(axis=1)
+    if not clear.any():
+        raise ConfigError(
+            f"task.start={config.task.start!r}: in each of its starts the human is within "
+            f"human.spawn_margin_m={human.spawn_margin_m} of a held-out spawn point"
+        )
+    return bank[clear]

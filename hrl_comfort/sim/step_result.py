@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from hrl_comfort.comfort.adapt import TERM
 from hrl_comfort.comfort.sources import SourceInput
 from hrl_comfort.comfort.terms import human_distance
+from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, RewardConfig
-from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.sim.hand.sensors import Fields
+from hrl_comfort.tasks import State, Subtask, kernels
+
+Ints = NDArray[np.int64]
+Truths = NDArray[np.bool_]
+
+
+def tensors(fields: Fields) -> dict[str, Tensor]:
+    """Return `fields` as tensors, without a copy."""
+    return {name: torch.from_numpy(value) for name, value in fields.items()}
 
 
 @dataclass(frozen=True)
@@ -34,8 +46,15 @@ class StepResult:
     """(N,) bool."""
     decision_steps: Tensor
     """(N,) int64, control steps this decision took."""
-    instants: State
-    """The K states after each control step."""
+    before: State
+    """In which it began."""
+    moving: Fields
+    """Fields (N, K, ...) of the K states after each control step that changed."""
+
+    @cached_property
+    def instants(self) -> State:
+        """The K states after each control step."""
+        return self.before.instants(**tensors(self.moving))
 
     @property
     def reward(self) -> Tensor:
@@ -55,7 +74,7 @@ class StepResult:
     @property
     def level(self) -> Tensor:
         """(N,) comfort level in force, NaN without one; `state.level` is the next decision's."""
-        return self.instants.level[:, 0]
+        return self.before.level
 
     @property
     def human_distance(self) -> Tensor:
@@ -76,45 +95,107 @@ def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, floa
     return weights
 
 
-def compute_step(
-    subtask: Subtask, weights: Tensor, max_episode_steps: Tensor, before: State, moving: dict[str, Tensor]
-) -> StepResult:
+class Rules:
+    """What ends the stages of a `subtask`, what fails and what is paid, by the `weights` (T,) of its reward terms.
+
+    Where they are built in they are compiled; a user's own are asked.
+    """
+
+    def __init__(self, subtask: Subtask, weights: Tensor) -> None:
+        self.subtask, self.weights = subtask, weights
+        self._goals = kernels.compiled_stages(subtask)
+        self._terms, self._paid = kernels.compiled_terms(subtask)
+        speed = subtask.arrival_speed
+        self._slow_rad_s = np.inf if speed is None else speed
+        paying = zip(self._terms == kernels.OTHER, subtask.rewards.values(), weights.tolist(), strict=True)
+        self._others = [(index, term) for index, (other, term, weight) in enumerate(paying) if other and weight]
+
+    def judged(self, before: State, moving: Fields, limits: Ints) -> tuple[Ints, Truths, Ints, Tensor]:
+        """Return stages (N, K), failures (N, K), the last valid step (N,) and weighted rewards (N, K, T) of a decision.
+
+        It began in the state `before`; the fields `moving` (N, K, ...) changed; `limits` (N,) are the time limits.
+        """
+        if self._goals is None:
+            return self.asked(before, moving, limits)
+        at = [getattr(before, name).numpy() for name in ("objects", "kind_places", "kinds", "target", "points")]
+        stage, joints = before.stage.numpy(), (before.joint_pos.numpy(), moving["joint_pos"])
+        ways = kernels.offsets(self._goals, stage, *contiguous(before.tcp_pos.numpy(), moving["tcp_pos"], *at))
+        bent = torch.from_numpy(kernels.errors(*contiguous(*joints, before.joint_home.numpy())))
+        harms = (self.subtask.terminate_on, "table_collision", "self_collision", "touching")
+        stages, failing, last, gained = kernels.judge(
+            self._goals, self.subtask.repeats, self._slow_rad_s, stage, length(torch.from_numpy(ways)),
+            bent.sum(dim=-1).numpy(), bent.numpy(), length(torch.from_numpy(moving["joint_vel"])),
+            tuple(contiguous(*(getattr(before, f"{name}_tolerance").numpy() for name in ("grasp", "place", "home")))),
+            tuple(contiguous(*(getattr(before, name).numpy() for name in harms))),
+            tuple(contiguous(*(moving[name] for name in harms))),
+            *contiguous(moving["steps"], limits), self._terms, self._paid, self.weights.numpy(),
+        )  # fmt: skip
+        earned = torch.from_numpy(gained)
+        if self._others:
+            previous, after = transitions(before, moving, stages)
+            void = _void(last, stages.shape[1])
+            for index, term in self._others:
+                earned[:, :, index] = (term(previous, after) * self.weights[index]).masked_fill(void, 0.0)
+        return stages, failing, last, earned
+
+    def asked(self, before: State, moving: Fields, limits: Ints) -> tuple[Ints, Truths, Ints, Tensor]:
+        """Return what `judged` does, by the functions of the subtask alone."""
+        task = self.subtask
+        stages = task.next_stage(before.instants(**tensors(moving))).numpy()
+        previous, after = transitions(before, moving, stages)
+        failing = task.failed(previous, after).numpy()
+        over = (stages > before.stage.numpy()[:, None]) | failing | (moving["steps"] >= limits[:, None])
+        last = np.where(over.any(axis=1), over.argmax(axis=1), over.shape[1] - 1)
+        paid = zip(task.rewards.values(), self.weights.tolist(), strict=True)
+        nothing = torch.zeros(over.shape, dtype=torch.float64)
+        gained = torch.stack([term(previous, after) if weight else nothing for term, weight in paid], dim=-1)
+        return stages, failing, last, (gained * self.weights).masked_fill(_void(last, over.shape[1])[..., None], 0.0)
+
+
+def length(vectors: Tensor) -> NDArray[np.float64]:
+    """Return the Euclidean norms (...,) of vectors (..., n)."""
+    return vector_norm(vectors, dim=-1).numpy()  # type: ignore[no-any-return]
+
+
+def _void(last: Ints, count: int) -> Tensor:
+    """Return (N, K) whether control steps come after the last valid ones (N,)."""
+    return torch.from_numpy(np.arange(count) > last[:, None])
+
+
+def transitions(before: State, moving: Fields, stages: Ints) -> tuple[State, State]:
+    """Return the instants (N, K) before and after each control step of a decision; see `Rules.judged`."""
+    begun = {name: getattr(before, name).numpy()[:, None] for name in moving}
+    earlier = {name: np.concatenate([begun[name], value[:, :-1]], axis=1) for name, value in moving.items()}
+    after = before.instants(**tensors(moving))
+    return after.with_(**tensors(earlier)), after.with_(stage=torch.from_numpy(stages))
+
+
+def compute_step(rules: Rules, max_episode_steps: Tensor, before: State, moving: Fields) -> StepResult:
     """Return the result of K control steps from the state `before` and the fields (N, K, ...) that changed.
 
-    `weights` (T,) are those of the subtask's reward terms, `max_episode_steps` (N,) the time limits. A decision
-    ends where its stage or its episode does: the stage in force is the same in all its valid steps.
+    `max_episode_steps` (N,) are the time limits. A decision ends where its stage or its episode does: the stage in
+    force is the same in all its valid steps.
     """
-    after = before.instants(**moving)
-    begun = {name: getattr(before, name).numpy()[:, None] for name in moving}
-    earlier = {name: np.concatenate([begun[name], value.numpy()[:, :-1]], axis=1) for name, value in moving.items()}
-    stage = subtask.next_stage(after)
-    previous = after.with_(**{name: torch.from_numpy(value) for name, value in earlier.items()})
-    after = after.with_(stage=stage)
-
-    failing, limits = subtask.failed(previous, after).numpy(), max_episode_steps.numpy()
-    over = (stage.numpy() > before.stage.numpy()[:, None]) | failing | (moving["steps"].numpy() >= limits[:, None])
-    rows, count = np.arange(len(over)), over.shape[1]
-    last = np.where(over.any(axis=1), over.argmax(axis=1), count - 1)
-    void = torch.from_numpy(np.arange(count) > last[:, None])
-    paid, nothing = zip(subtask.rewards.values(), weights.tolist(), strict=True), torch.zeros(void.shape).double()
-    gained = torch.stack([term(previous, after) if weight else nothing for term, weight in paid], dim=-1) * weights
-    earned = gained.masked_fill(void[:, :, None], 0.0)
-
-    kept = {name: value.numpy()[rows, last] for name, value in {**moving, "stage": stage}.items()}
-    ended = before.with_(**{name: torch.from_numpy(value) for name, value in kept.items()})
-    failed, finished = torch.from_numpy(failing[rows, last]), subtask.success(ended)
-    terminated = (failed | finished) & (not subtask.repeats)
+    limits, task = max_episode_steps.numpy(), rules.subtask
+    stages, failing, last, earned = rules.judged(before, moving, limits)
+    moving = {**moving, "stage": stages}
+    rows = np.arange(len(last))
+    kept = {name: value[rows, last] for name, value in moving.items()}
+    ended, failed = before.with_(**tensors(kept)), failing[rows, last]
+    finished = task.success(ended).numpy()
+    terminated = (failed | finished) & (not task.repeats)
     return StepResult(
         state=ended,
         reward_terms=earned.sum(dim=1),
         step_rewards=earned.sum(dim=-1),
-        failed=failed,
+        failed=torch.from_numpy(failed),
         # A collision in the step that completes the task is a failure.
-        success=finished & ~failed,
-        terminated=terminated,
-        truncated=(ended.steps >= max_episode_steps) & ~terminated,
+        success=torch.from_numpy(finished & ~failed),
+        terminated=torch.from_numpy(terminated),
+        truncated=torch.from_numpy((kept["steps"] >= limits) & ~terminated),
         decision_steps=torch.from_numpy(last + 1),
-        instants=after,
+        before=before,
+        moving=moving,
     )
 
 

@@ -195,7 +195,7 @@ def fastest_m_s(safety: SafetyConfig) -> float:
 
 def observed_as(human: HumanConfig, run: HumanConfig) -> HumanConfig:
     """Return the motion `human`, of whom policies observe as much as of `run`."""
-    return replace(human, masked=run.masked, clipping=run.clipping)
+    return replace(human, clipping=run.clipping)
 
 
 def motion_config(name: str) -> HumanConfig:

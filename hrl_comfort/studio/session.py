@@ -75,7 +75,9 @@ class Step:
         for name, hit in (("person", state.touching), ("cell", state.table_collision)):
             if bool(hit[0]):
                 return f"contact with the {name}"
-        return "contact with itself" if bool(state.self_collision[0]) else "out of time"
+        if bool(state.self_collision[0]):
+            return "contact with itself"
+        return "object lost" if "object_lost" in state.fields() and bool(state.object_lost[0]) else "out of time"
 
 
 class Session:
@@ -208,7 +210,7 @@ class Session:
         """
         if self.over:
             self.reset()
-        episodes, before = self.engine.episodes, self.state
+        before = self.state
         result = self.engine.step(self.action.numpy())
         options = self.executor.ended(result)
         runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
@@ -218,7 +220,7 @@ class Session:
         self.failures += int(self.over and not bool(result.success[0]))
         self.contacts += int(result.state.touching & ~before.touching)
         self.unsafe_contacts += int(result.state.unsafe_contact & ~before.unsafe_contact)
-        clip = decision_clip(self.engine.scene, episodes.subtask, before, result, episodes.people.course)
+        clip = decision_clip(self.engine, before, result)
         self.seconds += clip.duration_s
         if not self.over:
             if runs:
@@ -229,8 +231,7 @@ class Session:
 
     def still(self) -> Clip:
         """Return the picture of the state in which the next decision is made."""
-        episodes = self.engine.episodes
-        return still_clip(self.engine.scene, episodes.subtask, self.state, episodes.people.now)
+        return still_clip(self.engine)
 
     def force(self, name: str) -> None:
         """Start the option `name` now.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from torch import Tensor
 
 from hrl_comfort.tasks.standard import standard_subtask
@@ -9,6 +11,7 @@ from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, tool_distance
 
 
+@cache
 def reach_point(index: int) -> Stage:
     """Return the stage that brings the tool within its tolerance of the episode's point `index` (0 or 1)."""
 

@@ -6,6 +6,10 @@ over its control steps, of the weighted terms.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm
@@ -17,33 +21,34 @@ LATE_STEPS = 150
 """Control steps (3 s) that no episode needs on its way to a goal."""
 
 
-def progress(stages: tuple[Stage, ...], joint_space: bool) -> TransitionFunction:
-    """Return the decrease of the distance over the step, m or rad, in the stages (not) in joint space."""
+@dataclass(frozen=True)
+class Progress:
+    """Decrease of the distance over the step, m or rad, in the stages (not) in joint space."""
 
-    def term(before: State, after: State) -> Tensor:
+    stages: tuple[Stage, ...]
+    joint_space: bool
+
+    def __call__(self, before: State, after: State) -> Tensor:
+        """See `TransitionFunction`."""
         gain = torch.zeros_like(after.tcp_pos[..., 0])
-        for index, stage in enumerate(stages):
+        for index, stage in enumerate(self.stages):
             others = before.stage != index
-            if stage.joint_space is joint_space and not others.all():
+            if stage.joint_space is self.joint_space and not others.all():
                 shrunk = stage.distance(before) - stage.distance(after)
                 gain = gain + shrunk.masked_fill(others, 0.0)
         return gain
 
-    return term
 
+@dataclass(frozen=True)
+class Completion:
+    """1 at the step that completes one of the stages of index `paid`, else 0."""
 
-def completion(index: int) -> TransitionFunction:
-    """Return 1 at the step that completes stage `index`, else 0."""
+    paid: tuple[int, ...]
 
-    def term(before: State, after: State) -> Tensor:
-        return ((before.stage == index) & (after.stage == index + 1)).to(before.tcp_pos.dtype)
-
-    return term
-
-
-def total(terms: list[TransitionFunction]) -> TransitionFunction:
-    """Return the sum of terms that share one weight."""
-    return lambda before, after: torch.stack([term(before, after) for term in terms]).sum(0)
+    def __call__(self, before: State, after: State) -> Tensor:
+        """See `TransitionFunction`."""
+        done = [(before.stage == index) & (after.stage == index + 1) for index in self.paid]
+        return reduce(or_, done).to(before.tcp_pos.dtype)
 
 
 def arrival_speed(before: State, after: State) -> Tensor:
@@ -86,12 +91,11 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, TransitionFunction]:
     """Return every term that can pay a subtask of these stages, by the name of its weight."""
     terms: dict[str, TransitionFunction] = {}
     if any(not stage.joint_space for stage in stages):
-        terms["progress"] = progress(stages, joint_space=False)
+        terms["progress"] = Progress(stages, joint_space=False)
     if any(stage.joint_space for stage in stages):
-        terms["home_progress"] = progress(stages, joint_space=True)
+        terms["home_progress"] = Progress(stages, joint_space=True)
         terms["return_shaping"] = return_shaping
     for bonus in dict.fromkeys(stage.bonus for stage in stages):
-        completions = [completion(index) for index, stage in enumerate(stages) if stage.bonus == bonus]
-        terms[bonus] = completions[0] if len(completions) == 1 else total(completions)
+        terms[bonus] = Completion(tuple(index for index, stage in enumerate(stages) if stage.bonus == bonus))
     common = (arrival_speed, contact, other_collision, step, overtime)
     return {**terms, **{term.__name__: term for term in common}}

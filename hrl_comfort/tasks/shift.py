@@ -5,7 +5,7 @@ A failure costs time, not the episode: the object in the gripper is lost, and th
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
@@ -15,21 +15,28 @@ from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import StateFunction, Subtask, TransitionFunction
 
 
+@dataclass(frozen=True)
+class WithinRound:
+    """A `term` that sees stages counted in their round of `stages`."""
+
+    term: TransitionFunction
+    stages: int
+
+    def __call__(self, before: State, after: State) -> Tensor:
+        """See `TransitionFunction`."""
+        start = before.stage - before.stage % self.stages
+        return self.term(before.with_(stage=before.stage - start), after.with_(stage=after.stage - start))
+
+
 def repeated(task: Subtask) -> Subtask:
     """Return `task` with its stages again after the last one; its terms see stages counted in their round."""
 
     def observed(term: StateFunction) -> StateFunction:
         return lambda state: term(state.with_(stage=state.stage % len(task.stages)))
 
-    def within_round(term: TransitionFunction) -> TransitionFunction:
-        def reward(before: State, after: State) -> Tensor:
-            start = before.stage - before.stage % len(task.stages)
-            return term(before.with_(stage=before.stage - start), after.with_(stage=after.stage - start))
-
-        return reward
-
     observations = {name: observed(term) for name, term in task.observations.items()}
-    rewards = {name: within_round(term) for name, term in task.rewards.items()}
+    count = len(task.stages)
+    rewards: dict[str, TransitionFunction] = {name: WithinRound(term, count) for name, term in task.rewards.items()}
     return replace(task, observations=observations, rewards=rewards, repeats=True)
 
 

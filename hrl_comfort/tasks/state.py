@@ -62,7 +62,7 @@ class State:
     humans_seen: Tensor
     """(N, P, 2) m, their positions as the policy observes them (tracker, clipping, masking)."""
     humans_shown: Tensor
-    """(N, P) bool, `humans_seen` is where they were measured, neither clipped nor masked."""
+    """(N, P) bool, `humans_seen` is where they were measured, not clipped."""
     layout: Tensor
     """(N, F, 7) m and quaternion, poses of the cell's places (the middle of their tops), then of its obstacles."""
     tops: Tensor
@@ -136,6 +136,10 @@ class State:
     """(N, B) int64, control steps since a pad touched it last."""
     carried: Tensor = ABSENT
     """(N, B) bool, the object left the ground in the hand, and has not been let go since."""
+    held_at: Tensor = ABSENT
+    """(N, B, 3) m, centre of the object in the frame of the tool when it was carried first, or where it is now."""
+    slip: Tensor = ABSENT
+    """(N,) m, how far at most an object has shifted in the hand that carried it in this episode."""
     drops: Tensor = ABSENT
     """(N,) int64, how often in the episode an object left the hand farther from its place than the tolerance."""
     object_lost: Tensor = ABSENT

@@ -130,7 +130,7 @@ class Subtask:
 
     def success(self, state: State) -> Tensor:
         """Return where every stage is done, and none begins again."""
-        return (state.stage >= len(self.stages)) & (not self.repeats)
+        return torch.zeros_like(state.stage, dtype=torch.bool) if self.repeats else state.stage >= len(self.stages)
 
     def failure(self, state: State) -> Tensor:
         """Return (N,) bool: a contact with the human, as `terminate_on` says, the workcell or itself, or a loss."""

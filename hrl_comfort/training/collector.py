@@ -20,8 +20,8 @@ from hrl_comfort.tasks import subtask
 from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
 
-Demonstrator = Callable[[], Tensor]
-"""() -> actions (demonstrator_envs, A) in [-1, 1] for the first environments."""
+Demonstrator = Callable[[Tensor], Tensor]
+"""Indices of environments (D,) -> actions (D, A) in [-1, 1] for them."""
 NextSkillValue = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
 
@@ -33,8 +33,9 @@ class SkillCollector:
         config: names the demonstrator and the next skill, and holds gamma.
         env: TorchRL environment of N rows that reports `OUTCOMES`, but the return, and `decision_steps` as (N, 1), and
             `reward_terms` (N, T).
-        demonstrator: acts in the first environments.
+        demonstrator: acts in the first environments, once it has taken over there.
         next_skill: values of successes.
+        seed: of the decisions at which the demonstrator takes over.
 
     Raises:
         ConfigError: the configuration names a demonstrator or a next skill, and there is none.
@@ -46,6 +47,7 @@ class SkillCollector:
         env: EnvBase,
         demonstrator: Demonstrator | None = None,
         next_skill: NextSkillValue | None = None,
+        seed: int = 0,
     ) -> None:
         for what, given in (("demonstrator", demonstrator), ("next_skill", next_skill)):
             if (named := getattr(config, what)) is not None and given is None:
@@ -55,27 +57,34 @@ class SkillCollector:
         self.observation_dim = env.observation_spec["observation"].shape[-1]
         self.action_dim = env.action_spec.shape[-1]
         self.reward_names = tuple(env.reward_names)
-        self.demonstrated = torch.arange(self.num_envs) < config.demonstrator_envs
-        """(N,) bool: the environments in which the demonstrator acts."""
+        self._for_demonstrator = torch.arange(self.num_envs) < config.demonstrator_envs
+        self._takeovers = torch.Generator().manual_seed(seed)
+        self.demonstrated = torch.zeros(self.num_envs, dtype=torch.bool)
+        """(N,) bool: the environments in which the demonstrator acted in the latest decision, and has not ended."""
         self.precision_m = 0.0
         """Precision of the episodes that begin from now on, m."""
+        self.reach: float | None = None
+        """Part of the way to home at which they begin; None: as the task says."""
         self.now: TensorDictBase = TensorDict()
 
-    def reset(self, precision_m: float) -> None:
-        """Begin an episode at this precision in every environment."""
-        self.precision_m = precision_m
-        self._env.set_precision(precision_m)
+    def reset(self, precision_m: float, reach: float | None = None) -> None:
+        """Begin an episode at this precision and reach in every environment."""
+        self.precision_m, self.reach = precision_m, reach
+        self._set_difficulty()
         self.now = self._env.reset()
         self._precision = torch.full((self.num_envs,), precision_m, dtype=torch.float64)
         self._returns = torch.zeros(self.num_envs, dtype=torch.float64)
         self._terms = torch.zeros(self.num_envs, len(self.reward_names), dtype=torch.float64)
 
+    def _set_difficulty(self) -> None:
+        self._env.set_precision(self.precision_m)
+        if self.reach is not None:
+            self._env.set_reach(self.reach)
+
     def step(self, action: Tensor) -> Collected:
         """Take actions (N, A) in [-1, 1]; an outcome's `precision_m` is that of its episode."""
-        self._env.set_precision(self.precision_m)
-        if self._demonstrator is not None:
-            shown = self._demonstrator()
-            action = torch.cat([shown.to(action.dtype), action[len(shown) :]])
+        self._set_difficulty()
+        action = self._with_demonstrations(action)
         before = self.now["observation"]
         stepped, self.now = self._env.step_and_maybe_reset(self.now.set("action", action))
         after = stepped["next"]
@@ -87,18 +96,31 @@ class SkillCollector:
             "observation": before,
             "action": action,
             "steps_to_next_obs": after["decision_steps"],
-            "demonstrated": self.demonstrated,
+            "demonstrated": self.demonstrated.clone(),
             "next": {"observation": after["observation"], "reward": reward.float(), "terminated": after["terminated"]},
         }
-        return Collected(TensorDict(transitions, batch_size=[self.num_envs]), self._end_episodes(after))
+        collected = TensorDict(transitions, batch_size=[self.num_envs])
+        self.demonstrated &= ~after["done"][:, 0]
+        return Collected(collected, self._end_episodes(after))
+
+    def _with_demonstrations(self, action: Tensor) -> Tensor:
+        """Return actions (N, A) with the demonstrator's where it acts, or takes over now."""
+        if self._demonstrator is None:
+            return action
+        now = torch.rand(self.num_envs, generator=self._takeovers) < self._config.demonstrator_takeover
+        self.demonstrated |= now & self._for_demonstrator
+        rows = self.demonstrated.nonzero()[:, 0]
+        if not len(rows):
+            return action
+        return action.index_copy(0, rows, self._demonstrator(rows).to(action.dtype))
 
     def _end_episodes(self, after: TensorDictBase) -> list[Outcome]:
-        """Return the outcomes of the episodes that a step ended, but those of the demonstrator."""
+        """Return the outcomes of the episodes that a step ended, but those of the demonstrator's environments."""
         self._returns += after["reward"][:, 0].double()
         self._terms += after["reward_terms"].double()
         rows = after["done"][:, 0].nonzero()[:, 0]
         finished = []
-        for row in rows[~self.demonstrated[rows]].tolist():
+        for row in rows[~self._for_demonstrator[rows]].tolist():
             outcome = {name: float(after[name][row, 0]) for name in OUTCOMES if name != "return"}
             terms = zip(self.reward_names, self._terms[row].tolist(), strict=True)
             outcome |= {"return": float(self._returns[row]), **{f"reward/{name}": value for name, value in terms}}
@@ -114,6 +136,8 @@ class SkillCollector:
             "env": self._env.state_dict(),
             "now": dict(self.now.items()),
             "precision_m": self.precision_m,
+            "demonstrated": self.demonstrated.clone(),
+            "takeovers": self._takeovers.get_state(),
             "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
         }
 
@@ -122,6 +146,8 @@ class SkillCollector:
         self._env.load_state_dict(state["env"])
         self.now = TensorDict(state["now"], batch_size=self._env.batch_size)
         self.precision_m, episodes = state["precision_m"], state["episodes"]
+        self.demonstrated = state["demonstrated"].clone()
+        self._takeovers.set_state(state["takeovers"])
         self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 
 
@@ -134,17 +160,16 @@ def make_collector(config: TrainConfig) -> SkillCollector:
     env = CellEnv(environment(config), config.engine.num_envs, config.episode_seed)
     demonstrator = None if config.agent.demonstrator is None else make_demonstrator(config, env)
     next_skill = None if config.agent.next_skill is None else make_next_skill_value(config, env)
-    return SkillCollector(config.agent, env, demonstrator, next_skill)
+    return SkillCollector(config.agent, env, demonstrator, next_skill, config.train_seed)
 
 
 def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
-    """Return the policy `agent.demonstrator` for the first environments of `env`.
+    """Return the policy `agent.demonstrator` for environments of `env`.
 
     Raises:
         ConfigError: there is no such policy, or it does not fit this training.
     """
     source, episodes = config.agent.demonstrator, env.engine.episodes
-    rows = torch.arange(config.agent.demonstrator_envs)
     assert source is not None
     if source == "random":
         raise ConfigError(
@@ -155,7 +180,7 @@ def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
     except ConfigError as error:
         raise ConfigError(f"agent.demonstrator={source}: {error}") from error
 
-    def demonstrator() -> Tensor:
+    def demonstrator(rows: Tensor) -> Tensor:
         assert episodes.state is not None
         return act(episodes.observed(episodes.state).rows(rows))
 

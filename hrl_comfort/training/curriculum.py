@@ -50,6 +50,16 @@ class Curriculum:
         """Precision of the episodes that start now, metres."""
         self._outcomes: deque[bool] = deque(maxlen=config.window)
 
+    @property
+    def reach(self) -> float | None:
+        """Part of the way to home at which the episodes begin that start now; None: as the task says."""
+        config = self._config
+        if config.reach is None:
+            return None
+        begin, end = config.reach
+        whole = config.start_m - config.end_m
+        return end if not whole else begin + (end - begin) * (config.start_m - self.precision_m) / whole
+
     def advance(self, policy_steps: int, finished: list[tuple[float, bool]]) -> None:
         """Update by the policy steps of the stage so far and (precision, success) of episodes that just ended."""
         config = self._config

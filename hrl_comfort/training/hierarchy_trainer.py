@@ -98,7 +98,7 @@ def train_options(config: HierarchyTrainConfig, folder: Path) -> list[TrainConfi
     for name in names:
         options.append(option_config(config, name, folder / (f"{name}_first" if refined else name), start))
         _train(options[-1])
-        if name != names[-1] and not config.robot.gripper.holds:  # recorded starts know no hand
+        if name != names[-1]:
             start = terminal_states_of(options[-1], config)
     following: Path | None = None
     if not refined:

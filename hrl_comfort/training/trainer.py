@@ -77,7 +77,7 @@ class Training(TrainingLoop):
         self.index, self.stage, self.collector = index, self.stages[index], collector
         config = self.stage.config
         self.curriculum = Curriculum(config.curriculum, config.task.precision, config.agent.policy_steps)
-        collector.reset(self.curriculum.precision_m)
+        collector.reset(self.curriculum.precision_m, self.curriculum.reach)
         self.recent.clear()
 
     @property
@@ -116,7 +116,7 @@ class Training(TrainingLoop):
         outcomes = [(outcome["precision_m"], outcome["success"] > 0) for outcome in finished]
         self.recent += outcomes
         self.curriculum.advance(self.steps - self.stage.begin, outcomes)
-        self.collector.precision_m = self.curriculum.precision_m
+        self.collector.precision_m, self.collector.reach = self.curriculum.precision_m, self.curriculum.reach
         return finished
 
     def record(self, ends: bool) -> None:

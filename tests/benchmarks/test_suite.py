@@ -42,7 +42,7 @@ def test_the_suite_is_on_the_test_split_and_says_what_was_changed() -> None:
     config = asked("policy=expert", "output=elsewhere")
     assert (config.split, config.safety.kind, config.task.max_episode_steps) == ("test", "ssm", 15_000)
     assert suite.changed(config) == {}
-    assert suite.changed(asked("policy=expert", "task.observation=proximity", "human.masked=true")) == {}
+    assert suite.changed(asked("policy=expert", "task.observation=sight")) == {}
     other = asked("policy=expert", "split=validation", "human=still", "safety=none")
     assert {"split", "human.motion", "safety.kind"} <= set(suite.changed(other))
     assert suite.changed(replace(config, episodes=3)) == {"episodes": 3}

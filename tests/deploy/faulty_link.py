@@ -24,7 +24,12 @@ from tests.deploy.faulty_arm import FaultyArm
 
 Array = NDArray[np.float64]
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference" / "shielded" / "seed2"
-BEHIND = ["human.masked=true", "task.arrival_speed_rad_s=0.5", "task.terminate_on=unsafe_contact"]
+BEHIND = [
+    "task.observation=sight",
+    "safety.clearance_m=0.01",
+    "task.arrival_speed_rad_s=0.5",
+    "task.terminate_on=unsafe_contact",
+]
 LEVELS = ["comfort=conditioned", "comfort.source=udp", "comfort.stream.port=0", "comfort.stream.stall_s=0.1"]
 FAST_M_S = 0.4
 """Speed of the arm from which a person who comes near makes the shield brake."""

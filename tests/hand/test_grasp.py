@@ -239,7 +239,7 @@ def test_fingers_and_what_they_hold_count_for_the_shield_and_people_touch_them()
     assert data.sensordata[scene.sensors["human"]].any()
 
 
-@pytest.mark.parametrize("gripper", ["two_finger", "pincer:PINCER"])
+@pytest.mark.parametrize("gripper", ["two_finger", "robotiq_2f85", "pincer:PINCER"])
 def test_open_pads_lie_within_the_capsules_of_the_arm_however_small_the_objects_are(
     gripper: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -308,10 +308,9 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
         ("train", ["gripper=two_finger", "task=shift"], "shift"),
         ("train", ["gripper=three_finger"], "is not a choice"),
-        ("train", ["gripper=two_finger", "task=place", "task.start=states.npz"], "choose task.start=ik"),
         ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
-        ("studio", ["gripper=two_finger"], "studio takes gripper=none"),
-        ("export", ["gripper=two_finger", "policy=x.pt"], "export takes gripper=none"),
+        ("studio", ["gripper=two_finger", "export=page.html"], "does not go with studio export=; choose gripper=none"),
+        ("deploy", ["gripper=two_finger", "policy=x.pt"], "does not go with deploy; choose gripper=none"),
     ],
 )
 def test_what_does_not_go_with_a_gripper_is_refused_in_one_line(root: str, words: Sequence[str], says: str) -> None:

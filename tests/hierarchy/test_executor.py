@@ -53,7 +53,8 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         terminated=done & ~truncated,
         truncated=truncated,
         decision_steps=torch.ones(n, dtype=torch.int64),
-        instants=state.instants(),
+        before=state,
+        moving={},
     )
 
 

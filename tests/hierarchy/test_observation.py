@@ -37,9 +37,9 @@ TRACKER = ("randomise.person_noise_m=[0.02,0.02]", "randomise.person_rate_hz=[10
 
 @pytest.mark.parametrize(
     ("overrides", "shown"),
-    [((), True), (TRACKER, True), (("human.masked=true",), False), (("human.clipping=full", *TRACKER), False)],
+    [((), True), (TRACKER, True), (("human.clipping=full", *TRACKER), False)],
 )
-def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped_or_masked(
+def test_the_learned_controller_sees_where_people_face_unless_they_are_clipped(
     overrides: tuple[str, ...], shown: bool
 ) -> None:
     engine = Engine(config("human=patrol", *overrides), 8, 0)

@@ -28,7 +28,7 @@ HUMAN = HumanConfig(
     spawn_jitter_m=0.1, spawn_radius_m=[0.38, 1.1], spawn_margin_m=0.1, keep_out_m=0.35, bound_m=0.5,
     jitter_m=0.015, forward_m=0.008, forward_probability=0.02, arc_deg=30.0, arc_steps=500, speed_m_s=0.5,
     acceleration_m_s2=None, curiosity=0.5, mixture={}, others={}, partitioned=False, file=None, clipping="off",
-    masked=False, stations_m=None, stay_s=4.0,
+    stations_m=None, stay_s=4.0,
 )  # fmt: skip
 PAPER = ("still", "random_walk", "arc", "approach", "patrol")
 """Motions that jump: they stay within `bound_m` of the spawn and are cut at keep-out discs."""
@@ -379,9 +379,8 @@ def test_full_clipping_snaps_to_the_nearest_spawn_and_partial_only_to_a_nearer_o
 
 
 @pytest.mark.parametrize("clipping", ["off", "full", "partial"])
-@pytest.mark.parametrize("changes", [{"masked": True}, {"motion": "none"}])
-def test_a_masked_or_absent_human_is_observed_far_away(clipping: str, changes: dict[str, object]) -> None:
-    config = replace(HUMAN, clipping=clipping, **changes)
+def test_an_absent_human_is_observed_far_away(clipping: str) -> None:
+    config = replace(HUMAN, clipping=clipping, motion="none")
     position = humans.begin(config, np.array([[0.9, 0.3], [0.5, 0.5]])).position
     seen = humans.seen_position(config, position, np.array(SPAWNS))
     np.testing.assert_array_equal(seen, [[FAR_AWAY_M, 0.0]] * 2)

@@ -16,7 +16,7 @@ from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
-from hrl_comfort.scene.human import limb_poses
+from hrl_comfort.scene.human import limb_poses, walkers_limbs
 from tests.humans.motions import FUNCTIONS, advance
 
 Array = NDArray[np.float64]
@@ -79,6 +79,15 @@ def test_poses_of_limbs_of_which_some_are_given(rows: int, given: float) -> None
     limbs[rng.random(rows) < 0.3] = np.nan
     compiled, defined = (limb_poses(each, y, yaw, phase, swing / 9, -0.75, limbs) for each in (x, x.view(Numpy)))
     np.testing.assert_allclose(compiled, np.asarray(defined), rtol=0, atol=1e-14, strict=True)
+
+
+@ROWS
+def test_limbs_of_walkers_swing_in_their_gait(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    walk = humans.begin(compose("train", ["human=mixture"]).human, rng.normal(size=(rows, 2)), rng.random((rows, 3)))
+    walk = replace(walk, walked_m=rng.uniform(0, 9, rows), speed_m_s=rng.uniform(0, 2, rows))
+    posed = limb_poses(*walk.position.T, walk.yaw, *humans.gait(walk), -0.75, walk.limbs)
+    np.testing.assert_array_equal(walkers_limbs(walk, -0.75), posed, strict=True)
 
 
 @ROWS

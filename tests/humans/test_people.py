@@ -70,7 +70,7 @@ def test_a_mixture_may_be_among_the_others() -> None:
         (("human=none", SECOND + "{motion: still}"), "motion=none is nobody; choose a motion for the first"),
         (("human=pair", SECOND + "{motion: none}"), r"human.others.second.motion=none is nobody"),
         (("human=pair", SECOND + "{motion: live}"), r"human.others.second.file=null: only the first"),
-        (("human=pair", SECOND + "{masked: true}"), r"human.others.second.masked cannot be changed"),
+        (("human=pair", SECOND + "{clipping: full}"), r"human.others.second.clipping cannot be changed"),
         (("human=pair", SECOND + "{colour: red}"), r"human.others.second.colour cannot be changed"),
         (("human=pair", SECOND + "{speed_m_s: 9}"), r"human.others.second: speed_m_s=9.0 is outside"),
         (("human=nobody.yaml",), r"human=nobody.yaml: there is no such file; give one, or choose one of "),
@@ -325,8 +325,10 @@ def test_crowds_of_some_rows_are_put_and_chosen() -> None:
     for row, k in enumerate(last):
         assert np.array_equal(chosen.places[row], people.course[1 + k].places[row])
         assert np.array_equal(chosen.limbs[row], people.course[1 + k].limbs[row])
+        assert np.array_equal(chosen.ends[..., row], people.course[1 + k].ends[..., row])
     rows = np.array([1, 3])
-    picked = Crowd(tuple(walk.rows(rows) for walk in chosen.walks), chosen.limbs[rows])
+    picked = Crowd(tuple(walk.rows(rows) for walk in chosen.walks), chosen.limbs[rows], chosen.ends[..., rows])
     put = people.course[0].put(rows, picked)
     assert np.array_equal(put.places[rows], chosen.places[rows])
+    assert np.array_equal(put.ends, engine.episodes.separation.person.ends(put.limbs))
     assert np.array_equal(put.places[[0, 2]], people.course[0].places[[0, 2]])

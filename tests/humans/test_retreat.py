@@ -17,7 +17,7 @@ from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.people import Crowd, stop_at_contact
+from hrl_comfort.sim.people import stop_at_contact
 from tests.humans.around import around
 
 SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
@@ -69,7 +69,7 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     now = separation.encounter(angles, limbs_of(scene, walk))
 
     def stopped(ahead: humans.Walk) -> tuple[humans.Walk, Encounter]:
-        crowd = stop_at_contact(scene, separation, now, Crowd((walk,), limbs_of(scene, walk)), [ahead])
+        crowd = stop_at_contact(scene, separation, now, engine.episodes.people.crowd([walk]), [ahead])
         return crowd.walks[0], separation.encounter(angles, crowd.limbs)
 
     for _ in range(50):

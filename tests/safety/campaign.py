@@ -38,15 +38,15 @@ MOTIONS = {
     "recorded": (), "mixture": (),
 }  # fmt: skip
 BEHIND = "runs/reference/shielded/seed1"
-MASKED = ("human.masked=true", "task.arrival_speed_rad_s=0.5")
+SIGHT = ("task.observation=sight", "safety.clearance_m=0.01", "task.arrival_speed_rad_s=0.5")
 LEVEL = ("comfort=conditioned", "comfort.source=fixed", "comfort.level=5")
 POLICIES = {
     "frozen": ("tests.safety.campaign:frozen", "pick_place"),
     "random": ("random", "pick_place"), "expert": ("expert", "pick_place"),
     "potential_field": ("potential_field", "pick_place"), "pick": ("runs/reference/pick", "pick"),
     "place": ("runs/reference/place", "place"), "return": ("runs/reference/return", "return"),
-    "shielded_pick": (f"{BEHIND}/pick", "pick", *MASKED), "shielded_place": (f"{BEHIND}/place", "place", *MASKED),
-    "shielded_return": (f"{BEHIND}/return", "return", *MASKED),
+    "shielded_pick": (f"{BEHIND}/pick", "pick", *SIGHT), "shielded_place": (f"{BEHIND}/place", "place", *SIGHT),
+    "shielded_return": (f"{BEHIND}/return", "return", *SIGHT),
     **dict.fromkeys(persistent.POLICIES, ("persistent", "shift")),
     "comfort": ("runs/reference/comfort/stages/seed0", "pick_place", *LEVEL),
 }  # fmt: skip

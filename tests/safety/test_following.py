@@ -145,7 +145,7 @@ def test_people_who_come_nearer_faster_than_the_shield_assumes_are_counted(away_
     before, after = (limb_poses(np.full(1, x), 0.0, 0.0, 0.0, 0.0, scene.floor_z) for x in (1.0, 1.0 + away_m))
     still = np.zeros((1, len(scene.home)))
     points = SetPoints.unshielded(still, still, np.zeros(1, dtype=np.int64))
-    counted = drive.beside(points, separation.encounter(scene.home[None], before), after)
+    counted = drive.beside(points, separation.encounter(scene.home[None], before), separation.person.ends(after))
     assert bool(counted.human_beyond_bound[0]) == some
 
 

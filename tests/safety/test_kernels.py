@@ -22,6 +22,7 @@ from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import build_scene, scene_of
 from hrl_comfort.sim.controls import limbs_of
+from hrl_comfort.sim.plan import capsules
 
 Array = NDArray[np.float64]
 RATED = ["task=pick", "robot.rating=collaborative", "safety=ssm", "human=mixture", "task.terminate_on=unsafe_contact"]
@@ -103,8 +104,9 @@ def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) 
     before[..., 1] += 0.5
     after, found = before + np.concatenate([rng.normal(0, 0.1, (rows, 7, 2)), np.zeros((rows, 7, 5))], axis=2), []
     now = separation.encounter(rng.uniform(-3, 3, (rows, 6)), before)
-    then, way = gaps(arm, now.pose.ends, person, person.ends(after)), farthest(person.ends(after), now.person)
-    given = now.pose.ends, now.apart, now.person, after, arm.radius, *person.compiled, person.radius
+    ends = person.ends(after)
+    then, way = gaps(arm, now.pose.ends, person, ends), farthest(ends, now.person)
+    given = now.pose.ends, now.apart, now.person, ends, arm.radius, person.radius
     met = np.where(now.apart.min(axis=0) <= way, then.min(axis=0), np.inf)
     np.testing.assert_array_equal(kernels.met(*given), met)
     for most in (0.0, 0.05, 0.1, 0.2):
@@ -117,10 +119,10 @@ def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) 
 def test_capsules_one_after_the_other(rows: int) -> None:
     rng = np.random.default_rng(rows)
     ends, radius = rng.normal(size=(3, 5, 2, rows)), rng.random(5)
-    both = ends.transpose(3, 1, 2, 0).reshape(rows, 5, 6)
-    np.testing.assert_array_equal(kernels.capsules(ends, np.empty(0)), both)
-    np.testing.assert_array_equal(kernels.capsules(ends, radius)[..., :6], both)
-    assert (kernels.capsules(ends, radius)[..., 6] == radius).all()
+    both(capsules, ends, radius)
+    both(capsules, ends, np.empty(0))
+    np.testing.assert_array_equal(capsules(ends, radius)[:, 2, 3:6], ends[:, 2, 1].T)
+    assert (capsules(ends, radius)[..., 6] == radius).all()
 
 
 WORLDS = {

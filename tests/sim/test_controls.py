@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.composition.compose import compose_environment
 from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.instants import chosen, ended_early
+from hrl_comfort.scene import kernels
 from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.controls import pack_controls
 
@@ -46,3 +48,19 @@ def test_controls(said: str, points: int, steps: int) -> None:
         rng.normal(size=(n, points, 3)),
     )
     np.testing.assert_array_equal(pack_controls(scene, *given), packed(scene, *given))
+
+
+def test_sensors_that_read_something_are_felt() -> None:
+    readings = np.random.default_rng(0).integers(3, size=(50, 6)) // 2 * 1.0
+    readings[0, 2] = np.nan
+    np.testing.assert_array_equal(kernels.felt(readings, 2, 5), readings[:, 2:5].any(axis=1), strict=True)
+
+
+def test_rows_are_as_at_the_instant_at_which_they_ended() -> None:
+    rng = np.random.default_rng(0)
+    for last in ([3, 3, 3, 3], [3, 0, 1, 1], [0, 0, 0, 0]):
+        each, at = list(rng.normal(size=(4, 4, 2))), np.array(last)
+        early = ended_early(at, 4)
+        np.testing.assert_array_equal(chosen(each, early), np.stack(each)[at, np.arange(4)])
+        over = [np.ascontiguousarray(value.T) for value in each]
+        np.testing.assert_array_equal(chosen(over, early, rows_last=True).T, chosen(each, early))

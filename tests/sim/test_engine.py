@@ -207,13 +207,6 @@ def test_a_touch_is_paid_once_though_the_episode_goes_on() -> None:
     assert paid.tolist() == (-10 * touches).tolist() and touches.max() > 1
 
 
-def test_masked_human_is_hidden_from_the_policy_but_still_there() -> None:
-    engine = Engine(configured("task=pick", "human.masked=true"), 8, 0)
-    state = engine.reset()
-    assert (state.humans_seen[..., 0] > 10).all()
-    assert (state.humans_pos.norm(dim=-1) < 3).all()
-
-
 def test_evaluation_rows_take_spawn_and_motion_from_the_set_whatever_the_task() -> None:
     entries = load_evaluation_set().part(0, 6)
     starts = []

@@ -320,6 +320,7 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
     [
         (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
         (["human=pair"], r"human.others=passer_by: a page of export= has human.others=\{\} alone"),
+        (["cell=varied"], r"cell.vary.layouts=\d+: a page of export= has cell.vary.layouts=0 alone"),
         (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
         (["task=shift"], r"task=shift: a page of export= shows one policy"),
         (["task=sort"], r"task=sort: a page of export= shows one policy"),
@@ -355,6 +356,9 @@ def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeyp
         lambda x: torch.linalg.vector_norm(x, 1.0, dim=-1),
         lambda x: x[torch.tensor([0]), torch.tensor([1])],
         lambda x: x.cumsum(0),
+        lambda x: x.sort(descending=True).values,
+        lambda x: x[None][:, torch.tensor([0]), torch.tensor([1])],
+        lambda x: x.min(),
     ],
 )
 def test_what_the_page_would_compute_otherwise_is_refused(function: Callable[[torch.Tensor], torch.Tensor]) -> None:

@@ -1,4 +1,4 @@
-"""The page's rated drive, shield and contacts are those of Python."""
+"""The page's rated drive, shield and contacts are those of Python, and so is what policies with sight see."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from hrl_comfort import humans
@@ -19,12 +20,18 @@ from hrl_comfort.files.run_config import environment
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
+from hrl_comfort.agents.networks import Actor, Normaliser
+from hrl_comfort.policies.actor import save_policy
+from hrl_comfort.policies.load import make_policy
+from hrl_comfort.safety.clearance import Clearance
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.human import limb_poses
 from hrl_comfort.scene.workcell import build_scene
+from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.people import share_walked
+from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web import content
 from hrl_comfort.studio.web.arrays import recorded
@@ -33,6 +40,11 @@ from hrl_comfort.studio.web.safety import safety
 REFERENCE = Path("runs/reference/comfort_shift/levels0")
 SHIELDED = ["robot.rating=collaborative", "safety=ssm", "task.terminate_on=unsafe_contact"]
 CHAIN = [*(f"policies.{name}={REFERENCE / name}" for name in ("pick", "place", "return")), "meta_controller=nearest"]
+SEEING = [
+    *SHIELDED, "task=cycle", "task.observation=sight", "safety.clearance_m=0.01", "task.arrival_speed_rad_s=0.5",
+    "human=mixture",
+]  # fmt: skip
+"""What the released skills are made for."""
 HERE = Path(__file__).parent
 STEPS = 200
 """Control steps, of 20 ms, of the episode that is played."""
@@ -45,8 +57,9 @@ def in_node(**given: Any) -> Any:
     if shutil.which("node") is None or not Path("hrl_comfort/studio/web/node_modules/@mujoco").exists():
         pytest.skip("the page's packages are not installed: make page")
     done = subprocess.run(
-        ["node", str(HERE / "play.mjs")], input=json.dumps(given), capture_output=True, text=True, check=True
-    )
+        ["node", str(HERE / "play.mjs")], input=json.dumps(given, allow_nan=False), capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
     return json.loads(done.stdout)
 
 
@@ -54,13 +67,16 @@ def rows_of(**fields: NDArray[np.float64]) -> list[dict[str, Any]]:
     """Return the states of fields (N, ...) as the page has them."""
     return [
         {name: {"shape": value.shape[1:], "data": value[row].ravel().tolist()} for name, value in fields.items()}
-        for row in range(len(fields["trail"]))
+        for row in range(len(next(iter(fields.values()))))
     ]
 
 
-@pytest.mark.parametrize(("bound", "states"), [("observed", 1000), ("worst", 200)])
-def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bound: str, states: int) -> None:
-    env = environment(compose("evaluate", ["task=cycle", "policy=expert", f"safety.bound={bound}", *SHIELDED]))
+@pytest.mark.parametrize(("bound", "clearance", "states"), [("observed", "null", 1000), ("worst", "0.02", 200)])
+def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(
+    bound: str, clearance: str, states: int
+) -> None:
+    safe = [f"safety.bound={bound}", f"safety.clearance_m={clearance}"]
+    env = environment(compose("evaluate", ["task=cycle", "policy=expert", *SHIELDED, *safe]))
     scene = build_scene(env.robot, env.cell, env.engine.substeps, env.task.objects)
     graphs = safety(scene, env, humans.begin(env.human, np.array([[0.8, 0.2]])))
     separation = Separation(scene)
@@ -81,7 +97,9 @@ def test_drive_and_contacts_of_the_page_are_those_of_python_in_random_states(bou
     now = separation.encounter(measured[:, :6], limbs)
     drive.shield.memory = Memory(separation.person.ends(earlier), trail.transpose(1, 2, 0).copy())
     reach = drive.shield.reach(now, velocity)
-    begin, after = drive.step(SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64)), asked, measured, now)
+    before = SetPoints.unshielded(angles, velocity, np.zeros(states, np.int64))
+    standing = np.tile(tops(env.cell, *np.split(scene.layout, [len(env.cell.places)])), (states, 1, 1))
+    begin, after = drive.step(before, asked, measured, now, tops=standing)
     room, gap = separation.gap(measured[:, :6], earlier), now.apart.min(axis=0)
     assert after.braking.any() and (gap < 0).any() and ((after.share > 0) & (after.share < 1)).any()
     assert (begin != angles).any() and (begin == angles).all(axis=1).any()
@@ -141,6 +159,96 @@ def test_an_arm_slows_beside_a_person_by_hand_and_is_touched_slowly(page: dict[s
     (episode,) = in_node(content=page, steps=STEPS, hand=[0.05, -0.3])
     assert min(episode["shares"][SPEEDING_UP:]) < 0.5 and episode["touched"] is not None
     assert not episode["unsafe"] and episode["outcome"] is None
+
+
+@pytest.fixture(scope="module")
+def seeing(tmp_path_factory: pytest.TempPathFactory) -> StudioConfig:
+    """A studio of a policy with sight that has not learned, drawn so that the arm comes near tables and people."""
+    file, rng = tmp_path_factory.mktemp("seeing") / "policy.pt", np.random.default_rng(12)
+    made = compose("studio", [*SEEING, f"policy={file}", "task.max_episode_steps=150"])
+    assert isinstance(made, StudioConfig)
+    engine = Engine(environment(made), 1, 0)
+    engine.reset()
+    size = engine.episodes.observe().shape[1]
+    engine.close()
+    actor, normaliser = Actor(size, 6, [16]), Normaliser(size, False)
+    for weights in actor.parameters():
+        drawn = rng.normal(size=weights.shape) / np.sqrt(weights.shape[-1])
+        weights.data = torch.from_numpy(drawn).float()
+    trained = {"action_repeat": 5, "action": "joint", "observation": "sight", "robot": "ur3e", "shield": True}
+    spec = {"task": "cycle", "observation_dim": size, "action_dim": 6, "hidden": [16], "normalise": False}
+    networks = {"actor": actor.state_dict(), "normaliser": normaliser.state_dict()}
+    save_policy(file, networks, {**spec, "environment": trained}, critics=False)
+    return made
+
+
+@pytest.fixture(scope="module")
+def seeing_page(seeing: StudioConfig) -> dict[str, Any]:
+    """The content of its page, of two episodes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(content, "EPISODES", 2)
+        patch.setattr(content, "RECORDED_S", 150 * CONTROL_STEP_S)
+        return content.content(seeing)
+
+
+def test_joints_of_a_policy_with_sight_go_where_they_go_in_python_for_whole_episodes(
+    seeing: StudioConfig, seeing_page: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, keeps = list[bool](), Clearance.keeps
+
+    def watched(clearance: Clearance, *given: NDArray[np.float64]) -> NDArray[np.bool_]:
+        clear = keeps(clearance, *given)
+        kept.extend(clear)
+        return clear
+
+    monkeypatch.setattr(Clearance, "keeps", watched)
+    session, shares = Session(seeing), list[float]()
+    session.set_level(session.slider.value)
+    for played in in_node(content=seeing_page, steps=STEPS):
+        session.reset()
+        path = [session.still().joints]
+        while not session.over:
+            step = session.step()
+            assert not bool(step.result.state.contact)  # they step back in Python alone
+            path.append(step.clip.joints[1:])
+        ours, theirs = np.concatenate(path), np.array(played["joints"])
+        assert len(ours) == 151 and played["outcome"] == step.outcome == "out of time"
+        assert np.ptp(ours, axis=0).max() > 0.5
+        assert np.abs(ours - theirs).max() < 1e-6
+        shares += played["shares"]
+    session.close()
+    slowed = np.array(shares) < 0.8
+    assert len(slowed) == len(kept) == 300 and not all(kept) and (slowed & kept)[SPEEDING_UP:].any()
+
+
+def test_a_policy_with_sight_sees_and_does_on_the_page_what_it_does_in_python(
+    seeing: StudioConfig, seeing_page: dict[str, Any]
+) -> None:
+    rows, rng = 40, np.random.default_rng(0)
+    engine = Engine(environment(seeing), rows, 0)
+    act = make_policy(str(seeing.policy), engine.episodes.subtask, engine.scene, environment(seeing), 0)
+    state, (option,) = engine.reset(), seeing_page["options"]
+    names = option["graph"]["inputs"].values()
+    for _ in range(3):
+        before = engine.episodes.people.now.limbs
+        result = engine.step(rng.uniform(-1, 1, (rows, 6)))
+        state = result.state.with_(stage=torch.from_numpy(rng.integers(0, 5, rows)))
+        since = result.decision_steps.numpy() * CONTROL_STEP_S
+        limbs = {"limbs": engine.episodes.people.now.limbs, "limbs_before": before}
+        given = {"joint_pos": state.joint_pos.numpy(), **limbs}
+        seen = in_node(
+            graph=seeing_page["safety"]["bodies"],
+            rows=rows_of(**{name: value[:, None] for name, value in given.items()}, since=since[:, None]),
+        )
+        for name in ("arm_body", "humans_body", "humans_body_vel"):
+            theirs = np.array([row[name] for row in seen])
+            assert np.abs(theirs - getattr(state, name).numpy().reshape(rows, -1)).max() < 1e-9, name
+        acted = in_node(
+            graph=option["graph"], rows=rows_of(**{name: getattr(state, name)[:, None].numpy() for name in names})
+        )
+        made = np.array([row["made"] for row in acted]) / np.radians(seeing.task.max_step_deg)
+        assert np.abs(made - act(state).numpy()).max() < 1e-5
+    engine.close()
 
 
 def test_a_function_that_the_page_does_not_know_is_refused() -> None:

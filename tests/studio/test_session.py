@@ -11,7 +11,7 @@ import torch
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.composition.policies import with_policy
-from hrl_comfort.config import FAR_AWAY_M, ConfigError, StudioConfig
+from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.policies import load
@@ -135,30 +135,30 @@ def test_hands_go_where_they_are_held_and_hang_before_the_person_is_let_go(sessi
     assert np.isnan(session.walk.limbs).all() and session.engine.episodes.config.human.motion == "still"
 
 
-def test_a_person_by_hand_is_hidden_from_the_policy_as_in_the_run(session: Session) -> None:
-    masked = replace(session.config.human, masked=True)
-    session.set_motion(masked)
+def test_a_person_by_hand_is_observed_as_in_the_run(session: Session) -> None:
+    clipped = replace(session.config.human, clipping="full")
+    session.set_motion(clipped)
     session.reset()
-    person = Person([session], LIVE, masked)
-    hidden = torch.tensor([FAR_AWAY_M, 0.0], dtype=torch.float64)
+    person = Person([session], LIVE, clipped)
+    points = torch.tensor(clipped.spawns_m, dtype=torch.float64)
 
-    def nobody_is_seen() -> bool:
+    def a_spawn_point_is_seen() -> bool:
         session.step()
-        return bool((SEEN[-1][1:] == hidden).all()) and not bool(session.state.humans_shown)
+        return bool((SEEN[-1][1:] == points).all(dim=-1).any()) and not bool(session.state.humans_shown)
 
-    assert nobody_is_seen()
+    assert a_spawn_point_is_seen()
     person.press(frozenset("d"))
     person.update(0.1)
-    assert nobody_is_seen() and float(session.state.humans_pos[0, 0, 0]) < FAR_AWAY_M / 2
+    assert a_spawn_point_is_seen()
     person.speed_m_s = 0.5
     session.reset()
-    assert nobody_is_seen()
+    assert a_spawn_point_is_seen()
     person.let_go()
-    assert nobody_is_seen()
-    person.let_go(observed_as(motion_config("patrol"), masked))
-    assert nobody_is_seen()
+    assert a_spawn_point_is_seen()
+    person.let_go(observed_as(motion_config("patrol"), clipped))
+    assert a_spawn_point_is_seen()
     person.take()
-    person.follow(replace(masked, masked=False))  # the run's mask is taken off in the forms
+    person.follow(replace(clipped, clipping="off"))  # taken off in the forms
     session.step()
     assert np.allclose(SEEN[-1][1:], session.walk.position[0])
 

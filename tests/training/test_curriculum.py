@@ -45,6 +45,16 @@ def test_adaptive_tightens_at_the_threshold_and_not_below():
     assert curriculum.precision_m == 0.26
 
 
+def test_starts_widen_as_the_precision_tightens():
+    assert adaptive().reach is None
+    curriculum = Curriculum(replace(ADAPTIVE, reach=[0.2, 2.2]), CONFIG.task.precision, 1000)
+    seen = [curriculum.reach]
+    for _ in range(6):
+        feed(curriculum, successes=10)
+        seen.append(curriculum.reach)
+    assert seen == pytest.approx([0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.2])
+
+
 def test_adaptive_waits_for_a_full_window():
     curriculum = adaptive()
     feed(curriculum, successes=9)

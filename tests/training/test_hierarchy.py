@@ -194,13 +194,13 @@ def test_without_a_success_the_next_option_starts_from_inverse_kinematics(tmp_pa
     assert "starts from inverse kinematics" in capsys.readouterr().err
 
 
-def test_with_a_gripper_every_option_starts_from_inverse_kinematics(tmp_path, monkeypatch):
+def test_with_a_gripper_every_option_starts_from_what_the_one_before_it_left(tmp_path, monkeypatch):
     trained = list[tuple[str, str]]()
     monkeypatch.setattr(module, "_train", lambda config: trained.append((config.task.name, config.task.start)))
-    config = compose("train_hierarchy", ["cell=grasp", "human=none", f"output='{tmp_path}'"])
+    monkeypatch.setattr(module, "terminal_states_of", lambda option, _: f"{option.task.name}'s")
+    config = compose("train_hierarchy", ["experiment=grasp", f"output='{tmp_path}'"])
     module.train_options(config, tmp_path)
-    assert [name for name, _ in trained][:2] == list(config.meta_controller.options)[:2]
-    assert {start for _, start in trained} == {"ik"}
+    assert trained == [("pick", "ik"), ("place", "pick's"), ("return", "place's")]
 
 
 def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():

@@ -36,7 +36,7 @@ PICK, PLACE = "hrl_comfort/Pick-v0", "hrl_comfort/Place-v0"
 SMALL = [
     "agent.policy_steps=64", "agent.learning_starts=32", "agent.hidden=[8]", "agent.batch_size=8", "agent.log_every=32",
     "agent.checkpoint_every=32", "engine.num_envs=4", "task.max_episode_steps=30", "human=recorded",
-    "human.file=walk.csv", "human.masked=true", "safety=ssm", "robot.rating=collaborative",
+    "human.file=walk.csv", "human.clipping=full", "safety=ssm", "robot.rating=collaborative",
     "comfort=distance_and_speed",
 ]  # fmt: skip
 
@@ -120,7 +120,7 @@ def test_a_policy_acts_in_the_environment_of_its_run_in_every_front(runs: Path, 
 
 def test_overrides_go_on_top_of_a_run(runs: Path) -> None:
     made = hrl_comfort.environment_of(run=runs / "pick", choices={"task.max_episode_steps": 77, "human": "still"})
-    assert (made.task.max_episode_steps, made.human.motion, made.human.masked) == (77, "still", True)
+    assert (made.task.max_episode_steps, made.human.motion, made.human.clipping) == (77, "still", "full")
 
 
 def test_another_environment_than_that_of_the_run_is_refused_with_the_remedy(runs: Path) -> None:
@@ -139,7 +139,7 @@ def test_another_environment_than_that_of_the_run_is_refused_with_the_remedy(run
 
 def test_an_experiment_is_a_keyword() -> None:
     shielded = hrl_comfort.environment_of("place", {"experiment": "shielded"})
-    assert (shielded.task.name, shielded.safety.kind, shielded.human.masked) == ("place", "ssm", True)
+    assert (shielded.task.name, shielded.safety.kind, shielded.task.observation) == ("place", "ssm", "sight")
     comfort = hrl_comfort.environment_of("pick", {"experiment": "comfort"})
     assert comfort == environment(compose("train", ["task=pick", "experiment=comfort"]))
 
@@ -220,7 +220,7 @@ def test_a_key_whose_default_would_change_a_run_takes_its_value_of_before(
 
 @pytest.mark.parametrize("with_config", [True, False])
 def test_a_key_that_is_gone_is_one_line_unless_it_did_nothing(runs: Path, with_config: bool) -> None:
-    (key,) = (name.split(".")[1] for name in versions.GONE)
+    key = "human_collision"
     before = trained_environment(str(runs / "pick"))
     changed(runs / "pick", lambda values: values["reward"].update({key: versions.GONE[f"reward.{key}"]}))
     assert trained_environment(str(runs / "pick")) == before

@@ -39,7 +39,7 @@ def make(config: TrainConfig) -> SkillCollector:
     if config.agent.demonstrator is None:
         return make_points(config)
     env = PointEnv(config.engine.num_envs, config.episode_seed)
-    return SkillCollector(config.agent, env, lambda: -env.point[: config.agent.demonstrator_envs].clamp(-1, 1))
+    return SkillCollector(config.agent, env, lambda rows: -env.point[rows].clamp(-1, 1))
 
 
 def rows(folder: Path) -> list[dict[str, str]]:

@@ -197,14 +197,14 @@ def test_training_on_from_networks_of_another_shape_is_refused(run, tmp_path):
         train(config, make_points)
 
 
-def homeward(config: TrainConfig, env: PointEnv) -> Demonstrator:
+def homeward(env: PointEnv) -> Demonstrator:
     """A guide that goes straight to the origin."""
-    return lambda: -env.point[: config.agent.demonstrator_envs].clamp(-1, 1)
+    return lambda rows: -env.point[rows].clamp(-1, 1)
 
 
 def demonstrated(config: TrainConfig, stop_after: int | None = None) -> SkillCollector:
     env = PointEnv(config.engine.num_envs, config.episode_seed, stop_after)
-    return SkillCollector(config.agent, env, homeward(config, env))
+    return SkillCollector(config.agent, env, homeward(env))
 
 
 DEMONSTRATED = ("agent.demonstrator=potential_field", "agent.demonstrator_envs=2")
@@ -213,18 +213,37 @@ DEMONSTRATED = ("agent.demonstrator=potential_field", "agent.demonstrator_envs=2
 def test_guided_rows_act_as_the_guide_does_and_are_remembered_as_such(tmp_path):
     config = small_config(tmp_path, *DEMONSTRATED)
     env = PointEnv(8, 0)
-    training = Training(config, lambda _: SkillCollector(config.agent, env, homeward(config, env)), tmp_path)
-    expected = homeward(config, env)()
+    training = Training(config, lambda _: SkillCollector(config.agent, env, homeward(env)), tmp_path)
+    expected = homeward(env)(torch.arange(2))
     training.step()
     stored = training.learner.buffer.storage[:8]
     assert torch.equal(stored["action"][:2], expected)
     assert stored["demonstrated"].tolist() == [True, True, *[False] * 6]
 
 
+def test_a_guide_that_takes_over_goes_on_to_the_end_of_the_episode(tmp_path):
+    config = small_config(tmp_path, *DEMONSTRATED, "agent.demonstrator_takeover=0.5")
+    env = PointEnv(8, 0)
+    collector = SkillCollector(config.agent, env, homeward(env))
+    collector.reset(0.1)
+    begun, guided_before = torch.zeros(8, dtype=torch.bool), torch.zeros(8, dtype=torch.bool)
+    for _ in range(4 * LIMIT):
+        expected = homeward(env)(torch.arange(8))
+        transitions = collector.step(torch.ones(8, 2)).transitions
+        guided = transitions["demonstrated"]
+        assert torch.equal(transitions["action"], torch.where(guided[:, None], expected, torch.ones(8, 2)))
+        assert guided[guided_before].all() and not guided[2:].any()
+        begun |= ~guided
+        guided_before = collector.demonstrated.clone()
+    assert begun.all(), "the actor begins some of the first two environments' episodes"
+
+
 def test_guided_episodes_count_in_no_success(tmp_path):
     config = small_config(tmp_path, *DEMONSTRATED, "curriculum=off", "task.precision.grasp_tolerance_m=0.3")
     env = PointEnv(8, 0)
-    training = Training(config, lambda _: SkillCollector(config.agent, env, lambda: torch.zeros(2, 2)), tmp_path)
+    training = Training(
+        config, lambda _: SkillCollector(config.agent, env, lambda rows: torch.zeros(len(rows), 2)), tmp_path
+    )
     ended = 0
     for _ in range(LIMIT):
         env.point[2:] = 0.0  # whoever is not guided is there at once
@@ -288,7 +307,7 @@ def test_in_the_cell_a_guide_acts_for_the_first_rows(tmp_path, demonstrator):
     act = make_policy(demonstrator, episodes.subtask, env.engine.scene, environment(config), 0)
     expected = act(episodes.state.rows(torch.arange(2)))
     assert expected.abs().max() > 0
-    torch.testing.assert_close(make_demonstrator(config, env)(), expected)
+    torch.testing.assert_close(make_demonstrator(config, env)(torch.arange(2)), expected)
     train(config)
 
 

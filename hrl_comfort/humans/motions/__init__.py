@@ -38,7 +38,7 @@ class Compiled:
             return walk.position.copy(), walk.yaw.copy(), walk.limbs.copy(), walk.memory.copy()
         discs = around.keep_out
         points, moving = around.arm() if self._answers else (np.empty((len(noise), 0, 3)),) * 2
-        moved = walk.arrays("position", "yaw", "spawn", "step", "velocity", "limbs", "memory", "traits")
+        moved = contiguous(*vars(walk).values())
         beside = contiguous(noise, around.tcp, discs.centres)
         arm = contiguous(around.stations, points, moving)
         return propose(self._kinds, self._numbers, *moved, *beside, float(discs.radius_m), *arm)

@@ -301,25 +301,21 @@ def reactive(
 
 @kernel
 def propose(
-    kinds: Ints, numbers: Array, position: Array, yaw: Array, spawn: Array, steps: Ints, velocity: Array, limbs: Array,
-    memory: Array, traits: Array, noise: Array, tcp: Array, discs: Array, radius_m: float, stations: Array,
-    points: Array, moving: Array,
+    kinds: Ints, numbers: Array, position: Array, yaw: Array, spawn: Array, walked_m: Array, speed_m_s: Array,
+    steps: Ints, velocity: Array, limbs: Array, memory: Array, traits: Array, retreat: Ints, noise: Array, tcp: Array,
+    discs: Array, radius_m: float, stations: Array, points: Array, moving: Array,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Return the places, yaws, limbs and memories that people's motions propose for the end of a control step.
 
     Each draws one of the motions of `kinds`, indices of COMPILED, with their `numbers`; those of another kind stay.
+    From `position` to `retreat` these are the fields of `Walk`.
     """
     n, who = len(yaw), np.empty(10)
     there, facing, bent, kept = np.empty((n, 2)), np.empty(n), limbs.copy(), memory.copy()
     for m in range(n):
         who[0], who[1], who[2], who[8], who[9] = position[m, 0], position[m, 1], yaw[m], traits[m, 1], traits[m, 2]
-        who[3], who[4], who[5], who[6], who[7] = (
-            velocity[m, 0],
-            velocity[m, 1],
-            velocity[m, 2],
-            spawn[m, 0],
-            spawn[m, 1],
-        )
+        who[3], who[4], who[5] = velocity[m, 0], velocity[m, 1], velocity[m, 2]
+        who[6], who[7] = spawn[m, 0], spawn[m, 1]
         index = int(traits[m, 0] * len(kinds))
         kind, of, mine = kinds[index], numbers[index], kept[m]
         x, y, heading = who[0], who[1], who[2]

@@ -11,7 +11,7 @@ import numpy as np
 from dm_control import mjcf
 
 from hrl_comfort.config import CellConfig, ConfigError
-from hrl_comfort.scene.grippers.gripper import DRIVE, Gripper
+from hrl_comfort.scene.grippers.gripper import DRIVE, PEOPLE, Gripper
 
 ROOM_M = 0.02
 """Smallest room that an open hand needs round an object."""
@@ -21,8 +21,6 @@ GUARD_MARGIN_M = 0.01
 """Distance of an object's middle from the tool for which the guard allows."""
 FINGERS_M = 0.09
 """Length of the fingers before the tool centre point that the guard covers."""
-_PEOPLE = 2
-"""Bit of the contacts between people and the guard."""
 
 
 def check_fits(gripper: Gripper, cell: CellConfig) -> None:
@@ -52,12 +50,12 @@ def add_guard(root: mjcf.RootElement, gripper: Gripper, cell: CellConfig, limbs:
     radius = max(widest + GUARD_MARGIN_M, _pads_reach(root, gripper, length))
     x, y, z = tool.pos
     tool.parent.add(
-        "geom", name=GUARD, type="capsule", fromto=(x, y, z - length, x, y, z), size=[radius], contype=_PEOPLE,
+        "geom", name=GUARD, type="capsule", fromto=(x, y, z - length, x, y, z), size=[radius], contype=PEOPLE,
         conaffinity=0, condim=1, mass=0, group=4, rgba=(1, 1, 1, 0.1),
     )  # fmt: skip
     for limb in limbs:
         for geom in root.find("body", limb).geom:
-            geom.conaffinity = 1 | _PEOPLE
+            geom.conaffinity = 1 | PEOPLE
 
 
 def _pads_reach(root: mjcf.RootElement, gripper: Gripper, length: float) -> float:

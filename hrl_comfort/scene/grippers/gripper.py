@@ -7,8 +7,12 @@ from typing import Protocol
 
 from dm_control import mjcf
 
+from hrl_comfort.config import ConfigError
+
 DRIVE = "hand"
 """Name of a gripper's actuator."""
+PEOPLE = 2
+"""Bit (contype) of the contacts of shapes that touch people alone."""
 
 
 class Gripper(Protocol):
@@ -52,5 +56,28 @@ class Hand:
         return self.gripper.name
 
     def attach(self, flange: mjcf.Element) -> None:
-        """See `EndEffector`."""
-        self.gripper.attach(flange, self.force_n)
+        """See `EndEffector`.
+
+        Raises:
+          ConfigError: the gripper cannot be attached, or lacks what every gripper adds.
+        """
+        try:
+            self.gripper.attach(flange, self.force_n)
+        except Exception as error:  # a user's own code
+            raise ConfigError(f"{self._said}: attach() raised {type(error).__name__}: {error}") from error
+        root, pads = flange.root, tuple(self.gripper.pads)
+        wanted = [("actuator", DRIVE), ("site", "tcp"), *(("body", pad) for pad in pads)]
+        lacks = [f"{kind} {name!r}" for kind, name in wanted if root.find(kind, name) is None]
+        if lacks or len(pads) != 2:
+            raise ConfigError(
+                f"{self._said}: attach() must add two pads, the site 'tcp' and the actuator {DRIVE!r}; "
+                f"pads={list(pads)}, and it lacks {', '.join(lacks) or 'nothing else'}"
+            )
+        if root.find("actuator", DRIVE).ctrlrange is None:
+            raise ConfigError(
+                f"{self._said}: the actuator {DRIVE!r} has no ctrlrange, from open to closed; give it one"
+            )
+
+    @property
+    def _said(self) -> str:
+        return f"robot.gripper.name={self.name}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from functools import cache
 from typing import Any
@@ -10,11 +11,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import FAR_AWAY_M
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.sim.hand.fingers import Fingers
-from hrl_comfort.sim.variation.grasps import rise_m
+from hrl_comfort.sim.variation.grasps import narrow_rad, rise_m
 from hrl_comfort.tasks import Start, Subtask
 
 Array = NDArray[np.float64]
@@ -22,14 +23,15 @@ CLOSES_S = 0.5
 """Time in which a hand closes on an object."""
 NEAR = 0.15
 """Part of the jitter and of the turn of an object by which a hand in front of it may be off."""
-ASIDE_M, PARKED_M = 2.0, 0.3
-"""Distance of objects that are not in an episode from people who are not there, and from each other."""
+ASIDE_M, APART_M = 2.0, 1.0
+"""Distance of objects that are not in an episode from people who are not there and from the floor, and from each other.
+They fall freely, from so high that the episode is over before they arrive: what touches nothing costs least."""
 
 
 class Gripping:
-    """Fingers and objects of the cells of `scene` in episodes of `subtask`."""
+    """Fingers and objects of the cells of `scene` in episodes of `subtask`, which last up to `steps` control steps."""
 
-    def __init__(self, scene: Scene, subtask: Subtask) -> None:
+    def __init__(self, scene: Scene, subtask: Subtask, steps: int) -> None:
         self._scene, self._start = scene, subtask.start
         self.fingers = Fingers(scene)
         model = self._model = scene.model
@@ -40,24 +42,29 @@ class Gripping:
         self._fingers = np.array([joint.qposadr[0] for joint in others])
         self._arrives = [list(scene.cell.places).index(each.arrives_at) for each in scene.cell.objects.values()]
         self._parked = model.qpos0.copy()
-        kinds = list(scene.cell.objects.values())
+        high = scene.floor_z + ASIDE_M - model.opt.gravity[2] * (steps * CONTROL_STEP_S) ** 2 / 2
         for index, at in enumerate(self._objects):
-            height = scene.floor_z + kinds[index % len(kinds)].half_height_m
-            self._parked[at : at + 7] = (FAR_AWAY_M, ASIDE_M + PARKED_M * index, height, 1, 0, 0, 0)
+            self._parked[at : at + 7] = (FAR_AWAY_M, ASIDE_M + APART_M * index, high, 1, 0, 0, 0)
         self._data = mujoco.MjData(scene.planning)
         self._closed_on = cache(self._closed)
 
     def begin(self, draw: Draw, rows: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return the bodies (r, nq + nv) in which the episodes of `rows` (r,) begin, and the hands' set-points (r,).
 
-        Objects lie where they arrive. A hand is closed on the first one where the subtask begins with that in the hand;
-        where it begins with that placed, it lies in its place.
+        They are those of a recorded start, if there is one. Else objects lie where they arrive. A hand is closed on
+        the first one where the subtask begins with that in the hand; where it begins with that placed, it lies there.
         """
         model, cell = self._model, self._scene.cell
         bodies = np.zeros((len(rows), model.nq + model.nv))
         grip, kinds = np.zeros(len(rows)), draw.kinds[rows]
         lying = draw.objects(rows)
         for row, (start, turns) in enumerate(zip(draw.start[rows], draw.turns[rows], strict=True)):
+            recorded = draw.hand[rows[row]]
+            if np.isfinite(recorded).all():
+                bodies[row], grip[row] = recorded[:-1], recorded[-1]
+                for at, dof in self._absent(kinds[row]):
+                    bodies[row, at : at + 7], bodies[row, dof : dof + 6] = self._parked[at : at + 7], 0.0
+                continue
             qpos, joints = self._parked.copy(), len(self._arm)
             qpos[self._arm] = start[:joints]
             for index, kind in enumerate(kinds[row]):
@@ -65,11 +72,11 @@ class Gripping:
                 pose = np.array([*at, np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
                 if index == 0 and self._start == Start.AT_PLACE:
                     pose[:3] = draw.kind_places[rows[row], kind]
-                if index == 0 and self._start == Start.BEFORE_OBJECT:
+                if index == 0 and np.isfinite(before := draw.before[rows[row]]).all():
                     off = at[:2] - draw.places[rows[row], self._arrives[kind], :2]
-                    pose = self._in_front(start[:joints], at[2], rise_m(self._scene, int(kind)), off, turn)
+                    pose = self._in_front(before, at[2], int(kind), off, turn)
                 if index == 0 and self._start == Start.AT_OBJECT:
-                    pose = self._in_hand(start[:joints], rise_m(self._scene, int(kind)))
+                    pose = self._in_hand(start[:joints], int(kind))
                     qpos[self._fingers] = self._closed_on(int(kind))
                     grip[row] = 1.0
                 body = self._objects[index * len(cell.objects) + kind]
@@ -78,14 +85,22 @@ class Gripping:
             bodies[row, model.nq + self._scene.moving[joints:] - 1 - model.nq] = start[joints : 2 * joints]
         return bodies, grip
 
-    def _in_front(self, angles: Array, height: float, rise: float, off: Array, turn: float) -> Array:
+    def _absent(self, kinds: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+        """Yield where in a row of bodies the pose and the velocity begin of each object not among `kinds` (B,)."""
+        count = len(self._scene.cell.objects)
+        for body, name in enumerate(self._scene.loose):
+            if body % count != kinds[body // count]:
+                joint = self._model.joint(name)
+                yield joint.qposadr[0], self._model.nq + joint.dofadr[0]
+
+    def _in_front(self, angles: Array, height: float, kind: int, off: Array, turn: float) -> Array:
         """Return the pose (7,) of an object that lies at `height` m in front of the hand at joint angles (J,) rad.
 
-        It is aside by NEAR of `off` (2,) m and turned by NEAR of `turn` rad; its centre is `rise` m below the grasp.
+        It is aside by NEAR of `off` (2,) m and turned by NEAR of `turn` rad.
         """
         place, axes = self._tool(angles)
-        ahead = (height + rise - place[2]) / axes[2, 2]
-        yaw = np.arctan2(axes[1, 0], axes[0, 0]) + NEAR * turn
+        ahead = (height + rise_m(self._scene, kind) - place[2]) / axes[2, 2]
+        yaw = np.arctan2(axes[1, 0], axes[0, 0]) - narrow_rad(self._scene, kind) + NEAR * turn
         at = (place + ahead * axes[:, 2])[:2] + NEAR * off
         return np.array([*at, height, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
 
@@ -97,11 +112,11 @@ class Gripping:
         tool = data.site("robot/tcp")
         return tool.xpos.copy(), tool.xmat.reshape(3, 3).copy()
 
-    def _in_hand(self, angles: Array, rise: float) -> Array:
-        """Return the pose (7,) of an object in the hand at joint angles (J,) rad, level, `rise` m below the tool."""
+    def _in_hand(self, angles: Array, kind: int) -> Array:
+        """Return the pose (7,) of an object in the hand at joint angles (J,) rad, level, below the tool."""
         place, axes = self._tool(angles)
-        yaw = np.arctan2(axes[1, 0], axes[0, 0])
-        return np.array([*(place - [0, 0, rise]), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        yaw = np.arctan2(axes[1, 0], axes[0, 0]) - narrow_rad(self._scene, kind)
+        return np.array([*(place - [0, 0, rise_m(self._scene, kind)]), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
 
     def _closed(self, kind: int) -> Array:
         """Return the positions of the fingers' joints of a hand that has closed on an object of a kind."""
@@ -113,7 +128,10 @@ class Gripping:
         mujoco.mj_kinematics(model, data)
         tool, at = data.site("robot/tcp"), self._objects[kind]
         data.qpos[at : at + 3] = tool.xpos
-        mujoco.mju_mat2Quat(data.qpos[at + 3 : at + 7], tool.xmat)
+        across, turned = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(across, np.array([0.0, 0.0, 1.0]), -narrow_rad(scene, kind))
+        mujoco.mju_mat2Quat(turned, tool.xmat)
+        mujoco.mju_mulQuat(data.qpos[at + 3 : at + 7], turned, across)
         data.ctrl[len(self._arm)] = model.actuator_ctrlrange[len(self._arm), 1]
         for _ in range(round(CLOSES_S / model.opt.timestep)):
             mujoco.mj_step(model, data)

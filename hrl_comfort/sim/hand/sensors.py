@@ -7,22 +7,25 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config import CONTROL_STEP_S, CellConfig
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
+from hrl_comfort.tasks.hand.observation import turned
 
 Array = NDArray[np.float64]
-FLOOR_M = 0.15
-"""Height above the floor below which an object's centre means that it fell off its place."""
+Fields = dict[str, NDArray[Any]]
+"""Fields of State by their names."""
+FLOOR_M, LOW_M = 0.15, 0.02
+"""Height above the floor below which an object's centre means that it fell off its place, at most half way down from
+there; of places lower than LOW_M over the floor nothing falls."""
 FARTHEST_M = 3.0
 """Distance from the robot's base beyond which an object is lost."""
 FASTEST_M_S = 50.0
 """Speed above which an object moves because the physics diverged."""
-COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "drops", "object_lost", "diverged")
+COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "held_at", "slip", "drops", "object_lost", "diverged")
 """Fields that depend on the instant before."""
 
 
@@ -32,16 +35,17 @@ class HandSensors:
     def __init__(self, scene: Scene) -> None:
         self._at, self._kinds, self._floor_z = scene.sensors, len(scene.cell.objects), scene.floor_z
         self._open, self._closed = scene.model.actuator_ctrlrange[len(scene.joints)]
+        self._fallen = fallen_m(scene.cell)
 
-    def first(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, Tensor]:
+    def first(self, sensed: Array, kinds: NDArray[np.int64]) -> Fields:
         """Return the fields (n, 1, ...) of the first instants of episodes, from readings (n, 1, nsensor).
 
         Objects are of `kinds` (n, B).
         """
         fields = self._read(sensed, kinds)
-        return _tensors(fields | self._begun(fields))
+        return fields | self._begun(fields, self._in_hand(sensed, fields))
 
-    def decision(self, sensed: Array, before: State) -> dict[str, Tensor]:
+    def decision(self, sensed: Array, before: State) -> Fields:
         """Return the fields (n, K, ...) of a decision that began in the state `before` (n rows).
 
         From readings (n, K, nsensor). From where the physics diverged on, they are those before it.
@@ -53,11 +57,16 @@ class HandSensors:
         way = np.diff(fields["objects"], axis=1, prepend=before.objects.numpy()[:, None])
         flung = ~(np.linalg.norm(way, axis=-1) < FASTEST_M_S * CONTROL_STEP_S).all(axis=-1)
         diverged = np.logical_or.accumulate(late | flung | ~np.isfinite(sensed).all(axis=-1), axis=1)
-        told = _tensors(fields)
-        kept = {name: value.numpy() for name, value in still(told, torch.from_numpy(diverged), before).items()}
-        return _tensors(kept | self._counted(kept, diverged, before))
+        kept = still(fields, diverged, before)
+        return kept | self._counted(kept, self._in_hand(sensed, kept), diverged, before)
 
-    def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def _in_hand(self, sensed: Array, fields: Fields) -> Array:
+        """Return the centres of the objects (n, K, B, 3) m in the frame of the tool."""
+        away = torch.from_numpy(fields["objects"] - sensed[..., None, self._at["tcp_pos"]])
+        back = torch.from_numpy(fields["tcp_quat"][..., None, :] * [1.0, -1.0, -1.0, -1.0])
+        return turned(back.expand(*away.shape[:-1], 4), away).numpy()
+
+    def _read(self, sensed: Array, kinds: NDArray[np.int64]) -> Fields:
         """Return the fields (n, K, ...) of readings (n, K, nsensor) that need no memory; `kinds` (n, B) of objects."""
         n, count = sensed.shape[:2]
         way = self._closed - self._open
@@ -77,20 +86,19 @@ class HandSensors:
             "pads": of_objects("pads", 2) > 0,
         }
 
-    def _begun(self, fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return COUNTED (n, 1, ...) of the first instants of episodes."""
+    def _begun(self, fields: Fields, in_hand: Array) -> Fields:
+        """Return COUNTED (n, 1, ...) of the first instants of episodes; `in_hand` as of `_in_hand`."""
         height, held = fields["objects"][..., 2], np.asarray(fields["pads"].all(axis=-1))
         none, n = np.zeros(height.shape, dtype=np.int64), len(height)
         ground = np.where(held, height - ABOVE_M, height)
         return {
             "ground": ground, "aloft_steps": none, "free_steps": none.copy(), "carried": held,
+            "held_at": in_hand, "slip": np.zeros((n, 1)),
             "drops": np.zeros((n, 1), dtype=np.int64), "object_lost": np.zeros((n, 1), dtype=bool),
             "diverged": np.zeros((n, 1), dtype=bool),
         }  # fmt: skip
 
-    def _counted(
-        self, fields: dict[str, NDArray[Any]], diverged: NDArray[np.bool_], before: State
-    ) -> dict[str, NDArray[Any]]:
+    def _counted(self, fields: Fields, in_hand: Array, diverged: NDArray[np.bool_], before: State) -> Fields:
         """Return COUNTED (n, K, ...) of a decision that began in the state `before` (n rows)."""
         now = {name: getattr(before, name).numpy() for name in COUNTED}
         places, near = before.object_places.numpy(), before.place_tolerance.numpy()[:, None]
@@ -103,37 +111,50 @@ class HandSensors:
             free = np.where(touched, 0, now["free_steps"] + 1)
             let_go = now["carried"] & (free >= FREE_STEPS)
             away = np.linalg.norm(at - places, axis=-1) > near
+            carried = np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M)))
+            kept = now["carried"] | diverged[:, k, None]
+            held_at = np.where(kept[..., None], now["held_at"], in_hand[:, k])
+            firm = carried & held & ~diverged[:, k, None]
+            shifted = np.where(firm, np.linalg.norm(in_hand[:, k] - held_at, axis=-1), 0.0)
             now = {
                 "ground": ground,
                 "aloft_steps": np.where(held & (lifted >= LIFT_M), now["aloft_steps"] + 1, 0),
                 "free_steps": free,
-                "carried": np.asarray((now["carried"] & ~let_go) | (held & (lifted > CARRIED_M))),
+                "carried": carried,
+                "held_at": held_at,
+                "slip": np.maximum(now["slip"], shifted.max(axis=-1)),
                 "drops": now["drops"] + (let_go & away).any(axis=-1),
-                "object_lost": self._lost(at) | diverged[:, k],
+                "object_lost": self._lost(at, before.kinds.numpy()) | diverged[:, k],
                 "diverged": now["diverged"] | diverged[:, k],
             }
             found.append(now)
         return {name: np.stack([each[name] for each in found], axis=1) for name in COUNTED}
 
-    def _lost(self, at: Array) -> NDArray[np.bool_]:
-        """Return (n,) whether an object at (n, B, 3) m is on the floor or out of the cell."""
+    def _lost(self, at: Array, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (n,) whether an object of `kinds` (n, B) at (n, B, 3) m is on the floor or out of the cell."""
         away = np.linalg.norm(at[..., :2], axis=-1)
-        gone: NDArray[np.bool_] = ((at[..., 2] < self._floor_z + FLOOR_M) | (away > FARTHEST_M)).any(axis=-1)
+        low = at[..., 2] - self._floor_z < self._fallen[kinds]
+        gone: NDArray[np.bool_] = (low | (away > FARTHEST_M)).any(axis=-1)
         return gone
 
 
-def still(fields: dict[str, Tensor], diverged: Tensor, before: State) -> dict[str, Tensor]:
+def fallen_m(cell: CellConfig) -> Array:
+    """Return the heights (kinds,) m above the floor below which the centre of an object of each kind lies there."""
+    lowest = min(place.top_m[2] for place in cell.places.values()) + cell.base_height_m
+    if lowest < LOW_M:
+        return np.full(len(cell.objects), -np.inf)
+    half = np.array([each.half_height_m for each in cell.objects.values()])
+    return np.minimum(FLOOR_M, half + lowest / 2)
+
+
+def still(fields: Fields, diverged: NDArray[np.bool_], before: State) -> Fields:
     """Return `fields` (n, K, ...) of a decision, which stay as they were when the physics has `diverged` (n, K).
 
     They stay as in the last instant before, in the decision or in the state `before` it (n rows).
     """
     if not diverged.any():
         return fields
-    last = torch.where(diverged, 0, torch.arange(1, diverged.shape[1] + 1)).cummax(dim=1).values
-    rows = torch.arange(len(last))[:, None]
-    known = {name: torch.cat([getattr(before, name)[:, None], value], dim=1) for name, value in fields.items()}
-    return {name: value[rows, last] for name, value in known.items()}
-
-
-def _tensors(fields: dict[str, NDArray[Any]]) -> dict[str, Tensor]:
-    return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in fields.items()}
+    last = np.maximum.accumulate(np.where(diverged, 0, np.arange(1, diverged.shape[1] + 1)), axis=1)
+    rows = np.arange(len(last))[:, None]
+    begun = {name: getattr(before, name).numpy()[:, None] for name in fields}
+    return {name: np.concatenate([begun[name], value], axis=1)[rows, last] for name, value in fields.items()}

@@ -43,6 +43,12 @@ def rise_m(scene: Scene, kind: int) -> float:
     return max(0.0, scene.gripper.tip_m + TIP_CLEARANCE_M - low)
 
 
+def narrow_rad(scene: Scene, kind: int) -> float:
+    """Return the bearing, rad, in its own frame, in which an object of a kind is narrow."""
+    x, y, _ = list(scene.cell.objects.values())[kind].half_m
+    return math.pi / 2 if y < x else 0.0
+
+
 class Grasps:
     """Postures of the arm of `scene` with the tool at a pose."""
 
@@ -166,14 +172,16 @@ def turn_of(tilt: float, azimuth: float, side: float) -> Array:
     return np.stack([across, np.cross(down, across), down], axis=1)
 
 
-def approaches(place: Array, yaw: float | None) -> Iterator[Array]:
+def approaches(place: Array, yaw: float | None = None, between: float = math.pi / 2) -> Iterator[Array]:
     """Yield axes (3, 3) of tools for an object at (3,) m: nearly straight down and leaning outwards first.
 
-    The pads meet the sides of an object that is turned by `yaw` rad, or any of one that is round.
+    From pad to pad they point to a side at bearing `yaw` rad, or to one `between` rad from there on; None: to any.
     """
     outwards = math.atan2(place[1], place[0])
-    steps = np.arange(8) * np.pi / 4 if yaw is None else np.arange(4) * np.pi / 2
-    bearings = steps + (outwards if yaw is None else yaw)
+    if yaw is None:
+        bearings = outwards + np.arange(8) * np.pi / 4
+    else:  # a tool leans across the line from pad to pad
+        bearings = yaw + math.pi / 2 + np.arange(0.0, 2 * np.pi - 1e-9, between)
     order = np.argsort(np.abs(np.angle(np.exp(1j * (bearings - outwards)))), kind="stable")
     for tilt in TILTS_RAD:
         for azimuth in bearings[order]:

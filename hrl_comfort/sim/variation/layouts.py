@@ -242,20 +242,3 @@ def behind(places: Array) -> Array:
     """Return the stations (M, 2) m behind `places` (M, 2) m, as seen from the robot."""
     distance = np.linalg.norm(places, axis=1, keepdims=True)
     return np.asarray(places * (1 + BEHIND_M / np.maximum(distance, 1e-6)))
-
-
-def check_slots(config: EnvConfig) -> None:
-    """Raise ConfigError where objects could overlap."""
-    cell, jitter = config.cell, config.task.object_jitter_m
-    if config.task.objects == 1:
-        return
-    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
-        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
-        slots = np.array(cell.places[name].slots_m)
-        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
-        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
-        if apart < width - 1e-9:
-            raise ConfigError(
-                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
-                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
-            )

@@ -49,7 +49,7 @@ class Recorder:
         """Return how an argument is written."""
         if isinstance(value, Traced):
             return f"%{value.name}"
-        if np.ndim(value) == 0:
+        if np.ndim(value) == 0 and np.isfinite(value):  # JSON has no other numbers
             return float(value)
         key = f"c{len(self.constants)}"
         self.constants[key] = np.asarray(value, dtype=np.float64)
@@ -59,11 +59,11 @@ class Recorder:
         """Return the elements at `places` of the concatenated elements of `parts`; `value` is what they are."""
         op, args = self.nodes.get(getattr(parts[0], "name", ""), ("", []))
         taken = places.ravel()
-        if len(parts) == 1 and op == "gather":  # of what was moved already
+        if len(parts) == 1 and op == "moved":  # of what was moved already
             sources, taken = args[0], np.asarray(args[2])[taken]
         else:
             sources = [self.name(part) for part in parts]
-        return self.add("gather", [sources, list(places.shape), taken.tolist()], value)
+        return self.add("moved", [sources, list(places.shape), taken.tolist()], value)
 
 
 class Traced(NDArrayOperatorsMixin):

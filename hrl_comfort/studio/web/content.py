@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, SORTING, ConfigError, StudioConfig
+from hrl_comfort.config import CONTROL_STEP_S, SORTING, ConfigError, StudioConfig
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.options import Option
 from hrl_comfort.humans import body, walk
@@ -43,7 +43,8 @@ LOOK_UNIT_M = 1e-4
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "humans_pos", "humans_yaw",
     "humans_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
-    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share",
+    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share", "tops", "arm_body", "humans_body",
+    "humans_body_vel",
 }  # fmt: skip
 """What the page has of a State."""
 
@@ -78,6 +79,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "kind_places": state.kind_places[0].tolist(),
         "kinds": [{"shape": each.shape, "size": each.size_m, "rgb": each.rgb} for each in env.cell.objects.values()],
         "layout": episodes.draw.layout([0])[0].tolist(),
+        "tops": state.tops[0].tolist(),
         "tolerances": {name: float(getattr(state, f"{name}_tolerance")) for name in ("grasp", "place", "home")},
         "stages": {
             "names": [stage.name for stage in task.stages],
@@ -127,6 +129,7 @@ def refuse(config: StudioConfig) -> None:
     """Raise ConfigError where a page cannot show what `config` says."""
     allowed: tuple[tuple[str, Any, Any], ...] = (
         ("task.action", config.task.action, "joint"),
+        ("cell.vary.layouts", config.cell.vary.layouts, 0),
         ("human.clipping", config.human.clipping, "off"),
         ("human.others", ",".join(config.human.others) or "{}", "{}"),
         ("disturbance", config.disturbance, "none"),
@@ -180,7 +183,7 @@ def _episode(session: Session) -> dict[str, Any]:
         if session.over:  # the person goes on, beside an arm that stands
             before = session.state
             result = engine.step(np.zeros((1, len(engine.scene.joints))))
-            clip = decision_clip(engine.scene, engine.episodes.subtask, before, result, engine.episodes.people.course)
+            clip = decision_clip(engine, before, result)
         else:
             clip = session.step().clip
         parts.append(clip.person[1:])
@@ -209,8 +212,6 @@ def _body() -> dict[str, float]:
 
 def _person(config: StudioConfig) -> dict[str, Any]:
     return {
-        "masked": config.human.masked,
-        "far": FAR_AWAY_M,
         "farthest": FARTHEST_M,
         "entrance": ENTRANCE_M,
         "speed": min(motion_config("live").speed_m_s, fastest_m_s(config.safety)),

@@ -41,7 +41,7 @@ def export_page(config: StudioConfig) -> Path:
                 f"{licences.read_text(encoding='utf-8')}\n{'-' * 80}\n\n{ARMS_LICENCE.read_text(encoding='utf-8')}"
             ),
             "wasm": _packed(wasm.read_bytes()),
-            "content": _packed(json.dumps(made, separators=(",", ":")).encode()),
+            "content": _packed(json.dumps(made, separators=(",", ":"), allow_nan=False).encode()),
             "program": program.read_text(encoding="utf-8").replace("</script", "<\\/script"),
         }
         template = (here / "page.html").read_text(encoding="utf-8")

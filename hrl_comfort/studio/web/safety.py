@@ -17,6 +17,8 @@ from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
+from hrl_comfort.sim.plan import capsules
+from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.web.arrays import recorded
 
 Array = NDArray[Any]
@@ -27,11 +29,13 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
 
     `drive` (None in the paper's world) is a control step of `safety.drive.Drive`, `gap` the distance of arm and
     person, `walked` the share of a person's step that ends at the arm, `pairs` the distance of each pair of capsules
-    and the speed at which the arm's closes it.
+    and the speed at which the arm's closes it, `bodies` the fields of `Plan.bodies`.
     """
     separation = Separation(scene)
     drive, arm, person = make_drive(scene, separation, env, 1, every_row), separation.arm, separation.person
     shielded = drive is not None and drive.shield is not None
+    places, obstacles = np.split(scene.layout, [len(env.cell.places)])
+    standing = tops(env.cell, places, obstacles)[None]
 
     def driven(
         joint_target: Array, target_vel: Array, joint_pos: Array, joint_vel: Array, asked: Array, limbs: Array,
@@ -44,7 +48,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
             drive.shield.memory = Memory(person.ends(limbs_before), trail)
             made["reach"] = drive.shield.reach(now, target_vel)
         before = SetPoints.unshielded(joint_target, target_vel, np.zeros(1, np.int64))
-        begin, after = drive.step(before, asked, np.concatenate([joint_pos, joint_vel], axis=1), now)
+        begin, after = drive.step(before, asked, np.concatenate([joint_pos, joint_vel], axis=1), now, tops=standing)
         if drive.shield is not None:
             made["trail"] = drive.shield.memory.trail
         return made | {
@@ -59,6 +63,14 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
     def pairs(joint_pos: Array, joint_vel: Array, limbs: Array) -> dict[str, Array]:
         apart, speed = separation.pairs(joint_pos, joint_vel, limbs)
         return {"apart": apart, "speed": speed}
+
+    def bodies(joint_pos: Array, limbs: Array, limbs_before: Array, since: Array) -> dict[str, Array]:
+        ends, before = person.ends(limbs), person.ends(limbs_before)
+        return {
+            "arm_body": capsules(arm.pose(joint_pos).ends, arm.radius),
+            "humans_body": capsules(ends, person.radius),
+            "humans_body_vel": capsules((ends - before) / since, np.empty(0)),
+        }
 
     angles, limbs = scene.home[None], limbs_of(scene, walk)
     still, shield = np.zeros_like(angles), None if drive is None else drive.shield
@@ -78,6 +90,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
         "gap": recorded(lambda joint_pos, limbs: {"gap": separation.gap(joint_pos, limbs)}, beside),
         "walked": recorded(walked, {**beside, "limbs_before": limbs}),
         "pairs": recorded(pairs, moving),
+        "bodies": recorded(bodies, {**beside, "limbs_before": limbs, "since": np.ones(1)}),
         "shielded": shielded,
         "stops": drive is not None or env.task.terminate_on == "unsafe_contact",
         "terminate_on": env.task.terminate_on,

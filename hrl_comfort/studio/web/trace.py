@@ -16,13 +16,14 @@ from hrl_comfort.policies.graph import state_of
 from hrl_comfort.tasks import State, Subtask
 
 OPS = {
-    "abs", "add", "addmm", "amax", "any", "arange", "bitwise_and", "bitwise_not", "bitwise_or", "cat", "clamp",
-    "cos", "div", "eq", "expand", "full", "ge", "gt", "index", "le", "linalg_vector_norm", "logical_and",
-    "logical_not", "logical_or", "lt", "mul", "ne", "neg", "permute", "relu", "scalar_tensor", "select", "sin",
-    "slice", "split_with_sizes", "sqrt", "squeeze", "sub", "sum", "tanh", "unsqueeze", "view", "where",
+    "abs", "add", "addmm", "amax", "any", "arange", "argmin", "bitwise_and", "bitwise_not", "bitwise_or", "cat",
+    "clamp", "cos", "div", "eq", "expand", "full", "full_like", "gather", "ge", "gt", "index", "le",
+    "linalg_vector_norm", "logical_and", "logical_not", "logical_or", "lt", "maximum", "min", "minimum", "mul", "ne",
+    "neg", "permute", "relu", "scalar_tensor", "select", "sin", "slice", "sort", "split_with_sizes", "sqrt", "squeeze",
+    "sub", "sum", "tanh", "unsqueeze", "view", "where",
 }  # fmt: skip
 """Operations of `src/graph.js`; one whose arguments it would not understand is refused too."""
-PLAIN = {"_to_copy", "clone"}
+PLAIN = {"_to_copy", "alias", "clone"}
 """Operations that change neither values nor shape where all numbers are float64."""
 CHECKS = {"_assert_async", "_assert_tensor_metadata"}
 KINDS = {"dtype", "layout", "device", "pin_memory", "memory_format"}
@@ -102,7 +103,12 @@ def _unlike_the_page(name: str, args: tuple[Any, ...]) -> bool:
     """Return whether the page's operation of this name computes something else for these arguments."""
     if name == "linalg_vector_norm":
         return args[1:2] not in ((), (2,))
-    return name == "index" and (len(args[1]) > 1 or args[1][0].meta["val"].dtype == torch.bool)
+    if name == "index":
+        *before, last = args[1]
+        return any(each is not None for each in before) or last.meta["val"].dtype == torch.bool
+    if name == "min":
+        return len(args) == 1
+    return name == "sort" and any(args[2:])
 
 
 def _argument(value: Any) -> Any:

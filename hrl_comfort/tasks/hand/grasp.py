@@ -9,7 +9,7 @@ from torch.linalg import vector_norm
 
 from hrl_comfort.tasks.hand.observation import hand_terms, of_target
 from hrl_comfort.tasks.hand.rewards import hand_rewards
-from hrl_comfort.tasks.rewards import progress
+from hrl_comfort.tasks.rewards import Progress
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, Subtask
 
@@ -52,7 +52,7 @@ def with_hand(task: Subtask) -> Subtask:
     stages = tuple(_with_hand(stage) for stage in task.stages)
     rewards = dict(task.rewards)
     if "progress" in rewards:
-        rewards["progress"] = progress(stages, joint_space=False)
+        rewards["progress"] = Progress(stages, joint_space=False)
     further = hand_rewards(tuple(stage.grasps for stage in stages))
     seen = replace(task, stages=stages, rewards={**rewards, **further}, losses=("object_lost",))
     return seen.observing(**hand_terms())

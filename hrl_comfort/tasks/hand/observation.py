@@ -17,9 +17,15 @@ FAST = 5.0
 
 def of_target(values: Tensor, state: State) -> Tensor:
     """Return those (N, ...) of `values` (N, B, ...) that are the target's."""
-    axis = state.target.ndim
-    index = state.target.reshape(*state.target.shape, *[1] * (values.ndim - axis))
-    return torch.take_along_dim(values, index, dim=axis).squeeze(axis)
+    return _chosen(values, state.target)
+
+
+def _chosen(values: Tensor, index: Tensor) -> Tensor:
+    """Return those (N, ...) of `values` (N, n, ...) that `index` (N,) names; any number of rows can be exported."""
+    axis = index.ndim
+    named = index[..., None] == torch.arange(values.shape[axis])
+    mask = named[(..., *[None] * (values.ndim - axis - 1))]
+    return torch.where(mask, values, 0).sum(axis).to(values.dtype)
 
 
 def turned(quaternion: Tensor, vector: Tensor) -> Tensor:
@@ -59,7 +65,7 @@ def target_turn(state: State) -> Tensor:
 
 def target_size(state: State) -> Tensor:
     """Return (N, 3) m: half the sides of the target."""
-    return torch.take_along_dim(state.kind_sizes, state.target_kind[..., None, None], dim=-2).squeeze(-2)
+    return _chosen(state.kind_sizes, state.target_kind)
 
 
 def target_lifted(state: State) -> Tensor:

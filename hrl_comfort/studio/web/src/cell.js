@@ -102,14 +102,15 @@ export class Cell {
 
   /** Return the fields of the state that graphs read, as of one row. */
   fields(stage, level) {
-    const { state, content, object, person } = this, { place, yaw } = person.walk, far = [content.person.far, 0];
+    const { state, content, object, person } = this, { place, yaw } = person.walk;
     const people = (data) => ({ shape: [1, 1, data.length], data });
     return {
       joint_pos: row(state.joint_pos), joint_vel: row(state.joint_vel), joint_target: row(this.target),
       tcp_pos: row(state.tcp_pos), tcp_home: row(content.tcp_home), joint_home: row(content.home),
-      humans_pos: people(place), humans_yaw: row([yaw]), humans_seen: people(content.person.masked ? far : place),
+      humans_pos: people(place), humans_yaw: row([yaw]), humans_seen: people(place),
       target_object: row(object.place), target_place: row(content.kind_places[object.kind]), target_kind: one(object.kind),
       kind_places: { shape: [1, content.kind_places.length, 3], data: content.kind_places.flat() },
+      tops: { shape: [1, content.tops.length, 6], data: content.tops.flat() },
       points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
       stage: one(stage), level: one(level), steps: one(state.steps),
       grasp_tolerance: one(content.tolerances.grasp), place_tolerance: one(content.tolerances.place),
@@ -137,8 +138,9 @@ export class Cell {
 
   /** Return the increments (rad a control step) that the option in force chooses now. */
   act() {
-    const { act, first } = this.options[this.option];
-    return act(this.fields(Math.max(this.state.stage - first, 0), this.state.level)).made;
+    const { state, safety } = this, { act, first } = this.options[this.option];
+    const bodies = safety.bodies(state.joint_pos, this.limbs);
+    return act({ ...this.fields(Math.max(state.stage - first, 0), state.level), ...bodies }).made;
   }
 
   /** Run one control step of 20 ms, the first one of a decision after the policy has acted; true where a decision ended. */
@@ -148,7 +150,7 @@ export class Cell {
     if (state.steps === 0 && state.touching) return this.waitForPerson();
     if (!this.decision) {
       state.level = this.level;
-      this.decision = { from: [...this.target], increment: this.act(), steps: 0 };
+      this.decision = { from: [...this.target], increment: this.act(), steps: 0, limbs: this.limbs };
     }
     const { from, increment, steps } = this.decision, touched = state.touching;
     const ramp = (share) => from.map((angle, joint) => {
@@ -206,6 +208,7 @@ export class Cell {
     this.person.advance();
     this.pose();
     this.safety.before = this.limbs;
+    this.safety.see(this.limbs);
     this.control(this.target);
     this.mujoco.mj_forward(this.model, this.data);
     this.state.contact = false;
@@ -216,6 +219,7 @@ export class Cell {
 
   endDecision(failed, late) {
     const { state, content } = this, success = state.stage >= content.stages.names.length;
+    this.safety.see(this.decision.limbs, this.decision.steps);
     this.decision = null;
     if (failed) this.finish(this.failedContact ? "contact" : `hit ${state.hit}`);
     else if (success) this.finish("success");

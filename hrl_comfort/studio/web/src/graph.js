@@ -64,10 +64,11 @@ function lists(f, x, axis) {
   return array(x.shape.filter((_, k) => k !== axis), data);
 }
 
-/** Reduce along some axes, all of them by default, with `f` of a list of elements. */
+/** Reduce along an axis or some, all of them by default, with `f` of a list of elements. */
 const reduce =
   (f) =>
-  (x, axes = [], keep = false) => {
+  (x, given = [], keep = false) => {
+    const axes = [given ?? []].flat();
     if (axes.length === 1 && !keep) return lists(f, x, axisOf(axes[0], x));
     const chosen = (axes.length ? axes : range(0, x.shape.length)).map((axis) => axisOf(axis, x)).sort((a, b) => b - a);
     const kept = range(0, x.shape.length).filter((axis) => !chosen.includes(axis));
@@ -109,6 +110,7 @@ const ops = {
   scalar_tensor: scalar,
   arange: (from, to, step) => (to === undefined ? ops.arange(0, from) : array([Math.ceil((to - from) / (step ?? 1))], range(from, to, step ?? 1))),
   full: (shape, value) => array(shape, Array(size(shape)).fill(Number(value))),
+  full_like: (x, value) => ops.full(x.shape, value),
   cat(parts, dim = 0) {
     const axis = axisOf(dim, parts[0]), outer = size(parts[0].shape.slice(0, axis)), data = [];
     for (let row = 0; row < outer; row++)
@@ -126,10 +128,16 @@ const ops = {
     const axis = axisOf(dim, x), found = take(x, axis, [place < 0 ? place + x.shape[axis] : place]);
     return array(found.shape.filter((_, k) => k !== axis), found.data);
   },
-  index: (x, [rows, ...others]) => {
-    if (others.length) throw new Error("index: more than one");
-    const found = take(x, 0, rows.data);
-    return array([...rows.shape, ...found.shape.slice(1)], found.data);
+  index: (x, given) => {
+    const axis = given.length - 1, places = given[axis], found = take(x, axis, places.data);
+    return array([...x.shape.slice(0, axis), ...places.shape, ...x.shape.slice(axis + 1)], found.data);
+  },
+  gather(x, dim, places) {
+    const axis = axisOf(dim, x), strides = (shape) => shape.map((_, k) => size(shape.slice(k + 1)));
+    const own = strides(places.shape), theirs = strides(x.shape);
+    const data = Array.from(places.data, (place, index) =>
+      x.data[own.reduce((at, stride, k) => at + theirs[k] * (k === axis ? place : Math.floor(index / stride) % places.shape[k]), 0)]);
+    return array(places.shape, data);
   },
   split_with_sizes(x, sizes, dim = 0) {
     let from = 0;
@@ -171,16 +179,21 @@ const ops = {
   },
   linalg_vector_norm(x, order = 2, axes = [], keep = false) {
     if (order !== 2) throw new Error(`linalg_vector_norm: order ${order}`);
-    return reduce((list) => Math.hypot(...list))(x, axes ?? [], keep);
+    return reduce((list) => Math.hypot(...list))(x, axes, keep);
   },
   sum: reduce((list) => list.reduce((a, b) => a + b, 0)),
   amax: reduce((list) => Math.max(...list)),
   amin: reduce((list) => Math.min(...list)),
   argmin: reduce((list) => list.indexOf(Math.min(...list))),
+  min: (x, dim, keep) => [ops.amin(x, dim, keep), ops.argmin(x, dim, keep)],
+  sort: (x, dim = -1) => {
+    const order = along((list) => range(0, list.length).sort((a, b) => list[a] - list[b]))(x, [dim]);
+    return [ops.gather(x, dim, order), order];
+  },
   all: reduce((list) => Number(list.every(Boolean))),
   cumsum: along((list) => list.map(((sum) => (value) => (sum += value))(0))),
   take_along_rows: (x, rows) => array(rows.shape, Array.from(rows.data, (row, column) => x.data[row * rows.data.length + column])),
-  gather(parts, shape, places) {
+  moved(parts, shape, places) {
     const given = parts.map(lift), data = given.length === 1 ? given[0].data : given.flatMap((part) => Array.from(part.data));
     return array(shape, places.map((place) => data[place]));
   },

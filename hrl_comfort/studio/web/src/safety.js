@@ -9,7 +9,7 @@ export class Safety {
   constructor(given, step) {
     this.given = given;
     this.step = step;
-    for (const name of ["drive", "gap", "walked", "pairs"]) this[`${name}Graph`] = given[name] && compile(given[name]);
+    for (const name of ["drive", "gap", "walked", "pairs", "bodies"]) this[`${name}Graph`] = given[name] && compile(given[name]);
   }
 
   /** Whether set-points are rated, and perhaps shielded. */
@@ -22,6 +22,21 @@ export class Safety {
     Object.assign(this, { velocity, trail: this.given.trail, share: 1, braking: false, stops: 0, reach: 0, touched: new Set() });
     // They may come at the largest speed.
     this.before = limbs.map(([x, y, z, ...turn]) => [x, y, z + this.given.first_step, ...turn]);
+    this.see(limbs);
+  }
+
+  /** Keep the limbs of a person as a decision of `steps` control steps begins. */
+  see(limbs, steps = 1) {
+    this.seen = { limbs, since: steps * this.step };
+  }
+
+  /** Return the fields about the capsules of an arm at some angles (rad) and of a person, since the decision before. */
+  bodies(angles, limbs) {
+    const { seen } = this, { arm_body, humans_body, humans_body_vel } = this.bodiesGraph({
+      joint_pos: row(angles), limbs: limbRow(limbs), limbs_before: limbRow(seen.limbs), since: { shape: [1], data: [seen.since] },
+    });
+    const parts = (data, width) => ({ shape: [1, data.length / width, width], data });
+    return { arm_body: parts(arm_body, 7), humans_body: parts(humans_body, 7), humans_body_vel: parts(humans_body_vel, 6) };
   }
 
   /**

@@ -1,0 +1,140 @@
+"""Cells that a hand works in: low places, oblong boxes, objects that are not there, and grippers with a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hrl_comfort.composition.compose import compose_environment
+from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.policies.load import make_policy
+from hrl_comfort.scene.workcell import scene_of
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.hand.sensors import fallen_m
+from tests.hand.pincer import Pincer
+
+ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.05")
+
+
+def cell(*words: str) -> EnvConfig:
+    return compose_environment("train", [*ALONE, *words])
+
+
+def solved(config: EnvConfig, rows: int, decisions: int = 120) -> int:
+    """Return in how many of `rows` cells the expert succeeds."""
+    engine = Engine(config, rows, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    going, found = np.ones(rows, dtype=bool), 0
+    for _ in range(decisions):
+        result = engine.step(act(state).numpy(), np.flatnonzero(going))
+        found += int((result.success.numpy() & going).sum())
+        going &= ~result.done.numpy()
+        state = result.state
+        if not going.any():
+            break
+    return found
+
+
+@pytest.mark.parametrize("base_m", [0.02, 0.1, 0.16])
+def test_an_object_in_a_low_cell_is_lost_on_the_floor_alone(base_m: float) -> None:
+    config = cell(f"cell.base_height_m={base_m}", "~cell.obstacles.table", "task=pick", "task.object=cube")
+    engine = Engine(config, 1, 0)
+    assert not engine.reset().object_lost.any()
+    assert not engine.step(np.zeros((1, 7))).state.object_lost.any()
+    at = 1 + engine.scene.model.joint("object_1_cube").qposadr[0]
+    engine.physics.state[0, at : at + 3] = (0.3, 0.6, engine.scene.floor_z + 0.02)  # beside the places
+    assert engine.step(np.zeros((1, 7))).state.object_lost.all()
+
+
+def test_from_places_on_the_floor_nothing_falls() -> None:
+    low = cell(
+        "cell.base_height_m=0.0", "cell.places.left.top_m=[0.28,0.2,0.01]", "cell.places.right.top_m=[0.28,-0.2,0]"
+    )
+    assert (fallen_m(low.cell) == -np.inf).all()
+
+
+@pytest.mark.parametrize("gripper", ["two_finger", "robotiq_2f85"])
+@pytest.mark.parametrize("size", ["[0.05,0.015,0.02]", "[0.015,0.05,0.02]"])
+def test_the_expert_takes_an_oblong_box_by_its_narrow_side(size: str, gripper: str) -> None:
+    box = (f"gripper={gripper}", "~cell.objects.ball", f"cell.objects.cube.size_m={size}")
+    assert solved(cell(*box, "task=pick"), 6) == 6
+    assert solved(cell(*box, "task=pick", "task.start=pregrasp"), 4) == 4
+    assert solved(cell(*box, "task=place"), 4) == 4
+
+
+def test_objects_that_are_not_in_an_episode_touch_nothing_until_it_is_over() -> None:
+    config = cell("task=pick", "task.object=cube", "task.max_episode_steps=300")
+    engine = Engine(config, 1, 0)
+    engine.reset()
+    at = 1 + engine.scene.model.joint("object_1_ball").qposadr[0]
+    heights = [engine.physics.state[0, at + 2]]
+    while not (result := engine.step(np.zeros((1, 7)))).done.all():
+        heights.append(engine.physics.state[0, at + 2])
+    fallen = 9.81 * (0.02 * result.state.steps.item()) ** 2 / 2
+    assert heights[0] - engine.physics.state[0, at + 2] == pytest.approx(fallen, rel=0.01)
+    assert engine.physics.state[0, at + 2] > engine.scene.floor_z + 1.0
+
+
+class Raises(Pincer):
+    def attach(self, flange: Any, force_n: float) -> None:
+        raise KeyError("palm")
+
+
+class HasNoDrive(Pincer):
+    def attach(self, flange: Any, force_n: float) -> None:
+        super().attach(flange, force_n)
+        flange.root.find("actuator", "hand").remove()
+
+
+class HasNoTool(Pincer):
+    def attach(self, flange: Any, force_n: float) -> None:
+        super().attach(flange, force_n)
+        flange.root.find("site", "tcp").remove()
+
+
+class NamesOtherPads(Pincer):
+    pads = ("left", "right_jaw")
+
+    def attach(self, flange: Any, force_n: float) -> None:
+        Pincer().attach(flange, force_n)
+
+
+class HasNoRange(Pincer):
+    def attach(self, flange: Any, force_n: float) -> None:
+        super().attach(flange, force_n)
+        del flange.root.find("actuator", "hand").ctrlrange
+
+
+class HasNoMass(Pincer):
+    def attach(self, flange: Any, force_n: float) -> None:
+        super().attach(flange, force_n)
+        for geom in flange.root.find("body", "left_jaw").geom:
+            geom.mass = 0
+
+
+class HasNoPads:
+    name, opening_m, tip_m, attach = "no_pads", 0.1, 0.02, None
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (Raises, "attach.. raised KeyError: 'palm'"),
+        (HasNoDrive, "it lacks actuator 'hand'"),
+        (HasNoTool, "it lacks site 'tcp'"),
+        (NamesOtherPads, "it lacks body 'left'"),
+        (HasNoRange, "the actuator 'hand' has no ctrlrange"),
+        (HasNoMass, "MuJoCo does not take it: .*mass"),
+        (HasNoPads, "must be a Gripper"),
+    ],
+)
+def test_a_faulty_gripper_of_a_user_s_own_is_refused_in_one_line(
+    made: Callable[[], Any], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.hand.pincer.PINCER", made())
+    with pytest.raises(ConfigError, match=rf"robot\.gripper\.name=.*{says}") as told:
+        scene_of(cell("gripper=tests.hand.pincer:PINCER"))
+    assert "\n" not in str(told.value)
