@@ -133,3 +133,4 @@ def _evaluation_folder(policy: str | None, task: str, split: str, policies: Mapp
 
 OmegaConf.register_new_resolver("evaluation_folder", _evaluation_folder, replace=True)
 OmegaConf.register_new_resolver("absolute", os.path.abspath, replace=True)
+OmegaConf.register_new_resolver("count", len, replace=True)

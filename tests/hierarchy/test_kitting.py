@@ -100,8 +100,8 @@ def test_with_every_order_filled_there_is_nothing_but_to_wait() -> None:
 
 def test_a_cell_needs_an_order_of_each_kind() -> None:
     with pytest.raises(ConfigError, match=r"one of each kind; with these cell.objects choose task.objects=2"):
-        kitting("cell=paper")
-    assert len(kitting("cell=paper", "task.objects=2").cell.objects) == 2
+        kitting("cell=paper", "task.objects=3")
+    assert kitting("cell=paper").task.objects == 2
 
 
 def test_jobs_show_how_near_people_are_to_both_ends_how_that_changes_and_when_orders_are_due() -> None:
