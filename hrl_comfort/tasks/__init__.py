@@ -6,12 +6,11 @@ from dataclasses import replace
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import part
-from hrl_comfort.tasks.cycle import CYCLE
+from hrl_comfort.tasks.cycle import CYCLE, PICK_PLACE
 from hrl_comfort.tasks.hand import with_hand
 from hrl_comfort.tasks.kitting import KITTING
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
-from hrl_comfort.tasks.pick_place import PICK_PLACE
 from hrl_comfort.tasks.place import PLACE
 from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
 from hrl_comfort.tasks.reach import REACH
