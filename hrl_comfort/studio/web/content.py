@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.adapt import max_episode_steps
-from hrl_comfort.config import CONTROL_STEP_S, SORTING, ConfigError, StudioConfig
+from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M, SORTING, ConfigError, StudioConfig
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.options import Option
 from hrl_comfort.humans import body, walk
@@ -212,6 +212,7 @@ def _body() -> dict[str, float]:
 
 def _person(config: StudioConfig) -> dict[str, Any]:
     return {
+        "far": FAR_AWAY_M,
         "farthest": FARTHEST_M,
         "entrance": ENTRANCE_M,
         "speed": min(motion_config("live").speed_m_s, fastest_m_s(config.safety)),
