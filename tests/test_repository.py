@@ -17,7 +17,7 @@ from hrl_comfort.sim.starts import recorded
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
-MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.35
+MAX_FILES, MAX_MB, MAX_POLICY_MB = 300, 30.0, 0.4
 CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
 POLICIES = sorted(REFERENCE.rglob("policy.pt"))
 ENTRIES = sorted(REFERENCE.rglob("benchmark.json"))
