@@ -69,7 +69,7 @@ def test_all_stages_and_terms_of_the_package_are_compiled_and_a_users_are_asked(
     for each in TASKS:
         assert kernels.compiled_stages(each) is not None
         named = zip(each.rewards, kernels.compiled_terms(each)[0], strict=True)
-        assert {name for name, kind in named if kind == kernels.OTHER} <= {"return_shaping"}
+        assert {name for name, kind in named if kind == kernels.OTHER} <= {"return_shaping", "missed"}
     mine = replace(task.stages[0], done=lambda state: state.tcp_pos[..., 2] > 0.5)
     assert kernels.compiled_stages(replace(task, stages=(mine, *task.stages[1:]))) is None
     assert kernels.compiled_stages(subtask("cycle", hand=True)) is None
