@@ -41,8 +41,8 @@ def collisions(rows: int, decisions: int, *words: str) -> int:
 
 @pytest.mark.parametrize("more", [["cell=paper"], ["cell=bench"], ["cell=station", "robot=ur10e"]])
 def test_an_arm_that_keeps_a_clearance_runs_into_nothing(more: list[str]) -> None:
-    assert collisions(16, 60, *more) > 0
-    assert collisions(16, 60, *more, "safety.clearance_m=0.01") == 0
+    assert collisions(32, 60, *more) > 0
+    assert collisions(32, 60, *more, "safety.clearance_m=0.01") == 0
 
 
 @pytest.mark.parametrize("robot", ["ur3e", "ur10e"])
