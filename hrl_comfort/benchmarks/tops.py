@@ -40,7 +40,12 @@ WORDS = (
 """What is measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
 RULES = ("random", "nearest", "free", "patient", "due")
 FIXED = "fixed"
-TERMS = {"return": "return", "place": "orders filled", "missed": "orders missed", "comfort": "discomfort, weighted"}
+TERMS = {
+    "return": "return",
+    "place": "orders filled",
+    "missed": "orders missed, weighted",
+    "comfort": "discomfort, weighted",
+}
 """Columns of the CSV and their heads in the table; all but the first are reward terms with their weights."""
 
 
