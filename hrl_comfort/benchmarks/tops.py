@@ -112,10 +112,11 @@ def table(rows: DataFrame) -> str:
     lines = []
     for name in shown:
         mine, oracle = (of[each]["return"].to_numpy() for each in (name, ORACLE))
-        gain = runs.estimate((oracle - mine) / mine.mean()) if mine.mean() > 0 and name != ORACLE else None
+        more = None if name == ORACLE else runs.estimate(oracle - mine)
         values = (runs.estimate(of[name][term].to_numpy()) for term in TERMS)
-        lines.append([f"`{name}`", *(cell(value, digits=2) for value in values), cell(gain, 100, 0)])
-    return markdown(["choice", *TERMS.values(), "oracle above it, %"], lines)
+        share = "–" if more is None or mine.mean() <= 0 else f"{100 * more['mean'] / mine.mean():.0f}"
+        lines.append([f"`{name}`", *(cell(value, digits=2) for value in values), cell(more, digits=2), share])
+    return markdown(["choice", *TERMS.values(), "oracle above it", "the same, %"], lines)
 
 
 def main(words: Sequence[str]) -> None:

@@ -42,6 +42,8 @@ def dataset(config: EvaluateConfig) -> Path:
     Raises:
       ConfigError: Minari is not installed, the output holds something, or a policy is missing or does not fit.
     """
+    if config.regret:
+        raise ConfigError("regret=true does not go with dataset, which has no column for it; leave it out")
     try:
         import minari
         from minari.dataset.minari_storage import MinariStorage

@@ -62,6 +62,8 @@ def handover(config: EvaluateConfig) -> Path:
     for name in names:
         if not Path(config.policies[name]).exists():
             raise ConfigError(f"policies.{name}={config.policies[name]} is no run folder: it has no own starts")
+    if config.regret:
+        raise ConfigError("regret=true does not go with handover, whose options have no alternative; leave it out")
     if config.levels:
         raise ConfigError(f"levels={list(config.levels)} does not go with handover; choose comfort.level=")
     if config.disturbance != "none":

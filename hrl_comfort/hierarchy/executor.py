@@ -110,7 +110,8 @@ class OptionExecutor:
         A preempted or failed skill leaves the arm where no skill was trained to start, and may be stuck: if one
         of the options recovers, it alone can start until the arm is home.
         """
-        mask = self.table.can_start(state)
+        free = self.table.can_start(state)
+        mask = free.clone()
         for index, option in enumerate(self.table.options):
             mine = self.table.option == index
             if option.max_runs is not None:
@@ -119,6 +120,7 @@ class OptionExecutor:
             if option.recovers:
                 astray = self._preempted & ~self._ends(index, state)
                 mask[astray] = mine
+        mask = torch.where(mask.any(dim=-1, keepdim=True), mask, free)  # whoever has nothing else may wait once more
         return mask | ~mask.any(dim=-1, keepdim=True)
 
     def decision(self, state: State, deciding: Tensor | None = None) -> Decision:

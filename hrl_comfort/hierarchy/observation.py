@@ -32,8 +32,8 @@ def observation_dim(layout: str, objects: int) -> int:
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:
     """Return (N, observation_dim(layout, B)).
 
-    The person seen nearest to the tool (2) and their facing direction (2, zero where their position is clipped or
-    masked) or, with the layout `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of
+    The person seen nearest to the tool (2) and their facing direction (2, zero where their position is
+    clipped) or, with the layout `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of
     the round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the
     person's distance from both (2), whether it is placed and whether it is the target (2). With the layout `jobs` also
     how fast the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1).

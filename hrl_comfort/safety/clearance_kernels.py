@@ -11,10 +11,8 @@ from hrl_comfort.safety.kernels import Geometry, closest_shares, posed
 Array = NDArray[np.float64]
 Surroundings = tuple[NDArray[np.int64], Array, NDArray[np.int64], Array, float]
 """Of the fields of `Clearance`: capsules and shares of the points, pairs, posts, and height of the floor."""
-CLOSER_M = 1e-6
+CLOSER_M = 1e-9
 """Change of a distance that counts as nearer."""
-MOST = 128
-"""Constraints of an arm that are looked at; more hardly ever come together."""
 
 
 @kernel
@@ -131,7 +129,8 @@ def damped(
     capsules, shares, pairs, posts, floor_z = around
     axis, anchor, ends = posed(angles, geometry)
     link, count, found = geometry[4], tops.shape[1], asked.copy()
-    rows, room = np.empty((MOST, angles.shape[1])), np.empty(MOST)
+    most = len(capsules) * (count + len(posts) + 1) + len(pairs)
+    rows, room = np.empty((most, angles.shape[1])), np.empty(most)
     for m in range(len(angles)):
         known, columns = 0, columns_of(tops, m, posts)
         for index in range(len(capsules)):
@@ -146,7 +145,7 @@ def damped(
                     u, v, w = away(x, y, z, columns[k])
                     gap = length(u, v, w)
                     u, v, w = (u / gap, v / gap, w / gap) if gap > 0.0 else (0.0, 0.0, 1.0)
-                if gap < near + reach_m and known < MOST:
+                if gap < near + reach_m:
                     rows[known], room[known] = 0.0, max(gap - near, 0.0) / damping_s
                     lean(rows[known], m, axis, anchor, link[capsule], x, y, z, u, v, w, 1.0)
                     known += 1
@@ -156,7 +155,7 @@ def damped(
             x, y, z = at(ends, m, first, s)
             a, b, c = at(ends, m, second, t)
             gap, near = length(x - a, y - b, z - c), radius[first] + radius[second] + clearance_m
-            if 0.0 < gap < near + reach_m and known < MOST:
+            if 0.0 < gap < near + reach_m:
                 u, v, w = (x - a) / gap, (y - b) / gap, (z - c) / gap
                 rows[known], room[known] = 0.0, max(gap - near, 0.0) / damping_s
                 lean(rows[known], m, axis, anchor, link[first], x, y, z, u, v, w, 1.0)

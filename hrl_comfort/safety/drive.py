@@ -149,23 +149,27 @@ class Drive:
         velocities, rad/s, `now` the arms there beside the people. The shield sees the people at `limbs` (N, L, 7)
         instead, if given. `tops` (N, F, 6), as `State.tops`, is what the arm keeps clear of where it keeps a clearance.
         """
-        if self._clearance is not None and tops is not None:
-            asked = self._clearance.damped(before.angles, asked, tops)
+        if self._clearance is None:
+            return self._passed(before, asked, joints, now, limbs)
+        if tops is None:
+            raise ValueError("an arm that keeps a clearance needs to know the tops of what stands there")
+        asked = self._clearance.damped(before.angles, asked, tops)
         begin, after = self._passed(before, asked, joints, now, limbs)
-        return begin, after if self._clearance is None else self._kept_clear(before, begin, after, tops)
+        clear = self._clearance.keeps(begin, begin + self._rating.way(after.velocity), tops)
+        return begin, self._kept_clear(before, begin, after, clear)
 
-    def _kept_clear(self, before: SetPoints, begin: Array, after: SetPoints, tops: Array | None) -> SetPoints:
-        """Return the set-points `after` a step from `begin` (N, J) rad, or those of the brake to keep the clearance.
+    def _kept_clear(self, before: SetPoints, begin: Array, after: SetPoints, clear: NDArray[np.bool_]) -> SetPoints:
+        """Return the set-points `after` a step from `begin` (N, J) rad; where those are not `clear` (N,), the brake's.
 
         Set-points that were taken back to the arm stand, and stay.
         """
-        assert self._clearance is not None and tops is not None
-        clear = self._clearance.keeps(begin, begin + self._rating.way(after.velocity), tops)
         velocity = np.where(clear[:, None], after.velocity, self._rating.brake(before.velocity))
         angles = np.clip(begin + velocity * CONTROL_STEP_S, self._low, self._high)
         speed, passed = np.linalg.norm(velocity, axis=1), np.linalg.norm(after.velocity, axis=1)
         braked = np.minimum(after.share * speed / np.maximum(passed, 1e-9), 1.0)
         share = np.where(clear, after.share, braked)
+        if self.shield is not None:
+            self.shield.sent(self.arm.speeds(self.arm.pose(begin), velocity))
         return replace(after, angles=angles, velocity=velocity, share=share, share_sum=before.share_sum + share)
 
     def _passed(
@@ -305,6 +309,11 @@ def make_drive(
     """
     robot, kind = config.robot, config.safety.kind
     check_allowances(config)
+    if config.safety.clearance_m is not None and robot.gripper.holds:
+        raise ConfigError(
+            f"safety.clearance_m={config.safety.clearance_m} does not go with robot.gripper.name={robot.gripper.name}, "
+            "which must touch what an object lies on; choose safety.clearance_m=null, or gripper=none"
+        )
     if robot.name not in RATINGS and (robot.rating, kind) != ("paper", "none"):
         raise ConfigError(
             f"robot.name={robot.name} has no rating: robot.rating={robot.rating} safety.kind={kind} are for "

@@ -156,6 +156,13 @@ class Shield:
         self.memory = Memory(seen, trail)
         self._decision.append(self.memory)
 
+    def sent(self, speeds: Array) -> None:
+        """Take note that capsules were commanded `speeds` (C, N) m/s after all in the latest control step."""
+        trail = self.memory.trail
+        newest = np.maximum(trail[:, -1], speeds)[:, None]
+        self.memory = Memory(self.memory.seen, np.concatenate([trail[:, :-1], newest], axis=1))
+        self._decision[-1] = self.memory
+
     def reach(self, now: Encounter, velocity: Array) -> Array:
         """Return how far (N,) m any part of the person may get until arms at `velocity` (N, J) rad/s are slow.
 

@@ -38,7 +38,7 @@ LATE_STEPS = rewards.LATE_STEPS
 
 def compiled_stages(task: Subtask) -> Ints | None:
     """Return the indices (S,) of a subtask's stages in STAGES; None if one is not there, or a loss is a failure."""
-    if task.losses or any(stage not in STAGES for stage in task.stages):
+    if type(task) is not Subtask or task.losses or any(stage not in STAGES for stage in task.stages):
         return None
     return np.array([STAGES.index(stage) for stage in task.stages])
 
@@ -47,16 +47,16 @@ def compiled_terms(task: Subtask) -> tuple[Ints, Truths]:
     """Return the kinds (T,) of a subtask's reward terms, and in which of its stages (T, S) they pay."""
     kinds, paid = [], np.ones((len(task.rewards), len(task.stages)), dtype=bool)
     for index, term in enumerate(task.rewards.values()):
-        if isinstance(term, WithinRound) and task.repeats and term.stages == len(task.stages):
+        if type(term) is WithinRound and task.repeats and term.stages == len(task.stages):
             term = term.term
-        if isinstance(term, rewards.Progress) and term.stages == task.stages:
+        if type(term) is rewards.Progress and term.stages == task.stages:
             kinds.append(PROGRESS)
             paid[index] = [stage.joint_space is term.joint_space for stage in task.stages]
-        elif isinstance(term, rewards.Completion):
+        elif type(term) is rewards.Completion:
             kinds.append(COMPLETION)
             paid[index] = [stage in term.paid for stage in range(len(task.stages))]
         else:
-            kinds.append(_TERMS.get(term, OTHER))
+            kinds.append(next((kind for each, kind in _TERMS.items() if each is term), OTHER))
     return np.array(kinds, dtype=np.int64), paid
 
 

@@ -136,6 +136,7 @@ class SkillCollector:
             "env": self._env.state_dict(),
             "now": dict(self.now.items()),
             "precision_m": self.precision_m,
+            "reach": self.reach,
             "demonstrated": self.demonstrated.clone(),
             "takeovers": self._takeovers.get_state(),
             "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
@@ -146,7 +147,7 @@ class SkillCollector:
         self._env.load_state_dict(state["env"])
         self.now = TensorDict(state["now"], batch_size=self._env.batch_size)
         self.precision_m, episodes = state["precision_m"], state["episodes"]
-        self.demonstrated = state["demonstrated"].clone()
+        self.reach, self.demonstrated = state["reach"], state["demonstrated"].clone()
         self._takeovers.set_state(state["takeovers"])
         self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 

@@ -58,7 +58,9 @@ class Curriculum:
             return None
         begin, end = config.reach
         whole = config.start_m - config.end_m
-        return end if not whole else begin + (end - begin) * (config.start_m - self.precision_m) / whole
+        if config.kind == "off" or not whole:
+            return end
+        return begin + (end - begin) * min(max((config.start_m - self.precision_m) / whole, 0.0), 1.0)
 
     def advance(self, policy_steps: int, finished: list[tuple[float, bool]]) -> None:
         """Update by the policy steps of the stage so far and (precision, success) of episodes that just ended."""

@@ -91,10 +91,13 @@ def test_where_the_order_that_is_next_was_filled_the_arm_picks_for_an_open_one()
     assert after.target.tolist() == [2, 0]
 
 
-def test_with_every_order_filled_there_is_nothing_but_to_wait() -> None:
-    engine, executor, state = made(kitting(), 1)
-    engine.episodes.state = state.with_(placed=torch.ones_like(state.placed))
-    mask = executor.available(engine.episodes.state)
+@pytest.mark.parametrize("waits", ["null", "1"])
+def test_with_every_order_filled_there_is_nothing_but_to_wait(waits: str) -> None:
+    _, executor, state = made(kitting("meta_controller=cautious", f"meta_controller.max_waits={waits}"), 1)
+    executor.option[:] = executor.table.option[executor.table.names.index("wait")]
+    executor.attempt[:] = 1
+    later = state.with_(placed=torch.ones_like(state.placed), steps=torch.full_like(state.steps, 40))
+    mask = executor.available(later)
     assert [executor.table.names[index] for index in mask[0].nonzero()] == ["wait"]
 
 
@@ -199,4 +202,4 @@ def test_the_table_tells_the_best_fixed_order_and_how_far_the_oracle_is_above() 
     ])  # fmt: skip
     lines = choice.table(rows).splitlines()
     assert [line.split("`")[1] for line in lines[2:]] == ["random", "fixed b a", "oracle"]
-    assert lines[3].endswith("| 25 |") and "4.00 [3.75, 4.25]" in lines[3]
+    assert lines[3].endswith("| 1.00 | 25 |") and "4.00 [3.75, 4.25]" in lines[3]

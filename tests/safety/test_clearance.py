@@ -71,6 +71,14 @@ def test_what_is_far_from_everything_is_let_through_as_it_is() -> None:
     np.testing.assert_array_equal(*paths)
 
 
+def test_a_hand_keeps_no_clearance_from_what_it_takes_objects_from() -> None:
+    config = compose_environment("train", [*RATED, "cell=grasp", "safety.clearance_m=0.01"])
+    with pytest.raises(
+        ConfigError, match=r"safety\.clearance_m=0\.01 does not go with robot\.gripper\.name=two_finger"
+    ):
+        Engine(config, 1, 0)
+
+
 def test_an_arm_that_cannot_brake_keeps_no_clearance() -> None:
     config = compose_environment("train", ["task=pick", "safety.clearance_m=0.01"])
     with pytest.raises(ConfigError, match=r"safety\.clearance_m=0\.01 needs an arm that brakes within its rating"):

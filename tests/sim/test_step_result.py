@@ -58,8 +58,8 @@ def test_compiled_rules_are_those_of_stages_and_terms(task: Subtask, rows: int) 
         for at in (replace(task, arrival_speed=1.0), replace(task, terminate_on="unsafe_contact")):
             rules = Rules(at, weights)
             found, asked = (judge(state, moving, limits) for judge in (rules.judged, rules.asked))
-            for mine, theirs in zip(found, asked, strict=True):
-                np.testing.assert_array_equal(np.asarray(mine), np.asarray(theirs), strict=True)
+            for mine, theirs in zip(found, asked, strict=True):  # rewards are sums, which a machine rounds in its way
+                np.testing.assert_allclose(np.asarray(mine), np.asarray(theirs), rtol=0, atol=1e-12, strict=True)
             seen |= [(found[0] > state.stage.numpy()[:, None]).any(), found[1].any(), (found[2] < 4).any()]
     assert rows < 64 or seen.all()
 
