@@ -214,7 +214,7 @@ def _evaluation(
     sections: dict[str, Any] = vars(environment(env))
     plain: dict[str, Any] = {
         "policy": None, "checkpoints": "none", "split": "paper", "episode_seed": None, "levels": [], "group_by": [],
-        "record": False, "realtime": False, "disturbance": "none", "terminal_states": None,
+        "record": False, "realtime": False, "disturbance": "none", "terminal_states": None, "regret": False,
     }  # fmt: skip
     own = {**plain, **asked, "policies": policies or {}, "output": str(folder / "eval")}
     return EvaluateConfig(**sections, meta_controller=meta_controller, **own)
