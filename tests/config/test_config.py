@@ -56,6 +56,9 @@ def test_every_choice_composes(root, group, name):
     if name == "servo" and group == "curriculum":
         assert (config.curriculum.kind, config.agent.policy_steps) == ("adaptive", 96000)
         assert [stage.name for stage in config.curriculum.stages] == ["model", "late"]
+    elif name == "grasp" and group == "curriculum":
+        schedule = config.curriculum
+        assert (schedule.kind, schedule.start_m, schedule.end_m, schedule.reach) == ("adaptive", 0.1, 0.05, [2, 2])
     elif name == "pair":
         assert config.human.motions == "worker+patrol"
     elif group in own:
