@@ -22,6 +22,7 @@ from hrl_comfort.analysis.tables import cell, markdown
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, EvaluateConfig
 from hrl_comfort.config.hierarchy import ORACLE
+from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -29,7 +30,6 @@ from hrl_comfort.hierarchy.decision import Choose, Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.hierarchy.tops import TOPS
-from hrl_comfort.humans import split_set
 from hrl_comfort.sim.engine import Engine
 
 WORDS = (
@@ -51,7 +51,8 @@ TERMS = {
 
 def measure(config: EvaluateConfig, shifts: int) -> DataFrame:
     """Return a row for each top and shift; the tops but the oracle work side by side."""
-    entries, env = split_set("validation", shifts), environment(config)
+    entries = open_split(replace(config, split="validation", episodes=shifts)).entries
+    env = environment(config)
     names = [*RULES, *(f"{FIXED} {' '.join(order)}" for order in orders(config.cell))]
     engine = Engine(env, shifts * len(names), 0, entries.at(np.tile(np.arange(shifts), len(names))))
     executor, _ = make_executor(config, None, engine, 0)
