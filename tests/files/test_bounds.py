@@ -188,7 +188,7 @@ def test_a_sweep_has_a_bounded_number_of_jobs(tmp_path: Path) -> None:
     for much in (["train_seed=range(0,1000000000)"], ["train_seed=range(0,300)"] * 3, ["train_seed=range(0,1,0)"]):
         with pytest.raises(ConfigError, match="at most 10000 are allowed"):
             check_overrides("train", much, sweep=True)
-    with pytest.raises(ConfigError, match=r"task=glob\(\*\) is a pattern; list the choices: task=cycle,pick"):
+    with pytest.raises(ConfigError, match=r"task=glob\(\*\) is a pattern; list the choices: task=cycle,kitting"):
         check_overrides("train", ["task=glob(*)"], sweep=True)
     (tmp_path / "multirun.yaml").write_text("hydra: {overrides: {task: ['a=range(0,1000000000)']}}")
     with pytest.raises(ConfigError, match=r"multirun\.yaml is damaged: the sweep has 1e\+09 jobs"):
