@@ -7,6 +7,7 @@ import dataclasses
 import pytest
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from hrl_comfort.cli import main as commands
@@ -106,6 +107,7 @@ def test_overrides_win_over_the_experiment():
 )
 def test_values_that_are_set_in_a_copy_are_what_hydra_composes(root: str, overrides: list[str]) -> None:
     known = check_overrides(root, overrides)
+    GlobalHydra.instance().clear()  # a sweep in this process may have left its own
     with initialize_config_dir(str(config_dir()), version_base="1.3"):
         at_once = hydra_compose(root, known)
     assert OmegaConf.to_container(composed(root, known)) == OmegaConf.to_container(at_once)
