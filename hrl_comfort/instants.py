@@ -1,4 +1,4 @@
-"""What was at the last valid instant of a decision, of each of N rows."""
+"""Values at the last valid instant of a decision, of each of N rows."""
 
 from __future__ import annotations
 

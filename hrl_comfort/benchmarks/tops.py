@@ -37,7 +37,7 @@ WORDS = (
     "task.terminate_on=unsafe_contact", "meta_controller=nearest", "policies.pick=direct", "policies.place=direct",
     "policies.return=direct",
 )  # fmt: skip
-"""What is measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
+"""The world and skills that are measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
 RULES = ("random", "nearest", "free", "patient", "due")
 FIXED = "fixed"
 TERMS = {

@@ -1,4 +1,4 @@
-"""What a decision shows of every job, which is to pick an object where it is and to place it where it belongs."""
+"""Jobs as a decision shows them; a job is to pick an object where it is and to place it where it belongs."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ NO_GRIPPER = GripperConfig().name
 INCREMENTS = "(N, joints) rad, added to the joint targets in each control step of a decision"
 FINGERS = "; a last number is the target of the fingers, from -1, open, to 1, closed"
 DERIVED = tuple(name for name, each in vars(State).items() if isinstance(each, cached_property))
-"""What a state tells of its fields: for one target, not for all objects."""
+"""Values that a state derives from its fields: for one target, not for all objects."""
 NAMES = (*(field.name for field in fields(State)), *DERIVED)
 
 

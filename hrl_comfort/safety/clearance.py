@@ -34,7 +34,7 @@ constraints that are met in turn."""
 
 
 class Clearance:
-    """What keeps N arms from coming nearer than `clearance_m` to what stands there, and to themselves."""
+    """Check and damper that keep N arms `clearance_m` away from what stands there, and from themselves."""
 
     def __init__(self, scene: Scene, arm: ArmGeometry, clearance_m: float) -> None:
         self._arm, self._clearance_m = arm, clearance_m

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +69,7 @@ def between(ends: Array, m: int, first: int, second: int) -> tuple[float, float]
 @kernel
 def length(x: float, y: float, z: float) -> float:
     """Return the length of a vector."""
-    return np.sqrt(x * x + y * y + z * z)  # type: ignore[no-any-return]
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @kernel

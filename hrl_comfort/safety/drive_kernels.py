@@ -24,7 +24,7 @@ SHARES = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
 class Limits(NamedTuple):
-    """What else is constant of a drive and its shield: see `Drive`, `Shield` and `SafetyConfig`.
+    """Other constants of a drive and its shield: see `Drive`, `Shield` and `SafetyConfig`.
 
     `human_acceleration` is infinite where the bound does not depend on the measured speed; truths are 0 and 1.
     """
