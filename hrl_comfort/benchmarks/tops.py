@@ -31,6 +31,7 @@ from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 
 WORDS = (
     "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
@@ -54,7 +55,7 @@ def measure(config: EvaluateConfig, shifts: int) -> DataFrame:
     entries = open_split(replace(config, split="validation", episodes=shifts)).entries
     env = environment(config)
     names = [*RULES, *(f"{FIXED} {' '.join(order)}" for order in orders(config.cell))]
-    engine = Engine(env, shifts * len(names), 0, entries.at(np.tile(np.arange(shifts), len(names))))
+    engine = make_engine(env, shifts * len(names), 0, entries.at(np.tile(np.arange(shifts), len(names))))
     executor, _ = make_executor(config, None, engine, 0)
     tops = [top_of(name, config, executor.table) for name in names]
 
@@ -64,7 +65,7 @@ def measure(config: EvaluateConfig, shifts: int) -> DataFrame:
 
     rows = [*worked(engine, executor, Top("all", choose), np.repeat(names, shifts))]
     oracle = replace(config, meta_controller=replace(config.meta_controller, name=ORACLE))
-    engine = Engine(env, shifts, 0, entries)
+    engine = make_engine(env, shifts, 0, entries)
     rows += worked(engine, *make_executor(oracle, None, engine, 0), np.repeat([ORACLE], shifts))
     return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names) + 1))
 

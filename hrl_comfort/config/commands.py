@@ -68,6 +68,17 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         check_objects(task, cell)
+        if self.engine.processes > 1:
+            self._check_processes()
+
+    def _check_processes(self) -> None:
+        live = {"comfort.source": self.comfort.source} if self.comfort.source in ("udp", "lsl") else {}
+        live |= {"human.motion": "live" for each in self.human.everyone if each.motion == "live"}
+        for key, value in live.items():
+            raise ConfigError(
+                f"engine.processes={self.engine.processes} does not go with {key}={value}, which one process can read; "
+                "choose engine.processes=1"
+            )
 
     @property
     def substeps(self) -> int:

@@ -21,6 +21,7 @@ from hrl_comfort.envs.inputs import episode_seed
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.subtask import StateFunction
@@ -58,7 +59,7 @@ class OptionEnv(EnvBase):
           ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
         """
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, episode_seed(seed), disturbance=disturbance)
+        self.engine = make_engine(config, rows, episode_seed(seed), disturbance=disturbance)
         self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes, seed=seed)
         self.gamma = gamma
         self._see = observe or self.engine.episodes.subtask.observe
@@ -186,6 +187,11 @@ class OptionEnv(EnvBase):
             "executor": self.executor.state_dict(),
             **{name: getattr(self, name) for name in self._TENSORS},
         }
+
+    def close(self, *_: Any, **__: Any) -> None:
+        """Stop the engine's threads and processes."""
+        self.engine.close()
+        super().close()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Continue from `state_dict`."""
