@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field
 
@@ -72,13 +72,20 @@ class EnvConfig(CommandConfig):
             self._check_processes()
 
     def _check_processes(self) -> None:
-        live = {"comfort.source": self.comfort.source} if self.comfort.source in ("udp", "lsl") else {}
-        live |= {"human.motion": "live" for each in self.human.everyone if each.motion == "live"}
-        for key, value in live.items():
+        live, source = None, self.comfort.source
+        if source in ("udp", "lsl"):
+            live = f"comfort.source={source}"
+        elif any(each.motion == "live" for person in self.human.everyone for each in (person.people or [person])):
+            live = "human.motion=live"
+        if live is not None:
             raise ConfigError(
-                f"engine.processes={self.engine.processes} does not go with {key}={value}, which one process can read; "
-                "choose engine.processes=1"
+                f"engine.processes={self.engine.processes} does not go with {live}, which one process reads; choose "
+                "engine.processes=1"
             )
+
+    def in_one_process(self) -> Self:
+        """Return the same configuration with `engine.processes=1`."""
+        return replace(self, engine=replace(self.engine, processes=1))
 
     @property
     def substeps(self) -> int:

@@ -46,11 +46,15 @@ class Child:
             self._engine.episodes.measured(**changed)
 
     def reset(
-        self, rows: NDArray[np.int64], entries: EvaluationSet | None, episode: NDArray[np.int64], settings: dict[str, Any]
+        self,
+        rows: NDArray[np.int64],
+        entries: EvaluationSet | None,
+        latest: NDArray[np.int64],
+        settings: dict[str, Any],
     ) -> tuple[Rest, Arrays]:
-        """Begin episodes in `rows` (r,), after the latest `episode` (n,) of every row; return state and draws (r, ...)."""
+        """Begin episodes in `rows` (r,), after the `latest` (n,) of every row; return state and draws (r, ...)."""
         episodes = self._engine.episodes
-        episodes.precision_m, episodes.episode[:] = settings["precision_m"], episode
+        episodes.precision_m, episodes.episode[:] = settings["precision_m"], latest
         episodes.sampler.seed, episodes.sampler.reach = settings["seed"], settings["reach"]
         if len(rows):
             self._engine.reset(rows, entries)

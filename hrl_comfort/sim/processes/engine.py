@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -37,9 +36,9 @@ def make_engine(
     disturbance: str = "none",
 ) -> Engine:
     """Return an engine of `rows` cells in `engine.processes` processes, at most one for each cell; see `Engine`."""
-    count, alone = min(config.engine.processes, rows), replace(config, engine=replace(config.engine, processes=1))
-    args = evaluation, measure_arm, disturbance
-    return Engine(alone, rows, seed, *args) if count == 1 else SharedEngine(alone, rows, seed, *args, count)
+    args = config.in_one_process(), rows, seed, evaluation, measure_arm, disturbance
+    count = min(config.engine.processes, rows)
+    return Engine(*args) if count == 1 else SharedEngine(*args, processes=count)
 
 
 class SharedEngine(Engine):

@@ -33,6 +33,11 @@ class Memory:
         """Name under which other processes find the memory until `forget`."""
         return self._shared.name
 
+    @property
+    def _bytes(self) -> memoryview:
+        assert self._shared.buf is not None  # it is not closed
+        return self._shared.buf
+
     def forget(self) -> None:
         """Let the memory go with the last process that uses it."""
         self._shared.unlink()
@@ -40,11 +45,11 @@ class Memory:
     def write(self, begin: int, rows: Arrays) -> None:
         """Write some arrays' `rows` (n, ...) from row `begin` on."""
         for name, value in rows.items():
-            self._view(name, self._shared.buf)[begin : begin + len(value)] = value
+            self._view(name, self._bytes)[begin : begin + len(value)] = value
 
     def read(self) -> dict[str, NDArray[Any]]:
         """Return a copy of the arrays."""
-        copied = np.frombuffer(self._shared.buf, np.uint8, self._size).copy().data
+        copied = np.frombuffer(self._bytes, np.uint8, self._size).copy().data
         return {name: self._view(name, copied) for name in self.layout}
 
     def _view(self, name: str, memory: memoryview) -> NDArray[Any]:
