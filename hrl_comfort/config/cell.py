@@ -254,8 +254,8 @@ class EngineConfig:
     threads: Annotated[int, within(1, 256)]
     """Threads of the simulation, in each process."""
     processes: Annotated[int, within(1, 256)]
-    """Processes that share the cells out, at most one for each cell; the episodes are the same, bit for bit. For
-    machines with several cores."""
+    """Processes that share the cells out, at most one for each cell; the episodes are the same, bit for bit. For a
+    hundred cells or more and free cores."""
     substeps: Annotated[int, within(1, 100)]
     """Physics steps in a control step of 20 ms; with a gripper at least 4, which a grasp needs."""
 
