@@ -176,7 +176,8 @@ import multiprocessing, os, signal, sys
 from tests.sim.test_processes import configured, make_engine, shared
 engine = make_engine(shared(configured("task=reach"), 2), 2, 0)
 print(*(each.pid for each in multiprocessing.active_children()), flush=True)
-os.kill(os.getpid(), signal.SIGKILL) if sys.argv[1] == "killed" else None
+if sys.argv[1] == "killed":
+    os.kill(os.getpid(), signal.SIGKILL)
 """
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import atexit
 import pickle
-import weakref
 from collections.abc import Callable, Sequence
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
 from typing import Any
 
 from hrl_comfort.sim.processes.child import Child, serve
@@ -29,9 +28,8 @@ class Children:
     def __init__(self, makes: Sequence[Callable[[], Child]]) -> None:
         context = get_context("spawn")
         self._connections, self._processes = list[Connection](), list[BaseProcess]()
-        # At exit, before the handler of `multiprocessing`, which would wait for processes that wait for a word.
-        self.close = weakref.finalize(self, _end, self._connections, self._processes)
-        atexit.register(self.close)
+        # With a priority it is called at exit too, before `multiprocessing` waits for processes that wait for a word.
+        self.close = Finalize(self, _end, (self._connections, self._processes), exitpriority=1)
         for make in makes:
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs, make), daemon=True)
