@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import Space
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hrl_comfort.comfort.terms import present
@@ -57,6 +59,15 @@ class Cells:
     def frames_per_s(self) -> float:
         """Decisions, and so pictures, a second of simulated time."""
         return round(1 / (CONTROL_STEP_S * self.config.task.action_repeat), 6)
+
+    @property
+    def spaces(self) -> tuple[Space[Any], Space[Any]]:
+        """Spaces of an observation (D,) and of an action (A,) of one cell."""
+        return Box(-np.inf, np.inf, (self.width,), np.float32), Box(-1.0, 1.0, (self.action_dim,), np.float32)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """Return what is known at the start of an episode, by name."""
+        return {}
 
     def reset(self, seed: int | None, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Array:
         """Begin an episode in every row and return the observations (N, D).
