@@ -110,7 +110,10 @@ class CellVecEnv(VecEnv):
             observation = self.cells.restart(np.flatnonzero(done))
             for info, known in zip(infos, _of_rows(self.cells.known(), self.num_envs), strict=True):
                 info |= known
-        return observation, result.reward.float().numpy(), done.copy(), infos
+        return observation, self._rewards(result), done.copy(), infos
+
+    def _rewards(self, result: Any) -> NDArray[np.float32]:
+        return result.reward.float().numpy()  # type: ignore[no-any-return]
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:
         """Return a picture (360, 480, 3) of each cell; raise PicturesUnavailableError without off-screen OpenGL."""
@@ -137,6 +140,20 @@ class CellVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
+class OptionRewards(np.ndarray):
+    """Rewards (N,) of options, with their durations, for `hrl_comfort.sb3_buffers`; a learner may add to them in place.
+
+    Results of arithmetic with them have no durations.
+    """
+
+    plain: NDArray[np.float32]
+    """(N,) the same, which nothing is added to."""
+    duration: NDArray[np.int64]
+    """(N,) control steps."""
+    gamma: float | None = None
+    """Discount factor of a control step within an option; None without durations."""
+
+
 class OptionVecEnv(CellVecEnv):
     """N cells of which a step runs an option each, as `OptionVector`; `env_method("action_masks")` is for sb3-contrib.
 
@@ -151,6 +168,12 @@ class OptionVecEnv(CellVecEnv):
             return super().env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.cells.action_masks()
         return [masks[row] for row in self._get_indices(indices)]
+
+    def _rewards(self, result: Any) -> NDArray[np.float32]:
+        plain = super()._rewards(result)
+        rewards = plain.copy().view(OptionRewards)
+        rewards.plain, rewards.duration, rewards.gamma = plain, result.duration.numpy(), self.cells.gamma
+        return rewards
 
 
 def _of_rows(columns: dict[str, NDArray[Any]], rows: int) -> list[dict[str, Any]]:

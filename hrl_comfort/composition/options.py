@@ -40,7 +40,7 @@ def compose_options(task: str, choices: Mapping[str, object], run: str | None) -
     """Return the configuration; see `hrl_comfort.options_of`, which raises the same errors."""
     one_of("task", task, SORTING)
     if run is None:
-        given = {**WORLDS[task], **RETURNS[task], **_skills(dict.fromkeys(CYCLE, SKILLS[task]))}
+        given = {"task": task, **WORLDS[task], **RETURNS[task], **_skills(dict.fromkeys(CYCLE, SKILLS[task]))}
     else:
         warn_unfinished(run)
         given = _trained(task, run)
@@ -48,7 +48,7 @@ def compose_options(task: str, choices: Mapping[str, object], run: str | None) -
     named = choices.get("policies", {})
     if not isinstance(named, Mapping):
         raise ConfigError(f"policies={named!r} must be a mapping, such as {{'pick': 'runs/demo/pick'}}")
-    words = {"task": task, "meta_controller": "nearest", **given, **asked, **_skills(named)}
+    words = {"meta_controller": "nearest", **given, **asked, **_skills(named)}
     try:
         config = compose("evaluate", [override(key, value) for key, value in words.items()])
     except UnknownKeyError as error:
@@ -64,7 +64,7 @@ def _skills(policies: Mapping[str, str]) -> dict[str, object]:
 def _trained(task: str, run: str) -> dict[str, object]:
     """Return the overrides of a controller's training, or of skills in the folder of a hierarchy."""
     if options_in(Path(run)) == CYCLE:
-        return {**RETURNS[task], **_skills({name: str(Path(run) / name) for name in CYCLE})}
+        return {"task": task, **RETURNS[task], **_skills({name: str(Path(run) / name) for name in CYCLE})}
     config = load_config(folder) if (folder := run_folder(run)) else None
     if not isinstance(config, MetaControllerTrainConfig):
         raise ConfigError(
