@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.collectors import SyncDataCollector
+from torchrl.collectors import Collector
 from torchrl.data.replay_buffers import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import ActionMask, MultiAction, RewardSum
@@ -109,7 +109,7 @@ def test_ppo_of_its_documentation_learns_on_it() -> None:
     loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2)
     optim = torch.optim.Adam(loss.parameters(), 1e-3)
     before = [each.detach().clone() for each in loss.parameters()]
-    collector = SyncDataCollector(env, actor, frames_per_batch=32, total_frames=64)
+    collector = Collector(env, actor, frames_per_batch=32, total_frames=64)
     buffer = ReplayBuffer(storage=LazyTensorStorage(32), sampler=SamplerWithoutReplacement(), batch_size=16)
     for batch in collector:
         assert batch["action_mask"].gather(-1, batch["action"][..., None]).all()
