@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from hrl_comfort import environment_of, options_of
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import one_of
-from hrl_comfort.envs.cells import Array, Cells
+from hrl_comfort.envs.cells import Array, Cells, Outcome
 from hrl_comfort.envs.gymnasium import of_batch
 from hrl_comfort.gym import IDS, OPTION_IDS
 from hrl_comfort.hierarchy.option_cells import OptionCells
@@ -54,7 +54,7 @@ def make_vec_env(
     if name in IDS.values():
         cells = CellVecEnv(Cells(environment_of(tasks[name], choices, run), n_envs, mode))
     else:
-        own = {key: choices.pop(key) for key in ("gamma", "observation") if key in choices}
+        own: dict[str, Any] = {key: choices.pop(key) for key in ("gamma", "observation") if key in choices}
         cells = OptionVecEnv(OptionCells(options_of(tasks[name], choices, run), n_envs, mode, **own))
     if seed is not None:
         cells.seed(seed)
@@ -100,7 +100,7 @@ class CellVecEnv(VecEnv):
           RuntimeError: there is no episode yet.
           ValueError: the actions are not (N, A) finite numbers.
         """
-        result, observation, values = self.cells.step(self._actions, (self.num_envs, *self.action_space.shape))
+        result, observation, values = self.cells.step(self._actions, (self.num_envs, *(self.action_space.shape or ())))
         infos = _of_rows({**values, "is_success": values["success"]}, self.num_envs)
         done = result.done.numpy()
         for row in np.flatnonzero(done):
@@ -112,7 +112,7 @@ class CellVecEnv(VecEnv):
                 info |= known
         return observation, self._rewards(result), done.copy(), infos
 
-    def _rewards(self, result: Any) -> NDArray[np.float32]:
+    def _rewards(self, result: Outcome) -> NDArray[np.float32]:
         return result.reward.float().numpy()  # type: ignore[no-any-return]
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:

@@ -1,7 +1,7 @@
 """Buffers with which learners of Stable-Baselines3 discount over the duration of an option (extra `sb3`).
 
-A learner discounts each step by its one `gamma`, however long an option was. With these it raises the gamma of a control
-step to the control steps of the option, as a semi-Markov decision process does. Give the environment the same gamma:
+A learner discounts each step by its one `gamma`, however long an option was. With these it raises the gamma of a
+control step to the control steps of the option, as a semi-Markov decision process does. Give the environment the same:
 
     env = make_vec_env("hrl_comfort/Kitting-Options-v0", 16, gamma=0.998)
     QRDQN("MlpPolicy", env, replay_buffer_class=OptionReplayBuffer, replay_buffer_kwargs={"gamma": 0.998})
@@ -86,7 +86,9 @@ class _Discounting:
                 "rewards without durations: take options from hrl_comfort.sb3.make_vec_env, without normalised rewards"
             )
         if reward.gamma != self.gamma:
-            raise ConfigError(f"gamma={self.gamma} is not that of the environment; give make_vec_env gamma={self.gamma}")
+            raise ConfigError(
+                f"gamma={self.gamma} is not that of the environment; give make_vec_env gamma={self.gamma}"
+            )
         discount = self.gamma**reward.duration
         self.discounts[self.pos] = discount  # type: ignore[attr-defined]
         value = (np.asarray(reward) - reward.plain) / self.gamma
@@ -109,5 +111,5 @@ class OptionRolloutBuffer(_Discounting, RolloutBuffer):
     """Rollout buffer of PPO and A2C."""
 
 
-class OptionMaskableRolloutBuffer(_Discounting, MaskableRolloutBuffer):
+class OptionMaskableRolloutBuffer(_Discounting, MaskableRolloutBuffer):  # type: ignore[misc]
     """Rollout buffer of MaskablePPO."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from gymnasium import Space
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hrl_comfort.comfort.terms import present
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
@@ -19,11 +20,30 @@ from hrl_comfort.config.constants import MAX_ENVS
 from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed, replayed, whole
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.view import View
 
 Array = NDArray[np.float32]
 RENDER_MODES = ("human", "rgb_array")
+
+
+class Outcome(Protocol):
+    """Outcome of a step, (N,) each."""
+
+    @property
+    def reward(self) -> Tensor:
+        """Float64."""
+
+    @property
+    def terminated(self) -> Tensor:
+        """Bool."""
+
+    @property
+    def truncated(self) -> Tensor:
+        """Bool."""
+
+    @property
+    def done(self) -> Tensor:
+        """Bool, terminated or truncated."""
 
 
 class Cells:
@@ -87,7 +107,7 @@ class Cells:
         self.engine.reset(entries=entries)
         return self._seen()
 
-    def step(self, action: object, shape: tuple[int, ...]) -> tuple[StepResult, Array, dict[str, NDArray[Any]]]:
+    def step(self, action: object, shape: tuple[int, ...]) -> tuple[Outcome, Array, dict[str, NDArray[Any]]]:
         """Run a decision; return its result, the observations (N, D) and its values by name, (N,) each.
 
         `action` is (N, A), or what `shape` says. The values are those of `step_columns`, the distance NaN without a

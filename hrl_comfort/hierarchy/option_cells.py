@@ -14,7 +14,6 @@ from hrl_comfort.config import EvaluateConfig
 from hrl_comfort.config.checks import between
 from hrl_comfort.envs.cells import Array, Cells
 from hrl_comfort.envs.gymnasium import CellGym, CellVector, of_batch
-from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.observation import observer
@@ -31,6 +30,8 @@ class OptionCells(Cells):
     Args are those of `OptionGym`.
     """
 
+    config: EvaluateConfig
+
     def __init__(
         self,
         config: EvaluateConfig,
@@ -40,15 +41,14 @@ class OptionCells(Cells):
         observation: str | None = None,
     ) -> None:
         between("gamma", gamma, 0.0, 1.0)
-        self._options, self._layout, self.gamma = config, observation, gamma
-        super().__init__(environment(config), num_envs, render_mode)
+        self._layout, self.gamma = observation, gamma
+        super().__init__(config, num_envs, render_mode)
 
     def _build(self) -> None:
-        options, rows = self._options, self.config.engine.num_envs
-        self._see = observer(options, self._layout)
-        self.engine = Engine(self.config, rows, 0, disturbance=options.disturbance)
-        table = options_of(options)(self.engine)
-        self.executor = OptionExecutor(table, self.engine.episodes, seed=options.first_seed)
+        config = self.config
+        self._see = observer(config, self._layout)
+        self.engine = Engine(config, config.engine.num_envs, 0, disturbance=config.disturbance)
+        self.executor = OptionExecutor(options_of(config)(self.engine), self.engine.episodes, seed=config.first_seed)
         self._process = SemiMDP(self.engine, self.executor, self.gamma)
         self.engine.reset()
         self._view = View(self.engine)
@@ -120,9 +120,9 @@ class OptionCells(Cells):
 class OptionGym(CellGym):
     """One cell; a step is an option, from its start to its end (a semi-Markov decision process).
 
-    Action: index of an option of `names`, in [0, K). Observation (D,) float32, `meta_observation`. The reward is the sum
-    of the rewards of the option's control steps, each discounted by `gamma` a control step from its start; with 1, the
-    default, their plain sum. A value of the next observation is to be discounted by `gamma ** info["duration"]`.
+    Action: index of an option of `names`, in [0, K). Observation (D,) float32, `meta_observation`. The reward is the
+    sum of the rewards of the option's control steps, each discounted by `gamma` a control step from its start; with 1,
+    the default, their plain sum. A value of the next observation is to be discounted by `gamma ** info["duration"]`.
 
     `info` holds `duration`, control steps of the option; `action_mask` (K,) bool, options that can start next;
     `option`, which ran: the first that could where the one chosen could not; `termination`, an index into
@@ -163,8 +163,8 @@ class OptionGym(CellGym):
 class OptionVector(CellVector):
     """N cells as `OptionGym`, in one batch: a step runs an option in every row, and rows wait for one another.
 
-    Action (N,), observation (N, D). A row whose episode ends restarts within the same step; then `action_mask` is that of
-    the new episode, and `final_info` has the other. Args are those of `OptionGym` and `num_envs`.
+    Action (N,), observation (N, D). A row whose episode ends restarts within the same step; then `action_mask` is that
+    of the new episode, and `final_info` has the other. Args are those of `OptionGym` and `num_envs`.
     """
 
     def __init__(

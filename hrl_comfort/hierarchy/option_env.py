@@ -19,7 +19,6 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.config.checks import between
 from hrl_comfort.envs.inputs import episode_seed
-from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.observation import observer
 from hrl_comfort.hierarchy.semi_mdp import FLAGS, MakeOptions, SemiMDP, options_of
@@ -39,8 +38,8 @@ def make_option_env(
     Raises:
       ConfigError: as `OptionEnv` and `sorting_table`.
     """
-    see, make, env = observer(config, observation), options_of(config), environment(config)
-    return OptionEnv(env, make, num_envs, seed, gamma, see, config.disturbance, together=True)
+    see, make = observer(config, observation), options_of(config)
+    return OptionEnv(config, make, num_envs, seed, gamma, see, config.disturbance, together=True)
 
 
 class OptionEnv(EnvBase):

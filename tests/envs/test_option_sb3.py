@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import MaskablePPO, QRDQN
+from sb3_contrib import QRDQN, MaskablePPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from sb3_contrib.common.maskable.utils import get_action_masks
 from stable_baselines3 import DQN, PPO
@@ -94,9 +94,7 @@ def test_a_replay_buffer_discounts_over_the_duration() -> None:
         assert discount == pytest.approx(known[tuple(seen)], rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("learner", "kind"), [(PPO, OptionRolloutBuffer), (MaskablePPO, OptionMaskableRolloutBuffer)]
-)
+@pytest.mark.parametrize(("learner", "kind"), [(PPO, OptionRolloutBuffer), (MaskablePPO, OptionMaskableRolloutBuffer)])
 def test_a_rollout_buffer_discounts_over_the_duration(
     learner: type[BaseAlgorithm], kind: type[RolloutBuffer], tmp_path: Path
 ) -> None:

@@ -19,8 +19,8 @@ from torchrl.objectives.value import GAE
 
 from hrl_comfort import options_of
 from hrl_comfort.config import ConfigError
-from hrl_comfort.hierarchy.option_env import OptionEnv, make_option_env
 from hrl_comfort.hierarchy.option_cells import OptionVector
+from hrl_comfort.hierarchy.option_env import OptionEnv, make_option_env
 
 GAMMA = 0.99
 DURATION = ("next", "steps_to_next_obs")
