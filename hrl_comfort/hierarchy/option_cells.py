@@ -48,7 +48,7 @@ class OptionCells(Cells):
         config = self.config
         self._see = observer(config, self._layout)
         self.engine = Engine(config, config.engine.num_envs, 0, disturbance=config.disturbance)
-        self.executor = OptionExecutor(options_of(config)(self.engine), self.engine.episodes, seed=config.first_seed)
+        self.executor = OptionExecutor(options_of(config)(self.engine), self.engine.episodes)
         self._process = SemiMDP(self.engine, self.executor, self.gamma)
         self.engine.reset()
         self._view = View(self.engine)

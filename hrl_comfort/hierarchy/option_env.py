@@ -76,7 +76,7 @@ class OptionEnv(EnvBase):
         between("gamma", gamma, 0.0, 1.0)
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = Engine(config, rows, episode_seed(seed), disturbance=disturbance)
-        self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes, seed=seed)
+        self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes)
         self._process = SemiMDP(self.engine, self.executor, gamma)
         self.gamma, self.together = gamma, together
         self._see = observe or self.engine.episodes.subtask.observe

@@ -24,6 +24,7 @@ from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
+from hrl_comfort.tasks.draws import OF_POLICIES, uniform
 from hrl_comfort.tasks.observations.standard import share
 
 Act = Callable[[State], Tensor]
@@ -123,9 +124,8 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Sc
 
 
 def random(size: int, seed: int) -> Act:
-    """Return a policy of uniform actions of `size` numbers."""
-    generator = torch.Generator().manual_seed(seed)
-    return lambda state: torch.rand(len(state.steps), size, generator=generator, dtype=torch.float64) * 2 - 1
+    """Return a policy of uniform actions of `size` numbers, the same in the same episode."""
+    return lambda state: uniform(state, size, OF_POLICIES + seed) * 2 - 1
 
 
 def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfig) -> Subtask:
