@@ -53,8 +53,8 @@ TERMS = {
     "comfort": "discomfort, weighted",
     "regret": "regret",
 }
-"""Columns of the CSV and their heads in the table; those from the second to the last but one are reward terms with their
-weights. The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
+"""Columns of the CSV and their heads in the table; all but the first and the last are reward terms with their weights.
+The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
 
 
 def measure(config: EvaluateConfig, shifts: int) -> DataFrame:

@@ -1,4 +1,4 @@
-"""Random numbers of policies and options that draw: a function of the episode and the control step, not of neighbours."""
+"""Random numbers of policies, tops and options that draw: a function of the episode and the control step alone."""
 
 from __future__ import annotations
 
