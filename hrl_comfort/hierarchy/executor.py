@@ -14,11 +14,11 @@ from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.files.versions import EXECUTOR, renamed
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.options import NONE, Begun, OptionTable, Termination
+from hrl_comfort.policies.draws import OF_ENDS, uniform
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
-from hrl_comfort.tasks.draws import OF_ENDS, uniform
 
 TERMINATIONS = tuple(Termination)
 """Meaning of the numbers in `EndedOptions.termination`."""

@@ -14,7 +14,7 @@ from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, Choose, Decision, Top
 from hrl_comfort.hierarchy.options import NONE, OptionTable
-from hrl_comfort.tasks.draws import OF_TOPS, uniform
+from hrl_comfort.policies.draws import OF_TOPS, uniform
 
 NEAR_M = 0.55
 """`cautious` waits while a person is within this distance of the tool's next goal, m."""

@@ -15,6 +15,7 @@ from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConf
 from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.direct import Direct
+from hrl_comfort.policies.draws import OF_POLICIES, uniform
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
@@ -24,7 +25,6 @@ from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
-from hrl_comfort.tasks.draws import OF_POLICIES, uniform
 from hrl_comfort.tasks.observations.standard import share
 
 Act = Callable[[State], Tensor]
