@@ -99,7 +99,7 @@ def _run_batch(
     """Run episodes side by side, one a row, to their ends; append them to `result`."""
     env, rows = environment(config), len(entries.episode)
     engine = make_engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-    executor, top = make_executor(config, policy, engine, int(entries.episode_seed[0]))
+    executor, top = make_executor(config, policy, engine, config.first_seed)
     judged = Judged(top, Oracle(engine, executor)) if config.regret else None
     recorder = EpisodeRecorder(config, policy, engine, entries, result)
     before = [episode.success for episode in result.episodes]

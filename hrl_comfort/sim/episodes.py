@@ -202,6 +202,7 @@ class Episodes:
             "points": draw.points[rows],
             "kinds": kinds,
             "placed": np.zeros(kinds.shape, dtype=bool),
+            "key": draw.key[rows],
             "due": draw.due[rows, 0],
             "level": self.source.level[rows],
         }
