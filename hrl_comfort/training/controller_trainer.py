@@ -115,7 +115,7 @@ class ControllerTraining(TrainingLoop):
     def record(self, ends: bool) -> None:
         """Write a row and a checkpoint every `log_every` options."""
         if self.steps - self._logged >= self.config.meta_controller_agent.log_every or ends:
-            self.log.write_row(self.steps, self.learner.updates, self.exploration)
+            self.log.write_row(self.steps, self.updates, self.exploration)
             self._logged = self.steps
             self.save()
 
