@@ -38,7 +38,7 @@ class Key:
 
     @property
     def of_entry(self) -> bool:
-        """Whether it stands for a key of each entry of a list (`[]`) or of a mapping (`NAME`), or of some parts alone."""
+        """Whether it stands for a key of each entry of a list (`[]`) or mapping (`NAME`), or of some parts alone."""
         return "[]" in self.name or ".NAME." in self.name or ".own." in self.name
 
     @property
