@@ -13,13 +13,14 @@ from itertools import pairwise
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from hrl_comfort.config import checks
+from hrl_comfort.config.hierarchy import TOP_LEARNERS
 from hrl_comfort.config.hydra_conf import values_of
 from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.config.overrides import ROOTS
 
 MOST = 40
 """Longest default, characters, that is shown."""
-OWN: dict[str, dict[str, type]] = {"agent.own": SKILL_LEARNERS}
+OWN: dict[str, dict[str, type]] = {"agent.own": SKILL_LEARNERS, "meta_controller_agent.own": TOP_LEARNERS}
 """Dataclasses of the keys that some parts alone have, by key and name of the part."""
 
 
@@ -66,8 +67,8 @@ def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:
             continue
         default = shown(given[field.name]) if field.name in given else ""
         yield Key(name, meanings.get(field.name, ""), allowed(hint), default, hint)
-        for part, own in OWN.get(name, {}).items():
-            for key in _keys(own, {}, f"{name}."):
+        for part, keys in OWN.get(name, {}).items():
+            for key in _keys(keys, {}, f"{name}."):
                 yield replace(key, meaning=f"`{part}`: {key.meaning}")
         inner = get_args(hint)[0] if get_origin(hint) is Annotated else hint
         if get_origin(inner) is list and is_dataclass(entry := get_args(inner)[0]):

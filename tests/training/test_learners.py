@@ -155,7 +155,7 @@ def test_the_learner_of_the_documentation_is_short_and_has_keys_of_its_own(tmp_p
     ("words", "message"),
     [
         (["agent=others:NoUpdate"], rf"agent\.name='others:NoUpdate' has no update; .* has {', '.join(METHODS)}$"),
-        (["agent=others:NoPolicy"], r"agent\.name='others:NoPolicy' has no policy, a torch module from observations "),
+        (["agent=others:NoPolicy"], r"agent\.name='others:NoPolicy' has no policy, a torch module of observations$"),
         (["agent=others:made"], r"agent\.name='others:made' is of type function; it must be a class$"),
         (["agent=others:nobody"], r"agent\.name='others:nobody': .*others\.py has no nobody$"),
         (["agent=nowhere:TD3"], r"agent\.name='nowhere:TD3' cannot be imported: No module named 'nowhere'$"),
