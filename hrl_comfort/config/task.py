@@ -84,7 +84,7 @@ class TaskConfig:
     faster than 0.25 m/s."""
     resample_start_probability: Annotated[float, within(0.0, 1.0)]
     """Training from recorded starts: probability that person and level are drawn anew for an episode, instead of taken
-    from the start."""
+    from the start; in a cell that varies, also layout and posture."""
 
     def __post_init__(self) -> None:
         if self.objects > 1 and self.name not in SORTING:

@@ -80,15 +80,20 @@ class HierarchyConfig:
     budget_fractions: dict[str, Annotated[float, within(0.001, 1000.0)]]
     """Budget of each option's training, as a multiple of `agent.policy_steps`. The curriculum stages of that training
     are lengthened or shortened in proportion."""
+    starts: Annotated[str, choice("recorded", "ik")]
+    """Where an option's episodes begin in training: `recorded`, in terminal states of the option before it; `ik`, as
+    `task.start=ik` says, so that options can be trained at the same time."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
-    """Number of episodes run to record terminal states; the next option is trained from the ends of those that
-    succeed."""
+    """`recorded`: number of episodes run to record terminal states; the next option is trained from the ends of those
+    that succeed."""
     refinement: list[StageConfig]
     """Curriculum stages of a second training of every option, from the last of the cycle to the first; []: no second
     training. When an option succeeds in this training, it also earns a value for the state it reached, from the critics
     of the next option in the cycle (`agent.next_skill`). The last option of the cycle earns nothing extra."""
     episodes: Annotated[int, within(1, 1000)]
     """Episodes of every evaluation."""
+    jobs: Annotated[int, within(1, 256)]
+    """Evaluations, and with `starts=ik` trainings of options, that run at a time, each in a process of its own."""
     levels: list[int]
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: Annotated[MetaControllerTrainConfig | None, BeforeValidator(lambda given: given or None)]

@@ -147,8 +147,8 @@ class EpisodeSampler:
         """Yield draws for an episode until the caller accepts one.
 
         In training a recorded start brings its human and its level, if it has them, except with probability
-        `task.resample_start_probability`. The second half of the attempts uses inverse-kinematics starts, and layouts
-        drawn anew.
+        `task.resample_start_probability`; then a cell that varies has a layout and an inverse-kinematics start of its
+        own. The second half of the attempts uses inverse-kinematics starts, and layouts drawn anew.
         """
         rng = self.generator(row, episode)
         names = self._config.cell.kinds
@@ -179,7 +179,7 @@ class EpisodeSampler:
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         for attempt in range(ATTEMPTS):
             layout = own_layout if attempt < ATTEMPTS // 2 else self._layout(row, rng)
-            bank = self._bank(kind, layout, row, attempt)
+            bank = self._bank(kind, layout, row, attempt < ATTEMPTS // 2 and (kept or not self._layouts.varies))
             if len(bank) >= 5:  # one for each of three splits, as their shares are fifths
                 bank = bank[int(low * len(bank)) : int(high * len(bank))]
             start = bank[rng.integers(len(bank))]
@@ -231,10 +231,10 @@ class EpisodeSampler:
             return "train"
         return "test" if self._evaluation.split.take(row, mode="wrap") == "test" else "validation"
 
-    def _bank(self, kind: int, layout: Layout, row: int, attempt: int) -> Array:
+    def _bank(self, kind: int, layout: Layout, row: int, recorded: bool) -> Array:
         """Return the starts (M, 3 J or more) of an episode: recorded ones where they may be, or of the layout."""
-        start, early = self._task.start, attempt < ATTEMPTS // 2
-        if self._recorded is not None and early and (not self._layouts.varies or self._split(row) == "train"):
+        start = self._task.start
+        if self._recorded is not None and recorded and (not self._layouts.varies or self._split(row) == "train"):
             return self._recorded[kind]
         if self._grasps and np.isfinite(self.reach):
             start = Start.BEFORE_OBJECT

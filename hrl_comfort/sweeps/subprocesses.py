@@ -6,7 +6,6 @@ therefore runs each job in a subprocess and waits; a killed job leaves the other
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -15,14 +14,11 @@ from functools import partial
 from types import FrameType
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.training.preemption import Preempted
+from hrl_comfort.training.preemption import Preempted, end_with_parent
 
 COMMAND = (sys.executable, "-P", "-m", "hrl_comfort")
 """The command; `-P` keeps the working directory off the module path."""
 PREFIX = "hrl-comfort: "
-PR_SET_PDEATHSIG = 1
-"""linux/prctl.h"""
-LIBC = ctypes.CDLL(None)
 
 
 class KilledError(Exception):
@@ -31,14 +27,6 @@ class KilledError(Exception):
 
 ERRORS = (ConfigError, FloatingPointError, KilledError, MemoryError, OSError)
 """Errors that are reported by their message alone."""
-
-
-def end_with_parent(parent: int) -> None:
-    """Let the kernel kill this process when its `parent` ends, at once if it has ended (Linux only)."""
-    if sys.platform == "linux":
-        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def run_in_subprocess(verb: str, words: list[str]) -> None:

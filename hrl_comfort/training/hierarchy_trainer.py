@@ -31,6 +31,7 @@ from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import RunState, is_finished, run_state, write_provenance
 from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
 from hrl_comfort.training.controller_trainer import train_meta_controller
+from hrl_comfort.training.parallel import run_each
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import train
@@ -61,9 +62,8 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
                 _train(controller)
         except Preempted as stopped:
             raise Preempted(f"stopped by SIGTERM; go on with train hierarchy resume={folder}") from stopped
-        for evaluation in evaluations(config, folder, options):
-            if not (Path(evaluation.output) / "summary.json").is_file():
-                evaluate(evaluation)
+        left = [each for each in evaluations(config, folder, options) if not _evaluated(each)]
+        run_each(evaluate, left, config.hierarchy.jobs)
         write_provenance(folder, config, finished=True, seconds=time.monotonic() - begin)
     return folder
 
@@ -94,12 +94,12 @@ def _check(config: HierarchyTrainConfig, folder: Path) -> None:
 def train_options(config: HierarchyTrainConfig, folder: Path) -> list[TrainConfig]:
     """Train every option, then refine them from the last to the first; return the configurations of their runs."""
     names, refined = list(config.meta_controller.options), bool(config.hierarchy.refinement)
-    options, start = [], "ik"
-    for name in names:
-        options.append(option_config(config, name, folder / (f"{name}_first" if refined else name), start))
-        _train(options[-1])
-        if name != names[-1]:
-            start = terminal_states_of(options[-1], config)
+    folders = [folder / (f"{name}_first" if refined else name) for name in names]
+    if config.hierarchy.starts == "ik":
+        options = [option_config(config, *each, "ik") for each in zip(names, folders, strict=True)]
+        run_each(_train, sorted(options, key=lambda each: -each.agent.policy_steps), config.hierarchy.jobs)
+    else:
+        options = _trained_in_order(config, names, folders)
     following: Path | None = None
     if not refined:
         return options
@@ -109,6 +109,17 @@ def train_options(config: HierarchyTrainConfig, folder: Path) -> list[TrainConfi
         _train(again[-1])
         following = folder / name
     return again[::-1]
+
+
+def _trained_in_order(config: HierarchyTrainConfig, names: list[str], folders: list[Path]) -> list[TrainConfig]:
+    """Train options, each from the terminal states of the one before; return the configurations of their runs."""
+    options, start = list[TrainConfig](), "ik"
+    for name, folder in zip(names, folders, strict=True):
+        options.append(option_config(config, name, folder, start))
+        _train(options[-1])
+        if name != names[-1]:
+            start = terminal_states_of(options[-1], config)
+    return options
 
 
 def option_config(config: HierarchyTrainConfig, name: str, folder: Path, start: str) -> TrainConfig:
@@ -197,6 +208,10 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         policies = {**policies, "meta_controller": sort.output}
         found.append(_evaluation(sort, learned, folder / "sort_learned", policies, **common))
     return found
+
+
+def _evaluated(evaluation: EvaluateConfig) -> bool:
+    return (Path(evaluation.output) / "summary.json").is_file()
 
 
 def _alone(config: HierarchyTrainConfig) -> MetaControllerConfig:

@@ -134,5 +134,9 @@ def test_recorded_starts_bring_their_layout_and_are_refused_in_another_cell(tmp_
     known = {int(row[-1]) for bank in banks for row in bank}
     assert {int(number) for number in engine.episodes.draw.layout_id[:, 0]} <= known
     assert ((state.tcp_pos - state.target_object).norm(dim=-1) < 0.4).all()
+    anew = Engine(varied(*asked[2:], start, "task.resample_start_probability=1", task="place"), ROWS, 0)
+    state = anew.reset()
+    assert not {int(number) for number in anew.episodes.draw.layout_id[:, 0]} & known, "layouts of their own"
+    assert ((state.tcp_pos - state.target_object).norm(dim=-1) < 0.4).all()
     with pytest.raises(ConfigError, match=r"was recorded in another cell or of another robot; record it anew"):
         Engine(varied(*asked[2:], start, "cell.vary.home_deg=5", task="place"), 1, 0)

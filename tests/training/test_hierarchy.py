@@ -71,6 +71,16 @@ def metrics(folder: Path) -> list[bytes]:
     return [(folder / part / "metrics.csv").read_bytes() for part in PARTS]
 
 
+def test_options_that_begin_at_postures_are_the_same_at_a_time_and_one_after_another(tmp_path: Path) -> None:
+    plain = ("hierarchy.starts=ik", "hierarchy.refinement=[]")
+    one, two = (train_hierarchy(small(tmp_path / str(jobs), *plain, f"hierarchy.jobs={jobs}")) for jobs in (1, 2))
+    for part in ("pick_place", "return"):
+        assert load_config(two / part).task.start == "ik"
+        for file in ("metrics.csv", "eval/episodes.csv"):
+            assert (one / part / file).read_text().replace(str(one), str(two)) == (two / part / file).read_text()
+    assert (two / "cycle" / "eval" / "summary.json").is_file()
+
+
 def test_every_option_is_a_run_that_begins_where_the_one_before_it_ends(whole):
     first, back, again = (load_config(whole / part) for part in ("pick_place_first", "return_first", "pick_place"))
     assert first.task.start == "ik" and first.task.name == "pick_place"
