@@ -153,8 +153,8 @@ def test_given_noise_is_used() -> None:
 class PreferFirst(nn.Module):
     """Critics that value an action by its first number alone."""
 
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return action[:, 0].expand(2, -1)
+    def value(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return action[:, 0]
 
 
 def test_a_demonstrator_is_imitated_only_where_the_critics_prefer_it() -> None:
