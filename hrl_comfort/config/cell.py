@@ -266,8 +266,8 @@ class ConnectionConfig:
     host: str
     """`ur`: address of the robot's controller."""
     gripper: Annotated[str, choice("none", "robotiq")]
-    """`ur`: connection of the hand `robot.gripper`. `robotiq`: that of a 2F-85, by the server of Robotiq's URCap on port
-    63352 of `host`. The simulated arm has the fingers of its model."""
+    """`ur`: connection of the hand that `robot.gripper` describes. `robotiq`: a 2F-85, by the server of Robotiq's URCap
+    on port 63352 of `host`. The simulated arm has the fingers of its model, and takes `none`."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
     """Frame in which places and obstacles of `cell`, `task.*point_m` and live positions of people are given; null:
     that of the robot's base. For another frame give three tool positions, measured in the frame of the base, m: the new

@@ -81,7 +81,10 @@ class Objects:
         self._velocity[held] = (self.poses[held, :3] - before) / CONTROL_STEP_S
 
     def _grip(self, place: Array, turn: Array) -> None:
-        """Let the nearest object ride on the tool at `place` (3,) m with axes `turn` (3, 3), midway between the pads."""
+        """Let the nearest object ride on the tool at `place` (3,) m with axes `turn` (3, 3), midway between the pads.
+
+        If none is near, the fingers hold something unknown, and no object moves.
+        """
         away = (self.poses[:, :3] - place) @ turn
         nearest = int(np.linalg.norm(away, axis=1).argmin())
         if np.linalg.norm(away[nearest]) > NEAR_M:

@@ -83,6 +83,15 @@ class RobotEngine(Engine):
         self._begin(index)
         return self._follow()
 
+    def lying(self) -> list[str]:
+        """Return where each object of the episode has to lie, frame of the robot's base."""
+        draw, names = self.episodes.draw, self.scene.cell.kinds
+        found = zip(draw.kinds[0], draw.objects(np.arange(1))[0], draw.turns[0], strict=True)
+        return [
+            f"{names[kind]} with its middle at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {np.degrees(turn):.0f} degrees"
+            for kind, (x, y, z), turn in found
+        ]
+
     def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Run one decision, action (1, A) in [-1, 1], and return its result.
 

@@ -3,7 +3,8 @@
 The server takes one line of ASCII at a time, `SET POS 255` or `GET OBJ`, and answers `ack` or `OBJ 2`, with or without
 an end of line; `?` stands for a value that it does not know, as in an emergency stop. Variables and codes are those of
 Robotiq's 2F-85 instruction manual (registers gSTA, gOBJ, gFLT); the lines are as in dof.robotiq.com/discussion/1962
-and in `robotiq_gripper.h` of SDU Robotics' ur_rtde. It has never been tried on hardware.
+and in `robotiq_gripper.h` of SDU Robotics' ur_rtde. POS is 0 to 255, of a 2F-85 about 3 to 228. None of this has been
+tried on hardware.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from rich.console import Console
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.deploy.arms import Arm, Equipped, SimulatedArm, SimulatedHand
+from hrl_comfort.deploy.arms import Arm, Equipped, Fingers, SimulatedArm, SimulatedHand
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine, sources_of
@@ -144,13 +144,23 @@ class Run:
       link: to the arm.
       interrupted: returns whether somebody wants the arm to stop.
       endure: see `RobotEngine`.
+
+    Raises:
+      ConfigError: a policy does not fit, or the hand holds something, which would fall on the way to the start.
     """
 
     def __init__(self, config: DeployConfig, link: Link, interrupted: Callable[[], bool], endure: bool = False) -> None:
         self.result = Result([], [], [])
+        hand = link.report.reading.hand
+        if hand is not None and hand.fingers == Fingers.GRIP:
+            raise ConfigError("the hand holds something: take it out and open the fingers before the arm moves")
         self._config, self._link, self._entries = config, link, open_split(config).entries
         self._engine = RobotEngine(environment(config), link, self._entries, interrupted, endure)
         self._executor, self._top = make_executor(config, None, self._engine, config.first_seed)
+
+    def lying(self) -> list[str]:
+        """See `RobotEngine`; of the last episode that began."""
+        return self._engine.lying()
 
     def all(self) -> None:
         """Run every episode; bring the arm to rest at the end, and where one is stopped.
@@ -205,7 +215,7 @@ class Run:
         """Write the tables of the episodes that began and the set-points."""
         summary = None
         if self.result.episodes:
-            self.result.episodes[:] = [replace(row, split=SPLIT) for row in self.result.episodes]
+            self.result.episodes[:] = [replace(row, split=SPLIT, slip_mm=None) for row in self.result.episodes]
             summary = self.result.write(output, self._config)
         log = output / "setpoints.bin"
         joints = len(self._engine.scene.home)
@@ -239,6 +249,8 @@ def rehearse(config: DeployConfig, link: Link, interrupted: Callable[[], bool]) 
     done = sum(each.success for each in episodes)
     touches = sum(each.contact for each in episodes)
     print(f"dry run: {done} of {len(episodes)} episodes succeed, {touches} touch the person")
+    if config.robot.gripper.holds and config.connection.name != "simulated":
+        print(f"lay, in the frame of the robot's base: {'; '.join(run.lying())}")
 
 
 def confirm(config: DeployConfig) -> None:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 
-from hrl_comfort.deploy.arms import Fingers, HandReading
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.deploy.arms import Fingers, HandReading, Reading, SimulatedHand
 from hrl_comfort.deploy.robotiq import PORT
 
 
@@ -68,7 +72,7 @@ def served(host: str, server: FakeRobotiq) -> Iterator[None]:
 
     def serve() -> None:
         connection = listener.accept()[0]
-        with connection, connection.makefile("rb") as lines:
+        with suppress(ConnectionError), connection, connection.makefile("rb") as lines:
             for line in lines:
                 connection.sendall(server.answer(line.decode().strip()))
 
@@ -77,6 +81,32 @@ def served(host: str, server: FakeRobotiq) -> Iterator[None]:
         thread.start()
         yield
     thread.join()
+
+
+class RobotiqWorld:
+    """The arm of a world without its hand, whose fingers follow `server`, and which tells that what is between them."""
+
+    def __init__(self, world: SimulatedHand) -> None:
+        self._world = world
+        self.server = FakeRobotiq(self._hand)
+
+    def _hand(self) -> HandReading:
+        hand = self._world.read().hand
+        assert hand is not None
+        return hand
+
+    def read(self) -> Reading:
+        return replace(self._world.read(), hand=None)
+
+    def send(self, angles: NDArray[np.float64]) -> None:
+        self._world.send(np.append(angles, self.server.position / 255))
+
+    def lay(self, objects: NDArray[np.float64] | None) -> None:
+        if objects is not None:
+            self._world.lay(objects)
+
+    def close(self) -> None:
+        self._world.close()
 
 
 def still() -> HandReading:
