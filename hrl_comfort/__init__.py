@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dm_control.rl.control import Environment
     from pandas import DataFrame
 
-    from hrl_comfort.config import EnvConfig
+    from hrl_comfort.config import EnvConfig, EvaluateConfig
     from hrl_comfort.policies.external import Function, ObservationPolicy
 
 __version__ = "0.2.0"
@@ -53,6 +53,26 @@ def environment_of(
     except UnknownKeyError as error:
         name = given.get("task", run)
         raise TypeError(f"{name} got an unexpected keyword argument {error.key!r}: {error}") from None
+
+
+def options_of(
+    task: str = "kitting", choices: Mapping[str, object] | None = None, run: str | PathLike[str] | None = None
+) -> EvaluateConfig:
+    """Return the configuration of an environment of options, for `hrl_comfort.hierarchy.option_env.make_option_env`.
+
+    Args:
+      task: `kitting`, `sort` or `shift`.
+      choices: overrides of `hrl-comfort evaluate`; `policies` names those of the skills, scripted ones by default.
+      run: run folder of a hierarchy, whose skills are taken with the world of their training, or of `train
+        meta_controller`, whose world and skills are taken.
+
+    Raises:
+      ConfigError: a choice is not allowed, or `run` is none, or of another task.
+      TypeError: a key of `choices` is not one of the configuration.
+    """
+    from hrl_comfort.composition.options import compose_options
+
+    return compose_options(task, choices or {}, None if run is None else fspath(run))
 
 
 def load(
@@ -144,4 +164,4 @@ def evaluate(
     return rollout(config, given if callable(given) else None).table
 
 
-__all__ = ["__version__", "environment_of", "evaluate", "load", "load_policy"]
+__all__ = ["__version__", "environment_of", "evaluate", "load", "load_policy", "options_of"]

@@ -141,6 +141,7 @@ def random_state(rng: np.random.Generator, exponents: tuple[int, int]) -> State:
         "target": torch.zeros(ROWS, dtype=torch.int64),
         "stage": torch.from_numpy(rng.integers(4, size=ROWS)),
         "steps": torch.from_numpy(rng.integers(10**6, size=ROWS)),
+        "key": torch.from_numpy(rng.integers(2**63, size=ROWS)),
         "level": torch.from_numpy(rng.integers(1, COMFORT.levels + 1, size=ROWS).astype(np.float64)),
         "humans_shown": torch.from_numpy(rng.random((ROWS, 1)) < 0.5),
         **{name: torch.from_numpy(rng.random(ROWS) < 0.5) for name in FLAGS},

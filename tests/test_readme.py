@@ -9,7 +9,10 @@ import pytest
 from tests.commands import ROOT, commands, run, write_files
 
 PAGES = [ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-EXAMPLES = {"act.py": "", "evaluate_and_plot.py": "2", "own_task.py": "", "train_sb3.py": "200 pick.zip"}
+EXAMPLES = {
+    "act.py": "", "evaluate_and_plot.py": "2", "own_task.py": "", "train_options.py": "16 2",
+    "train_sb3.py": "200 pick.zip",
+}  # fmt: skip
 """Arguments that make an example short."""
 FEW = {
     "measure.ROUNDS": 1, "measure.SECONDS": 0.01, "env.NUM_ENVS": (1, 4), "update.BATCHES": (32,),

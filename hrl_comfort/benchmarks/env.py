@@ -21,6 +21,7 @@ from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 
 NUM_ENVS = (1, 16, 64, 256, 1024)
 _SHIELDED = (
@@ -38,8 +39,9 @@ BARE = "bare mujoco.rollout"
 def bench_env(config: TrainConfig) -> Path:
     """Print policy steps a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS. The
-    dm_control front is measured with one cell. Write the measurements to env.csv and return it.
+    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS; with
+    `engine.processes` the engine is measured in that many too. The dm_control front is measured with one cell. Write
+    the measurements to env.csv and return it.
     """
     torch.set_num_threads(1)
     here = environment(config)
@@ -49,7 +51,9 @@ def bench_env(config: TrainConfig) -> Path:
 
     def loops(size: tuple[str, int]) -> dict[str, Rate]:
         (world, cells), env = size, worlds[size[0]]
-        found = {"engine": engine_loop(env, cells), BARE: bare_loop(env, cells)}
+        found = {"engine": engine_loop(env.in_one_process(), cells), BARE: bare_loop(env.in_one_process(), cells)}
+        if (processes := min(env.engine.processes, cells)) > 1:
+            found[f"engine, {processes} processes"] = engine_loop(env, cells)
         if cells == 1 and world == here.task.name:
             found["dm_control front"] = dm_loop(env)
         return {name: partial(rate, step, cells) for name, step in found.items()}
@@ -66,7 +70,7 @@ def table(frame: DataFrame) -> str:
 
 def engine_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
     """Return a call that makes one policy step in each cell and resets those that ended."""
-    engine, rng = Engine(env, cells, 0), np.random.default_rng(0)
+    engine, rng = make_engine(env, cells, 0), np.random.default_rng(0)
     shape = cells, engine.episodes.action_dim
     engine.reset()
 

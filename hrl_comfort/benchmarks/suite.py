@@ -21,7 +21,7 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 
-OWN = ("policy", "policies", "output", "engine.threads", "record", "realtime", "task.observation")
+OWN = ("policy", "policies", "output", "engine.threads", "engine.processes", "record", "realtime", "task.observation")
 """Keys that a policy may set without leaving the suite; the last two say what an outside policy observes."""
 
 

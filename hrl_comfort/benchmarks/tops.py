@@ -1,5 +1,7 @@
 """Does the choice of the next job matter? Returns of rules, fixed orders and the oracle in equal shifts of `kitting`.
 
+The choices of all but fixed orders that are not the best are judged by the oracle, and so are those of an idle arm.
+
 `python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS WORDS…` measures them on `split=validation`; the words, those of
 `hrl-comfort evaluate`, come after WORDS.
 """
@@ -29,8 +31,11 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Choose, Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.options import OptionTable
+from hrl_comfort.hierarchy.oracle import Judged, Oracle
 from hrl_comfort.hierarchy.tops import TOPS
+from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 
 WORDS = (
     "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
@@ -38,6 +43,8 @@ WORDS = (
     "policies.return=direct",
 )  # fmt: skip
 """The world and skills that are measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
+IDLE = "idle"
+"""The arm that waits at home."""
 RULES = ("random", "nearest", "free", "patient", "due")
 FIXED = "fixed"
 TERMS = {
@@ -45,41 +52,60 @@ TERMS = {
     "place": "orders filled",
     "missed": "orders missed, weighted",
     "comfort": "discomfort, weighted",
+    "regret": "regret",
 }
-"""Columns of the CSV and their heads in the table; all but the first are reward terms with their weights."""
+"""Columns of the CSV and their heads in the table; all but the first and the last are reward terms with their weights.
+The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
 
 
 def measure(config: EvaluateConfig, shifts: int) -> DataFrame:
-    """Return a row for each top and shift; the tops but the oracle work side by side."""
+    """Return a row for each top and shift; fixed orders, and then all others that are shown, work side by side."""
     entries = open_split(replace(config, split="validation", episodes=shifts)).entries
-    env = environment(config)
-    names = [*RULES, *(f"{FIXED} {' '.join(order)}" for order in orders(config.cell))]
-    engine = Engine(env, shifts * len(names), 0, entries.at(np.tile(np.arange(shifts), len(names))))
+    tried = _side_by_side(
+        config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)], judged=False
+    )
+    best = str(tried.groupby("top")["return"].mean().idxmax())
+    shown = _side_by_side(config, entries, [IDLE, *RULES, best], judged=True)
+    oracle = _side_by_side(config, entries, [ORACLE], judged=False).assign(regret=0.0)
+    return pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
+
+
+def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool) -> DataFrame:
+    """Return a row for each of the tops `names` and each shift of `entries`."""
+    shifts = len(entries.episode)
+    every = entries.at(np.tile(np.arange(shifts), len(names)))
+    engine = make_engine(environment(config), len(every.episode), 0, every)
     executor, _ = make_executor(config, None, engine, 0)
-    tops = [top_of(name, config, executor.table) for name in names]
+    oracle = Oracle(engine, executor)
+    tops = [oracle if name == ORACLE else top_of(name, config, executor.table) for name in names]
 
     def choose(decision: Decision) -> torch.Tensor:
         every = torch.stack([top(decision) for top in tops])
         return every[torch.arange(len(tops)).repeat_interleave(shifts), torch.arange(shifts * len(tops))]
 
-    rows = [*worked(engine, executor, Top("all", choose), np.repeat(names, shifts))]
-    oracle = replace(config, meta_controller=replace(config.meta_controller, name=ORACLE))
-    engine = Engine(env, shifts, 0, entries)
-    rows += worked(engine, *make_executor(oracle, None, engine, 0), np.repeat([ORACLE], shifts))
-    return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names) + 1))
+    top = Top("all", choose, together=ORACLE in names)
+    rows = worked(engine, executor, Judged(top, oracle) if judged else top, np.repeat(names, shifts))
+    return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names)))
 
 
 def worked(engine: Engine, executor: OptionExecutor, top: Top, names: NDArray[np.str_]) -> list[dict[str, str | float]]:
     """Return a row for each cell of `engine`, of which `names` (N,) says who chooses there."""
     engine.reset()
     paid = torch.zeros(engine.num_envs, len(engine.episodes.reward_names), dtype=torch.float64)
+    regret = torch.full((engine.num_envs,), 0.0 if isinstance(top, Judged) else torch.nan, dtype=torch.float64)
     for step in execute(engine, executor, top):
         paid += step.result.reward_terms * step.active[:, None]
+        if isinstance(top, Judged):
+            ended = torch.tensor([run.row for run in step.runs], dtype=torch.int64)
+            regret[ended] += top.regret[ended]
     engine.close()
     terms = [dict(zip(engine.episodes.reward_names, row, strict=True)) for row in paid.tolist()]
+    values = [
+        {**row, "return": sum(row.values()), "regret": lost} for row, lost in zip(terms, regret.tolist(), strict=True)
+    ]
     return [
-        {"top": str(name), **{term: round(sum(row.values()) if term == "return" else row[term], 6) for term in TERMS}}
-        for name, row in zip(names, terms, strict=True)
+        {"top": str(name), **{term: round(row[term], 6) for term in TERMS}}
+        for name, row in zip(names, values, strict=True)
     ]
 
 
@@ -91,6 +117,9 @@ def orders(cell: CellConfig) -> list[list[str]]:
 
 def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
     """Return a top by its name; that of a fixed order is followed by the areas."""
+    if name == IDLE:
+        wait = table.position("wait")
+        return lambda decision: torch.full((len(decision.mask),), wait)
     kind, *areas = name.split()
     picks = [
         f"pick_{index}"
@@ -104,20 +133,22 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
 def table(rows: DataFrame) -> str:
     """Return the means of the rows of each top with intervals over shifts, and the oracle less the top in %.
 
+    Rows measured without regrets have no column of them.
+
     Of the fixed orders the best is shown, in hindsight.
     """
     of = {str(name): group.sort_values("shift") for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
-    runs = Clusters.of_runs(int(rows["shift"].nunique()))
+    runs, told = Clusters.of_runs(int(rows["shift"].nunique())), [term for term in TERMS if term in rows]
     lines = []
     for name in shown:
         mine, oracle = (of[each]["return"].to_numpy() for each in (name, ORACLE))
         more = None if name == ORACLE else runs.estimate(oracle - mine)
-        values = (runs.estimate(of[name][term].to_numpy()) for term in TERMS)
+        values = (runs.estimate(of[name][term].to_numpy()) for term in told)
         share = "–" if more is None or mine.mean() <= 0 else f"{100 * more['mean'] / mine.mean():.0f}"
         lines.append([f"`{name}`", *(cell(value, digits=2) for value in values), cell(more, digits=2), share])
-    return markdown(["choice", *TERMS.values(), "oracle above it", "the same, %"], lines)
+    return markdown(["choice", *(TERMS[term] for term in told), "oracle above it", "the same, %"], lines)
 
 
 def main(words: Sequence[str]) -> None:

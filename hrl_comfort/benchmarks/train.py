@@ -26,7 +26,7 @@ from hrl_comfort.files.output import held_folder
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.files.tables import Floats, read_table, write_table
 from hrl_comfort.policies.actor import ActorPolicy
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training
 
@@ -150,7 +150,7 @@ def times_ours(theirs: Series, ours: Series) -> str:
 
 def success(env: EnvConfig, act: Act) -> float:
     """Return the success share of CHECK_EPISODES episodes drawn as in training, always the same."""
-    engine = Engine(env, CHECK_EPISODES, CHECK_SEED)
+    engine = make_engine(env, CHECK_EPISODES, CHECK_SEED)
     engine.reset()
     ended, won = np.zeros(CHECK_EPISODES, dtype=bool), np.zeros(CHECK_EPISODES, dtype=bool)
     while not ended.all():

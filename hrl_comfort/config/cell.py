@@ -252,7 +252,10 @@ class EngineConfig:
     num_envs: Annotated[int, within(1, MAX_ENVS)]
     """Number of cells that are simulated at once."""
     threads: Annotated[int, within(1, 256)]
-    """Threads of the simulation."""
+    """Threads of the simulation, in each process."""
+    processes: Annotated[int, within(1, 256)]
+    """Processes that share the cells out, at most one for each cell; the episodes are the same, bit for bit. For a
+    hundred cells or more and free cores."""
     substeps: Annotated[int, within(1, 100)]
     """Physics steps in a control step of 20 ms; with a gripper at least 4, which a grasp needs."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field
 
@@ -68,6 +68,24 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         check_objects(task, cell)
+        if self.engine.processes > 1:
+            self._check_processes()
+
+    def _check_processes(self) -> None:
+        live, source = None, self.comfort.source
+        if source in ("udp", "lsl"):
+            live = f"comfort.source={source}"
+        elif any(each.motion == "live" for person in self.human.everyone for each in (person.people or [person])):
+            live = "human.motion=live"
+        if live is not None:
+            raise ConfigError(
+                f"engine.processes={self.engine.processes} does not go with {live}, which one process reads; choose "
+                "engine.processes=1"
+            )
+
+    def in_one_process(self) -> Self:
+        """Return the same configuration with `engine.processes=1`."""
+        return replace(self, engine=replace(self.engine, processes=1))
 
     @property
     def substeps(self) -> int:

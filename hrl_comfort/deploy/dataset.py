@@ -22,7 +22,7 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.progress import progress, success_of
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
@@ -104,7 +104,7 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
     from minari.data_collector import EpisodeBuffer
 
     rows = len(entries.episode)
-    engine = Engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
+    engine = make_engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
     executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
     state = engine.reset()
     observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from gymnasium import Space
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hrl_comfort.comfort.terms import present
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
@@ -17,11 +20,30 @@ from hrl_comfort.config.constants import MAX_ENVS
 from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.envs.inputs import SEEDS, checked_action, episode_seed, replayed, whole
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.view import View
 
 Array = NDArray[np.float32]
 RENDER_MODES = ("human", "rgb_array")
+
+
+class Outcome(Protocol):
+    """Outcome of a step, (N,) each."""
+
+    @property
+    def reward(self) -> Tensor:
+        """Float64."""
+
+    @property
+    def terminated(self) -> Tensor:
+        """Bool."""
+
+    @property
+    def truncated(self) -> Tensor:
+        """Bool."""
+
+    @property
+    def done(self) -> Tensor:
+        """Bool, terminated or truncated."""
 
 
 class Cells:
@@ -58,6 +80,15 @@ class Cells:
         """Decisions, and so pictures, a second of simulated time."""
         return round(1 / (CONTROL_STEP_S * self.config.task.action_repeat), 6)
 
+    @property
+    def spaces(self) -> tuple[Space[Any], Space[Any]]:
+        """Spaces of an observation (D,) and of an action (A,) of one cell."""
+        return Box(-np.inf, np.inf, (self.width,), np.float32), Box(-1.0, 1.0, (self.action_dim,), np.float32)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """Return what is known at the start of an episode, by name."""
+        return {}
+
     def reset(self, seed: int | None, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Array:
         """Begin an episode in every row and return the observations (N, D).
 
@@ -76,7 +107,7 @@ class Cells:
         self.engine.reset(entries=entries)
         return self._seen()
 
-    def step(self, action: object, shape: tuple[int, ...]) -> tuple[StepResult, Array, dict[str, NDArray[Any]]]:
+    def step(self, action: object, shape: tuple[int, ...]) -> tuple[Outcome, Array, dict[str, NDArray[Any]]]:
         """Run a decision; return its result, the observations (N, D) and its values by name, (N,) each.
 
         `action` is (N, A), or what `shape` says. The values are those of `step_columns`, the distance NaN without a

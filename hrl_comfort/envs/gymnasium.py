@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -32,15 +31,19 @@ class CellGym(gymnasium.Env[Array, Array]):
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
         """Build the cell; `render_mode` is `rgb_array`, `human` (MuJoCo's viewer) or None."""
-        self._cells = Cells(config, 1, render_mode)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": self._cells.frames_per_s}
-        self.observation_space, self.action_space = spaces(self._cells)
+        self._front(Cells(config, 1, render_mode))
+
+    def _front(self, cells: Any) -> None:
+        self._cells = cells
+        self.render_mode = cells.render_mode
+        self.metadata = {**self.metadata, "render_fps": cells.frames_per_s}
+        self.observation_space, self.action_space = cells.spaces
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:
         """Start an episode; raise ConfigError if `seed` or an option is not allowed."""
         super().reset(seed=seed)
-        return self._cells.reset(seed, self.np_random, options)[0], {}
+        observation = self._cells.reset(seed, self.np_random, options)[0]
+        return observation, {name: column[0] for name, column in self._cells.known().items()}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
         """Run one decision.
@@ -50,8 +53,8 @@ class CellGym(gymnasium.Env[Array, Array]):
           ResetNeeded: there is no episode yet.
         """
         _check_reset(self._cells)
-        result, observation, values = self._cells.step(action, (self._cells.action_dim,))
-        info = {name: column[0].item() for name, column in values.items()}
+        result, observation, values = self._cells.step(action, self.action_space.shape)
+        info = {name: column[0].item() if column.ndim == 1 else column[0] for name, column in values.items()}
         ended = bool(result.terminated[0]), bool(result.truncated[0])
         return observation[0], float(result.reward[0]), *ended, info
 
@@ -90,13 +93,14 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         Raises:
           ConfigError: `num_envs` is not a whole number from 1 to 65536, or `render_mode` is neither None nor rgb_array.
         """
-        if render_mode == "human":
-            raise ConfigError("render_mode='human' shows one cell; choose rgb_array for a batch")
-        self._cells = Cells(config, num_envs, render_mode)
-        self.num_envs = self._cells.engine.num_envs
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": self._cells.frames_per_s}
-        self.single_observation_space, self.single_action_space = spaces(self._cells)
+        self._front(Cells(config, num_envs, of_batch(render_mode)))
+
+    def _front(self, cells: Any) -> None:
+        self._cells = cells
+        self.num_envs = cells.engine.num_envs
+        self.render_mode = cells.render_mode
+        self.metadata = {**self.metadata, "render_fps": cells.frames_per_s}
+        self.single_observation_space, self.single_action_space = cells.spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -111,7 +115,7 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         if isinstance(seed, list):
             raise ConfigError(f"seed={seed} must be one number; it determines the episodes of all rows")
         super().reset(seed=seed)
-        return self._cells.reset(seed, self.np_random, options), {}
+        return self._cells.reset(seed, self.np_random, options), self._cells.known()
 
     def step(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], Info]:
         """Run one decision in every row.
@@ -121,7 +125,7 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
           ResetNeeded: there is no episode yet.
         """
         _check_reset(self._cells)
-        result, observation, values = self._cells.step(actions, (self.num_envs, self._cells.action_dim))
+        result, observation, values = self._cells.step(actions, self.action_space.shape)
         info: Info = dict(values)
         done = result.done.numpy()
         if done.any():
@@ -132,6 +136,7 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
             final |= {f"_{name}": done.copy() for name in values}
             info |= {"final_obs": last, "_final_obs": done.copy(), "final_info": final, "_final_info": done.copy()}
             observation = self._cells.restart(np.flatnonzero(done))
+            info |= self._cells.known()
         reward, terminated, truncated = (
             each.numpy().copy() for each in (result.reward, result.terminated, result.truncated)
         )
@@ -147,9 +152,11 @@ class CellVector(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         self._cells.close()
 
 
-def spaces(cells: Cells) -> tuple[Box[Any], Box[Any]]:
-    """Return the spaces of an observation (D,) and of an action (A,) of one cell."""
-    return Box(-np.inf, np.inf, (cells.width,), np.float32), Box(-1.0, 1.0, (cells.action_dim,), np.float32)
+def of_batch(render_mode: str | None) -> str | None:
+    """Return the render mode of a batch; raise ConfigError for `human`."""
+    if render_mode == "human":
+        raise ConfigError("render_mode='human' shows one cell; choose rgb_array for a batch")
+    return render_mode
 
 
 def _check_reset(cells: Cells) -> None:

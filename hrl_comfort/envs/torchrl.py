@@ -15,7 +15,7 @@ from hrl_comfort.config import EnvConfig
 from hrl_comfort.envs.columns import step_columns
 from hrl_comfort.envs.inputs import checked_action, episode_seed
 from hrl_comfort.humans import EvaluationSet
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 
 _FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
@@ -34,7 +34,7 @@ class CellEnv(EnvBase):
 
     def __init__(self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, episode_seed(seed), evaluation)
+        self.engine = make_engine(config, rows, episode_seed(seed), evaluation)
         self.task_name = config.task.name
         self.reward_names = self.engine.episodes.reward_names
         self.last: StepResult | None = None
@@ -44,7 +44,7 @@ class CellEnv(EnvBase):
     def _make_specs(self, config: EnvConfig) -> None:
         n = self.batch_size
         self.engine.reset()
-        width = self.engine.episodes.observe().shape[-1]
+        width = self.engine.observe().shape[-1]
         flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
         self.observation_spec = Composite(
             observation=Unbounded(shape=(*n, width), dtype=torch.float32),
@@ -64,7 +64,7 @@ class CellEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             rows = np.flatnonzero(tensordict["_reset"].reshape(-1).numpy())
         state = self.engine.reset(rows)
-        observation = self.engine.episodes.observe().float()
+        observation = self.engine.observe().float()
         return TensorDict(
             {
                 "observation": observation,
@@ -87,7 +87,7 @@ class CellEnv(EnvBase):
         columns |= {name: getattr(outcome, name) for name in _FLAGS[4:]}
         return TensorDict(
             {
-                "observation": self.engine.episodes.observe().float(),
+                "observation": self.engine.observe().float(),
                 "reward": outcome.reward[:, None].float(),
                 **{name: value[:, None] for name, value in columns.items()},
                 "reward_terms": outcome.reward_terms.float(),
@@ -115,6 +115,11 @@ class CellEnv(EnvBase):
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Return the state for a bit-identical continuation."""
         return self.engine.state_dict()
+
+    def close(self, *_: Any, **__: Any) -> None:
+        """Stop the engine's threads and processes."""
+        self.engine.close()
+        super().close()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Continue from `state_dict`."""

@@ -28,7 +28,7 @@ from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import observed_by
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.tasks import subtask
 
 RECORDED_EPISODES = 2000
@@ -142,7 +142,7 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     )
     look = open_split(config)
     entries = look.entries
-    engine = Engine(environment(config), len(entries.episode), 0, entries)
+    engine = make_engine(environment(config), len(entries.episode), 0, entries)
     state = engine.reset()
     engine.close()
     look.completed()

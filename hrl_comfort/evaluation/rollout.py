@@ -30,6 +30,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
 
@@ -97,8 +98,8 @@ def _run_batch(
 ) -> None:
     """Run episodes side by side, one a row, to their ends; append them to `result`."""
     env, rows = environment(config), len(entries.episode)
-    engine = Engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
-    executor, top = make_executor(config, policy, engine, int(entries.episode_seed[0]))
+    engine = make_engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
+    executor, top = make_executor(config, policy, engine, config.first_seed)
     judged = Judged(top, Oracle(engine, executor)) if config.regret else None
     recorder = EpisodeRecorder(config, policy, engine, entries, result)
     before = [episode.success for episode in result.episodes]

@@ -15,7 +15,7 @@ from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
-from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.starts import fingerprint
 
 
@@ -54,7 +54,7 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
 
 def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, np.ndarray]]:
     """Run an episode, drawn as in training, in each of `rows` cells; return kind and last state of successes."""
-    engine = Engine(environment(config), rows, seed)
+    engine = make_engine(environment(config), rows, seed)
     executor, top = make_executor(config, None, engine, seed)
     engine.reset()
     found = []
@@ -62,7 +62,7 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
         state = executed.result.state
         parts = [state.joint_pos, state.joint_vel, state.joint_target]
         if config.robot.gripper.holds:  # sensors lag behind the bodies by a physics step
-            physics = torch.from_numpy(engine.physics.state)
+            physics = torch.from_numpy(engine.physics_state)
             parts = [physics[:, engine.scene.moving], state.joint_target, physics[:, 1:], state.grip_target[:, None]]
         if config.human.motion != "none":
             parts += [state.humans_pos[:, 0], executed.result.level[:, None]]

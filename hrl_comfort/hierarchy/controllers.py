@@ -38,7 +38,7 @@ def make_executor(
         table, retries = sorting_table(meta_controller, config.policies, engine.scene, env, seed), None
     else:
         table, retries = _chain(config, engine, seed), meta_controller.retries
-    executor = OptionExecutor(table, episodes, retries, seed)
+    executor = OptionExecutor(table, episodes, retries)
     if meta_controller.name == ORACLE:
         return executor, Top(ORACLE, Oracle(engine, executor), together=True)
     return executor, make_top(config, table, seed)

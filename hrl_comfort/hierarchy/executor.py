@@ -14,6 +14,7 @@ from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.files.versions import EXECUTOR, renamed
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.options import NONE, Begun, OptionTable, Termination
+from hrl_comfort.policies.draws import OF_ENDS, uniform
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
@@ -57,30 +58,25 @@ class OptionExecutor:
       table: of which each cell runs one choice at a time.
       episodes: of the cells.
       retries: consecutive further attempts of an option that ran out of time; None: any number.
-      seed: of the ends of options whose termination is a probability.
     """
 
     _TENSORS = ("option", "started", "stage", "attempt", "_preempted")
 
-    def __init__(self, table: OptionTable, episodes: Episodes, retries: int | None = None, seed: int = 0) -> None:
+    def __init__(self, table: OptionTable, episodes: Episodes, retries: int | None = None) -> None:
         self.table, self.retries, self._episodes = table, retries, episodes
         for name in ("option", "started", "stage", "attempt"):
             setattr(self, name, torch.zeros(episodes.rows, dtype=torch.int64))
         self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
         """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
-        self._generator = torch.Generator().manual_seed(seed)
 
     def anew(self) -> OptionExecutor:
-        """Return an executor for the next episodes, which goes on drawing where this one is."""
-        fresh = OptionExecutor(self.table, self._episodes, self.retries)
-        fresh._generator = self._generator
-        return fresh
+        """Return an executor for the next episodes."""
+        return OptionExecutor(self.table, self._episodes, self.retries)
 
     def copies(self, episodes: Episodes, rows: Tensor) -> OptionExecutor:
         """Return an executor for `episodes` of r cells that go on as those of `rows` (r,) int64 would."""
         fresh = OptionExecutor(self.table, episodes, self.retries)
         fresh.load_state_dict({name: getattr(self, name)[rows] for name in self._TENSORS})
-        fresh._generator.set_state(self._generator.get_state())
         return fresh
 
     option: Tensor
@@ -94,15 +90,13 @@ class OptionExecutor:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
-        return {name: getattr(self, name) for name in self._TENSORS} | {"generator": self._generator.get_state()}
+        return {name: getattr(self, name) for name in self._TENSORS}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
         saved = renamed(saved, EXECUTOR)
         for name in self._TENSORS:
             setattr(self, name, saved[name])
-        if "generator" in saved:
-            self._generator.set_state(saved["generator"])
 
     def available(self, state: State) -> Tensor:
         """Return (N, K) bool: choices that can start; all of them where none can (the episode is over).
@@ -199,7 +193,7 @@ class OptionExecutor:
     def _ends(self, option: int, state: State) -> Tensor:
         """Return (N,) bool: an option terminates, drawn where its termination is a probability."""
         ends = self.table.options[option].termination(state, self._begun(state))
-        return ends if ends.dtype == torch.bool else torch.rand(len(ends), generator=self._generator) < ends
+        return ends if ends.dtype == torch.bool else uniform(state, 1, OF_ENDS + option).squeeze(1) < ends
 
     def run_of(self, row: int, ended: EndedOptions, end_step: int) -> OptionRun:
         """Return the run that ended in `row`."""

@@ -6,12 +6,14 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config.checks import implemented
+from hrl_comfort.config import SORTING, ConfigError, EnvConfig
+from hrl_comfort.config.checks import implemented, one_of
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.hierarchy.jobs import jobs_of
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, seen_nearest, tool
+from hrl_comfort.tasks.subtask import StateFunction
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""
@@ -20,6 +22,8 @@ OTHERS = 14
 PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1, "jobs": 1})
 OBJECT = implemented(META_OBSERVATIONS, {"default": 9, "proximity": 9, "jobs": 12})
 """Sizes of the parts of the person and of each object, by `meta_controller_agent.observation`."""
+OF_TASK = implemented(SORTING, {"sort": "default", "shift": "proximity", "kitting": "jobs"})
+"""Layout of the observation that `observer` takes by default, by task."""
 SOON_S = 20.0
 """Time until an order is due that is seen as 1, the largest."""
 
@@ -61,6 +65,21 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     level_given = torch.stack([ease, leveled.double()], dim=-1)
     seen = _position_and_facing(state) if layout == "default" else nearness(state)
     return torch.cat([seen, tool(state), joint_error(state), stage, level_given, objects.flatten(1)], dim=-1).float()
+
+
+def observer(config: EnvConfig, layout: str | None = None) -> StateFunction:
+    """Return `meta_observation` of the cells of `config`, with the layout of their task by default.
+
+    Raises:
+      ConfigError: there is no such layout, or the task has no options to choose from.
+    """
+    task = config.task.name
+    if task not in OF_TASK:
+        raise ConfigError(f"task.name={task!r} has one order of options; choose task={', '.join(SORTING)}")
+    chosen = OF_TASK[task] if layout is None else layout
+    one_of("observation", chosen, META_OBSERVATIONS)
+    levels = config.comfort.levels
+    return lambda state: meta_observation(state, levels, chosen)
 
 
 def _position_and_facing(state: State) -> Tensor:

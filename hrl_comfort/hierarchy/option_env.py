@@ -1,12 +1,12 @@
 """The semi-MDP of options as a TorchRL environment: an action starts an option (Sutton, Precup, Singh 1999).
 
 Options end at different times in different rows. A step runs until the first of them ends; only the rows
-marked `deciding` then choose, the others continue.
+marked `deciding` then choose, the others continue. With `together` the rows wait for one another instead: each step is
+an option of every row, as learners expect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,16 +16,30 @@ from torch import Tensor
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import EnvConfig, EvaluateConfig
+from hrl_comfort.config.checks import between
 from hrl_comfort.envs.inputs import episode_seed
 from hrl_comfort.hierarchy.executor import OptionExecutor
-from hrl_comfort.hierarchy.options import OptionTable
-from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.hierarchy.observation import observer
+from hrl_comfort.hierarchy.semi_mdp import FLAGS, MakeOptions, SemiMDP, options_of
+from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.subtask import StateFunction
 
-MakeOptions = Callable[[Engine], OptionTable]
+
+def make_option_env(
+    config: EvaluateConfig, num_envs: int, seed: int = 0, gamma: float = 1.0, observation: str | None = None
+) -> OptionEnv:
+    """Return the environment of the options of `hrl_comfort.options_of`, its rows `together`.
+
+    `observation` is one of META_OBSERVATIONS, by default that of the task. TorchRL's value estimators raise their gamma
+    to the duration of an option with `set_keys(steps_to_next_obs=("next", "steps_to_next_obs"))`; give both one gamma.
+
+    Raises:
+      ConfigError: as `OptionEnv` and `sorting_table`.
+    """
+    see, make = observer(config, observation), options_of(config)
+    return OptionEnv(config, make, num_envs, seed, gamma, see, config.disturbance, together=True)
 
 
 class OptionEnv(EnvBase):
@@ -49,30 +63,36 @@ class OptionEnv(EnvBase):
         gamma: float,
         observe: StateFunction | None = None,
         disturbance: str = "none",
+        together: bool = False,
     ) -> None:
         """Discount a control step by `gamma`.
 
-        `observe` is the meta-controller's observation, the task's own by default.
+        `observe` is the meta-controller's observation, the task's own by default. With `together` all rows decide at
+        each step, and the first option that can start takes the place of one that cannot; without it, that is an error.
 
         Raises:
-          ConfigError: `seed` is not a whole number from 0 to 2**32 - 1.
+          ConfigError: `seed` is not a whole number from 0 to 2**32 - 1, or `gamma` is not in [0, 1].
         """
+        between("gamma", gamma, 0.0, 1.0)
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
-        self.engine = Engine(config, rows, episode_seed(seed), disturbance=disturbance)
-        self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes, seed=seed)
-        self.gamma = gamma
+        self.engine = make_engine(config, rows, episode_seed(seed), disturbance=disturbance)
+        self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes)
+        self._process = SemiMDP(self.engine, self.executor, gamma)
+        self.gamma, self.together = gamma, together
         self._see = observe or self.engine.episodes.subtask.observe
         self._begin_rows = torch.ones(rows, dtype=torch.bool)
         state = self.engine.reset()
-        self._return = torch.zeros(rows, dtype=torch.float64)
-        self.earned = torch.zeros(rows, dtype=torch.float64)
-        """(N,) rewards of the last step, undiscounted, of every row."""
         self.last_state: State = state
         """State after the last step, before any row was reset."""
         self._origin = self._observe(state)
         self._origin_mask = self.executor.available(state)
         self._make_specs()
         self.engine.episodes.rewind()
+
+    @property
+    def earned(self) -> Tensor:
+        """(N,) rewards of the last step, undiscounted, of every row."""
+        return self._process.earned
 
     def _make_specs(self) -> None:
         n, count = self.batch_size[0], len(self.executor.table)
@@ -113,50 +133,29 @@ class OptionEnv(EnvBase):
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        state = self.engine.episodes.state
-        assert state is not None
-        rows = self._begin_rows
-        self._return = torch.where(rows, 0.0, self._return)
+        state, action = self._process.state, tensordict["action"].reshape(-1)
+        rows, acting = self._begin_rows, torch.ones(self.batch_size, dtype=torch.bool)
+        if self.together:
+            rows = acting = tensordict.get("_step", acting).reshape(-1)
+            action = self._process.possible(action)
         self._origin = torch.where(rows[:, None], self._observe(state), self._origin)
-        able = self.executor.available(state)
-        self._origin_mask = torch.where(rows[:, None], able, self._origin_mask)
-        state = self.executor.begin(rows, tensordict["action"].reshape(-1))
-        self.earned = torch.zeros_like(self.earned)
-        while True:
-            result = self.engine.step(self.executor.act(state).numpy())
-            self._earn(result)
-            state = result.state
-            options = self.executor.ended(result)
-            ended = options.rows
-            if bool(ended.any()):
-                break
-        self._begin_rows, self.last_state = ended, state
-        flags = {
-            "deciding": ended,
-            "success": result.success,
-            "done": result.done,
-            "terminated": result.terminated,
-            "truncated": result.truncated,
-        }
+        self._origin_mask = torch.where(rows[:, None], self.executor.available(state), self._origin_mask)
+        self._process.begin(rows, action)
+        ran = self._process.step(acting, self.together)
+        ended, self.last_state = ran.ended, self._process.state
+        self._begin_rows = ended
+        flags = {name: ran.columns[name] for name in FLAGS}
         return TensorDict(
             {
-                "observation": self._observe(state),
-                "action_mask": self.executor.available(state),
-                "reward": torch.where(ended, self._return, 0.0)[:, None].float(),
-                "steps_to_next_obs": torch.where(ended, state.steps - self.executor.started, 0)[:, None],
-                "termination": options.termination[:, None],
-                **{name: flag[:, None] for name, flag in flags.items()},
+                "observation": self._observe(self.last_state),
+                "action_mask": self.executor.available(self.last_state),
+                "reward": torch.where(ended, ran.reward, 0.0)[:, None].float(),
+                "steps_to_next_obs": torch.where(ended, ran.duration, 0)[:, None],
+                "termination": torch.where(ended, ran.termination, 0)[:, None],
+                **{name: flag[:, None] for name, flag in {**flags, "deciding": ended, "done": ran.done}.items()},
             },
             batch_size=self.batch_size,
         )
-
-    def _earn(self, result: StepResult) -> None:
-        """Add the rewards of a decision, discounted from the start of each row's option."""
-        count = result.valid.shape[1]
-        passed = (result.state.steps - result.decision_steps - self.executor.started)[:, None] + torch.arange(count)
-        weight = torch.where(result.valid, self.gamma ** passed.double(), 0.0)
-        self._return = self._return + (weight * result.step_rewards).sum(dim=1)
-        self.earned = self.earned + result.step_rewards.sum(dim=1)
 
     def transitions(self, after: TensorDictBase) -> TensorDict:
         """Return the options that ended in a step as transitions (F,) of the semi-MDP.
@@ -177,20 +176,27 @@ class OptionEnv(EnvBase):
             batch_size=[len(rows)],
         )
 
-    _TENSORS = ("_begin_rows", "_return", "_origin", "_origin_mask")
+    _TENSORS = ("_begin_rows", "_origin", "_origin_mask")
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Return everything a bit-for-bit continuation needs, between two steps."""
         return {
             "engine": self.engine.state_dict(),
             "executor": self.executor.state_dict(),
+            "returns": self._process.returns,
             **{name: getattr(self, name) for name in self._TENSORS},
         }
+
+    def close(self, *_: Any, **__: Any) -> None:
+        """Stop the engine's threads and processes."""
+        self.engine.close()
+        super().close()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Continue from `state_dict`."""
         self.engine.load_state_dict(state_dict["engine"])
         self.executor.load_state_dict(state_dict["executor"])
+        self._process.returns = state_dict["returns"]
         for name in self._TENSORS:
             setattr(self, name, state_dict[name])
 

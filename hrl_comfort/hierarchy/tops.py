@@ -14,6 +14,7 @@ from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, Choose, Decision, Top
 from hrl_comfort.hierarchy.options import NONE, OptionTable
+from hrl_comfort.policies.draws import OF_TOPS, uniform
 
 NEAR_M = 0.55
 """`cautious` waits while a person is within this distance of the tool's next goal, m."""
@@ -138,9 +139,13 @@ def fixed(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
 
 
 def at_random(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
-    """Return the top that chooses uniformly among the options that can start."""
-    generator = torch.Generator().manual_seed(seed)
-    return lambda decision: torch.multinomial(decision.mask.double(), 1, generator=generator).squeeze(1)
+    """Return the top that chooses uniformly among the options that can start, the same in the same episode."""
+
+    def choose(decision: Decision) -> Tensor:
+        drawn = uniform(decision.state, len(table), OF_TOPS + seed)
+        return torch.where(decision.mask, drawn, -1.0).argmax(dim=1)
+
+    return choose
 
 
 def learned(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:

@@ -15,6 +15,7 @@ from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConf
 from hrl_comfort.config.checks import implemented, import_object, is_object
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.direct import Direct
+from hrl_comfort.policies.draws import OF_POLICIES, uniform
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
@@ -123,9 +124,8 @@ def on_standard_observations(policy: ObservationPolicy, task: Subtask, scene: Sc
 
 
 def random(size: int, seed: int) -> Act:
-    """Return a policy of uniform actions of `size` numbers."""
-    generator = torch.Generator().manual_seed(seed)
-    return lambda state: torch.rand(len(state.steps), size, generator=generator, dtype=torch.float64) * 2 - 1
+    """Return a policy of uniform actions of `size` numbers, the same in the same episode."""
+    return lambda state: uniform(state, size, OF_POLICIES + seed) * 2 - 1
 
 
 def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfig) -> Subtask:

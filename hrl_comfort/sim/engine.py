@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
@@ -26,6 +26,9 @@ class Engine:
     """N cells: `reset` starts episodes, `step` runs a decision.
 
     Args are those of `Episodes`, and `physics`, which makes that of the cells from their scene.
+
+    Raises:
+      ConfigError: the rows are to be shared out over processes, which `sim.processes` does.
     """
 
     def __init__(
@@ -39,6 +42,11 @@ class Engine:
         physics: Callable[[Scene, EnvConfig, int], Physics] = Rollout,
         **planning: Any,
     ) -> None:
+        if min(config.engine.processes, rows) > 1:
+            raise ConfigError(
+                f"engine.processes={config.engine.processes} is for train, evaluate, benchmark, dataset and bench env; "
+                "here choose engine.processes=1"
+            )
         self.scene = scene_of(config)
         self.episodes = Episodes(self.scene, config, rows, seed, evaluation, measure_arm, disturbance, **planning)
         self.physics = physics(self.scene, config, rows)
@@ -76,6 +84,15 @@ class Engine:
         result = self.episodes.advance(sensed[0] if len(sensed) == 1 else np.concatenate(sensed, axis=1), rows)
         physics.end_decision(result.decision_steps.numpy()[at] * self.episodes.config.substeps, rows)
         return result
+
+    def observe(self) -> Tensor:
+        """Return the observations (N, D) of the cells as they are now."""
+        return self.episodes.observe()
+
+    @property
+    def physics_state(self) -> Array:
+        """(N, nstate) of the cells as they are now."""
+        return self.physics.state
 
     @contextmanager
     def held(self, rows: Tensor) -> Iterator[None]:

@@ -28,6 +28,7 @@ ATTEMPTS, ARRIVALS = 200, 256
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
+KEY_STREAM = 7
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
 LAYOUT_STREAM, TURN_STREAM = 40, 41
@@ -94,6 +95,8 @@ class Draw:
     readings: Array
     frames: Array
     """Of how the cell differs from the model: see `sim.variation.randomisation`."""
+    key: NDArray[np.int64]
+    """() of what policies and options draw: see `State.key`."""
 
     def layout(self, rows: Any = slice(None)) -> Array:
         """Return the poses (r, F, 7) of places and obstacles, as `Scene.layout`, of `rows` of N cells."""
@@ -177,6 +180,7 @@ class EpisodeSampler:
             turns = self.generator(row, episode, TURN_STREAM).uniform(-np.pi, np.pi, len(turns))
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
+        key = np.array(self.generator(row, episode, KEY_STREAM).integers(2**63))
         for attempt in range(ATTEMPTS):
             layout = own_layout if attempt < ATTEMPTS // 2 else self._layout(row, rng)
             bank = self._bank(kind, layout, row, attempt < ATTEMPTS // 2 and (kept or not self._layouts.varies))
@@ -203,7 +207,7 @@ class EpisodeSampler:
                 arriving[1], turns, *arriving[2:],
             )  # fmt: skip
             body = self._body(start, layout, rng)
-            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, key)
 
     @property
     def _streams(self) -> range:

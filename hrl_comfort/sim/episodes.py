@@ -44,7 +44,8 @@ class Episodes:
 
     With an `evaluation` set, row r runs the set's entry r (modulo its length). `measure_arm` fills
     `State.arm_distance` even if no reward needs it; `disturbance` is one of `config.DISTURBANCES`. `steps` are the
-    control steps of a decision, `task.action_repeat` by default; `takes_back` as of `Drive`.
+    control steps of a decision, `task.action_repeat` by default; `takes_back` as of `Drive`. The rows may be some of
+    more: their numbers begin at `first_row`.
     """
 
     def __init__(
@@ -58,8 +59,9 @@ class Episodes:
         disturbance: str = "none",
         steps: int | None = None,
         takes_back: bool = True,
+        first_row: int = 0,
     ) -> None:
-        self.scene, self.config, self.rows = scene, config, rows
+        self.scene, self.config, self.rows, self._first_row = scene, config, rows, first_row
         task = config.task
         known = subtask(task.name, task.observation, task.objects, config.robot.gripper.holds)
         plain = replace(known, terminate_on=task.terminate_on, arrival_speed=task.arrival_speed_rad_s)
@@ -128,7 +130,7 @@ class Episodes:
         """
         if entries is None:
             self.episode[rows] += 1
-            attempts = {row: self.sampler.attempts(int(row), int(self.episode[row])) for row in rows}
+            attempts = {row: self.sampler.attempts(self._number(row), int(self.episode[row])) for row in rows}
         else:
             sampler = EpisodeSampler(self.scene, self.config, self.subtask, 0, entries)
             attempts = {row: sampler.attempts(index, 0) for index, row in enumerate(rows)}
@@ -138,7 +140,7 @@ class Episodes:
             for row in pending:
                 for name, value in vars(next(attempts[row])).items():
                     getattr(self.draw, name)[row] = value
-                rng = self.sampler.generator(int(row), int(self.episode[row]), DISTURBANCE_STREAM)
+                rng = self.sampler.generator(self._number(row), int(self.episode[row]), DISTURBANCE_STREAM)
                 drop = self.draw.kind_places[row, self.draw.kinds[row, 0]]
                 place = self._disturbance.begin(row, drop, self.config.human.keep_out_m, rng)
                 if place is not None:
@@ -161,7 +163,19 @@ class Episodes:
             if not len(pending):
                 self._ready[rows] = True
                 return bodies[rows]
-        raise ConfigError(f"no free start for {self.subtask.name} in rows {pending.tolist()} after {ATTEMPTS} attempts")
+        numbers = [self._number(row) for row in pending]
+        raise ConfigError(f"no free start for {self.subtask.name} in rows {numbers} after {ATTEMPTS} attempts")
+
+    def _number(self, row: np.int64) -> int:
+        """Return the number of `row` among the rows of which these are some."""
+        return self._first_row + int(row)
+
+    def begun_elsewhere(self, rows: NDArray[np.int64], draw: dict[str, NDArray[Any]], following: bool) -> None:
+        """Take what another process drew (r, ...) for episodes of `rows` (r,), each `following` its row's latest."""
+        self.episode[rows] += following
+        for name, value in draw.items():
+            getattr(self.draw, name)[rows] = value
+        self._ready[rows] = True
 
     def _drawn(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
         """Return the fields (r, ...) of `rows` (r,) that stay, or begin, as drawn.
@@ -188,6 +202,7 @@ class Episodes:
             "points": draw.points[rows],
             "kinds": kinds,
             "placed": np.zeros(kinds.shape, dtype=bool),
+            "key": draw.key[rows],
             "due": draw.due[rows, 0],
             "level": self.source.level[rows],
         }
@@ -218,11 +233,15 @@ class Episodes:
           RuntimeError: a row has no episode yet.
           ValueError: the actions are of another shape.
         """
+        return self.plan.controls(self.before(action), self.draw, action, joints)
+
+    def before(self, action: Array) -> State:
+        """Return the state in which a decision with `action` (N, A) begins; raise as `controls` does."""
         if self.state is None or not self._ready.all():
             raise RuntimeError("there is no episode yet: call reset before step")
         if action.shape != (shape := (self.rows, self.action_dim)):
             raise ValueError(f"actions of shape {action.shape} are not allowed; they must have shape {shape}")
-        return self.plan.controls(self.state, self.draw, action, joints)
+        return self.state
 
     def advance(self, sensed: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Return the result of a decision from its readings (r, K * substeps, nsensor) in `rows` (r,), all by default.

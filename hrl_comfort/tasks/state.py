@@ -114,6 +114,8 @@ class State:
     """(N,) bool."""
     steps: Tensor
     """(N,) int64, control steps since the episode began."""
+    key: Tensor
+    """(N,) int64, of the episode's random numbers for policies and options that draw (`policies.draws`)."""
     grip: Tensor = ABSENT
     """(N,) how far the hand is closed: 0 is open, 1 closed on nothing. This and all below with a gripper alone."""
     grip_vel: Tensor = ABSENT

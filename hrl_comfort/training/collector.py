@@ -130,6 +130,10 @@ class SkillCollector:
         self._precision[rows] = self.precision_m  # what their next episodes have just started with
         return finished
 
+    def close(self) -> None:
+        """Stop what simulates the environments."""
+        self._env.close()
+
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a bit-for-bit continuation needs."""
         return {

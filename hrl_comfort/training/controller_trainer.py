@@ -55,6 +55,10 @@ class OptionCollector:
             self._returns[row] = 0.0
         return Collected(self.env.transitions(after), finished)
 
+    def close(self) -> None:
+        """Stop what simulates the environments."""
+        self.env.close()
+
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
         return {"env": self.env.state_dict(), "now": dict(self.now.items()), "returns": self._returns}

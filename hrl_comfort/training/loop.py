@@ -43,6 +43,9 @@ class Collector(Protocol):
     def step(self, action: Tensor) -> Collected:
         """Take actions (N, …), one in each environment."""
 
+    def close(self) -> None:
+        """Stop what simulates the environments."""
+
     def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
     def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
 
@@ -143,6 +146,7 @@ class TrainingLoop(ABC):
                     show(min(self.steps, self.total), f"{self.where()}{success_of(list(latest))}")
         finally:
             self.log.close()
+            self.collector.close()
         self.write_provenance(finished=True)
         checkpoint.drop_resumable(self.checkpoints)
 

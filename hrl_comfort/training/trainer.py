@@ -55,8 +55,8 @@ class Training(TrainingLoop):
     def __init__(self, config: TrainConfig, make: MakeCollector, folder: Path, resumes: bool = False) -> None:
         self._make = make
         self.stages = stage_list(config)
-        for stage in [] if resumes else self.stages[1:]:
-            make(stage.config)  # a mistake in a later stage is named before the first one trains
+        for stage in [] if resumes else self.stages[1:]:  # a mistake in it is named before the first one trains
+            make(stage.config.in_one_process()).close()
         collector = make(self.stages[0].config)
         torch.manual_seed(config.train_seed)
         learner = SAC(self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
@@ -95,6 +95,7 @@ class Training(TrainingLoop):
         stage = self.stages[index]
         keep_replay, keep_optimiser = stage.setting.replay == "keep", stage.setting.optimiser == "keep"
         self.learner.begin_stage(stage.config.agent, keep_replay, keep_optimiser)
+        self.collector.close()
         self._enter(index, self._make(stage.config))
 
     @property

@@ -89,6 +89,18 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     assert made == {1: each, 4: each}, "one to warm up, one in no time"
 
 
+def test_the_engine_is_measured_in_several_processes_beside_one(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(bench_env, "NUM_ENVS", (1, 4))
+    monkeypatch.setattr(bench_env, "WORLDS", {})
+    monkeypatch.setattr(measure, "SECONDS", 0.0)
+    assert main(["bench", "env", "engine.processes=2", f"output={tmp_path}"]) == 0
+    loops = pd.read_csv(tmp_path / "env.csv").groupby("num_envs")["loop"].unique()
+    assert {size: [*names] for size, names in loops.items()} == {
+        1: ["engine", "bare mujoco.rollout", "dm_control front"],
+        4: ["engine", "bare mujoco.rollout", "engine, 2 processes"],
+    }
+
+
 def test_the_loops_of_the_benchmark_run_with_a_gripper():
     config = compose_environment("train", ["cell=grasp", "human=none", "task=pick"])
     for loop in (bench_env.engine_loop(config, 2), bench_env.bare_loop(config, 2), bench_env.dm_loop(config)):

@@ -193,6 +193,16 @@ def test_every_top_is_told_its_regret(monkeypatch: pytest.MonkeyPatch) -> None:
         compose("evaluate", ["regret=true", "policy=expert"])
 
 
+def test_a_run_is_the_same_whether_or_not_its_choices_are_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(looking, "HORIZON_S", 2.0)
+    words = ("episodes=3", "task.max_episode_steps=300", "meta_controller=random", "policies.place=random")
+    plain, judged = (rollout(kitting(*words, f"regret={judging}")) for judging in ("false", "true"))
+    assert plain.table.drop(columns="regret_per_min").equals(judged.table.drop(columns="regret_per_min"))
+    runs = [[{name: value for name, value in line.items() if name != "regret"} for line in found.options]
+            for found in (plain, judged)]  # fmt: skip
+    assert runs[0] == runs[1] and len({line["option"] for line in runs[0]}) > 2
+
+
 def test_the_table_tells_the_best_fixed_order_and_how_far_the_oracle_is_above() -> None:
     gained = {"random": 1.0, "fixed a b": 2.0, "fixed b a": 4.0, "oracle": 5.0}
     shifts = [(top, shift, mean + (shift - 1) / 10) for top, mean in gained.items() for shift in range(3)]
@@ -203,3 +213,21 @@ def test_the_table_tells_the_best_fixed_order_and_how_far_the_oracle_is_above() 
     lines = choice.table(rows).splitlines()
     assert [line.split("`")[1] for line in lines[2:]] == ["random", "fixed b a", "oracle"]
     assert lines[3].endswith("| 1.00 | 25 |") and "4.00 [3.75, 4.25]" in lines[3]
+
+
+def test_every_choice_but_fixed_orders_that_are_not_the_best_is_told_its_regret(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(looking, "HORIZON_S", 2.0)
+    rows = choice.measure(kitting("task.max_episode_steps=400"), 2)
+    best = max(
+        (name for name in rows["top"] if "fixed" in name), key=lambda name: rows[rows["top"] == name]["return"].sum()
+    )
+    shown = ["idle", *choice.RULES, best, "oracle"]
+    assert set(rows[rows["regret"].notna()]["top"]) == set(shown)
+    of = rows.set_index("top")
+    assert (of.loc[shown, "regret"] >= 0).all() and (of.loc["oracle", "regret"] == 0).all()
+    assert (of.loc["idle", "place"] == 0).all() and of.loc["idle", "regret"].max() > 0
+    assert (rows.groupby("top")["shift"].nunique() == 2).all() and len(rows) == 2 * rows["top"].nunique()
+    lines = choice.table(rows).splitlines()
+    assert "regret" in lines[0] and {line.split("`")[1] for line in lines[2:]} == set(shown)

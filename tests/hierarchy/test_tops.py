@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -21,11 +22,12 @@ from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision, Top
-from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.options import Begun, Choice, Option, OptionTable, lasts
 from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.tops import TOPS
+from hrl_comfort.humans import split_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web.content import refuse
@@ -231,18 +233,36 @@ def test_patience_grows_as_the_level_falls() -> None:
     assert not (top(made.decision(holding)) == wait).any()
 
 
-def test_a_termination_may_be_a_probability_and_is_drawn_again_alike() -> None:
+def test_a_termination_may_be_a_probability_and_is_drawn_by_episode_and_step() -> None:
     engine = Engine(environment(config("nearest")), 64, 0)
     state = engine.reset()
     option = Option(
         "drift", lambda s: torch.zeros_like(s.joint_pos), lambda s: s.steps >= 0, lambda s, _: s.steps * 0.0 + 0.3
     )
-    found = []
-    for seed in (1, 1, 2):
-        made = OptionExecutor(OptionTable([option]), engine.episodes, seed=seed)
-        found.append(made._ends(0, state))
-    assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
-    assert 5 <= int(found[0].sum()) <= 35
+    made = OptionExecutor(OptionTable([option]), engine.episodes)
+    found, rows = made._ends(0, state), torch.tensor([40, 7])
+    assert torch.equal(found, made._ends(0, state)) and 5 <= int(found.sum()) <= 35
+    alone = OptionExecutor(OptionTable([option]), engine.episodes).copies(engine.copies(rows).episodes, rows)
+    assert torch.equal(alone._ends(0, state.rows(rows)), found[rows])
+    later = state.with_(steps=state.steps + 1)
+    assert not torch.equal(found, made._ends(0, later)) and not torch.equal(found, made._ends(0, engine.reset()))
+
+
+def test_ends_that_are_drawn_do_not_depend_on_neighbours() -> None:
+    option = Option(
+        "drift", lambda s: torch.zeros_like(s.joint_pos), lambda s: s.steps >= 0, lambda s, _: s.steps * 0.0 + 0.1
+    )
+    chosen = config("nearest", "task.max_episode_steps=200", "human=none")
+    entries, runs = split_set("validation", 6), []
+    for rows in ([0, 1, 2, 3, 4, 5], [4]):
+        engine = Engine(environment(chosen), len(rows), 0, entries.at(np.array(rows)))
+        executor = OptionExecutor(OptionTable([option]), engine.episodes)
+        engine.reset()
+        steps = execute(engine, executor, Top("first", lambda decision: torch.zeros(len(decision.mask)).long()))
+        runs.append([(run.row, run.start_step, run.end_step) for step in steps for run in step.runs])
+    of_four = [run[1:] for run in runs[0] if run[0] == 4]
+    assert of_four == [run[1:] for run in runs[1]] and len(of_four) > 3
+    assert of_four != [run[1:] for run in runs[0] if run[0] == 3]
 
 
 def test_a_controllers_training_of_before_the_options_were_values_goes_on() -> None:
