@@ -276,6 +276,16 @@ class ConnectionConfig:
     that of the robot's base. For another frame give three tool positions, measured in the frame of the base, m: the new
     frame's origin, a point on its x axis, and a point in its x-y plane with y > 0."""
 
+    def check_moves(self, hand: GripperConfig) -> None:
+        """Raise ConfigError if the connection does not move this hand."""
+        wanted = "robotiq" if hand.holds and self.name == "ur" else "none"
+        if self.gripper != wanted or (wanted == "robotiq" and hand.name != "robotiq_2f85"):
+            raise ConfigError(
+                f"connection.gripper={self.gripper} does not go with connection={self.name} and robot.gripper.name="
+                f"{hand.name}; choose connection.gripper=robotiq with connection=ur and gripper=robotiq_2f85, or "
+                "connection.gripper=none with connection=simulated or gripper=none"
+            )
+
 
 @dataclass(frozen=True)
 class RandomiseConfig:

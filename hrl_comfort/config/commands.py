@@ -238,7 +238,7 @@ class DeployConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        self._check_hand()
+        self.connection.check_moves(self.robot.gripper)
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":
@@ -250,17 +250,6 @@ class DeployConfig(EvaluateConfig):
         if real and not all(each.motion in LIVE_MOTIONS for each in self.human.everyone):
             choices = ", ".join(LIVE_MOTIONS)
             raise ConfigError(f"human.motion={self.human.motions} is nobody beside a real arm; choose one of {choices}")
-
-    def _check_hand(self) -> None:
-        """Raise ConfigError for a hand that the connection does not move."""
-        hand, reached = self.robot.gripper, self.connection.gripper
-        wanted = "robotiq" if hand.holds and self.connection.name == "ur" else "none"
-        if reached != wanted or (reached == "robotiq" and hand.name != "robotiq_2f85"):
-            raise ConfigError(
-                f"connection.gripper={reached} does not go with connection={self.connection.name} and "
-                f"robot.gripper.name={hand.name}; choose connection.gripper=robotiq with connection=ur and "
-                "gripper=robotiq_2f85, or connection.gripper=none with connection=simulated or gripper=none"
-            )
 
 
 @dataclass(frozen=True)
