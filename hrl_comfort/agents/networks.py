@@ -1,11 +1,11 @@
-"""Networks of soft actor-critic: a tanh-Gaussian actor, two critics, and what they see first.
+"""Networks of soft actor-critic: a tanh-Gaussian actor, critics, and what they see first.
 
 All float32. B is a batch, D the observation's size, A the action's.
 """
 
 import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -120,34 +120,68 @@ class Actor(nn.Module):
         return self(observation)[0].tanh()
 
 
-class TwinCritics(nn.Module):
-    """Two action values in one pass: weights are stacked (2, in, out) and multiplied as a batch.
+class Critics(nn.Module):
+    """Several action values, by default two, in one pass: weights are stacked (C, in, out) and multiplied as a batch.
 
     With `layer_norm`, every hidden layer is normalised before its ReLU, without a learned scale and shift: with them
     an update takes 43 % more time than without normalisation, instead of 15.
     """
 
-    def __init__(self, observation_dim: int, action_dim: int, hidden: list[int], layer_norm: bool = False) -> None:
+    def __init__(
+        self, observation_dim: int, action_dim: int, hidden: list[int], layer_norm: bool = False, count: int = 2,
+        outputs: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
-        sizes = [observation_dim + action_dim, *hidden, 1]
+        self.count = count
+        sizes = [observation_dim + action_dim, *hidden, outputs]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for fan_in, fan_out in pairwise(sizes):
             bound = 1 / math.sqrt(fan_in)  # as nn.Linear starts
-            self.weights.append(nn.Parameter(torch.empty(2, fan_in, fan_out).uniform_(-bound, bound)))
-            self.biases.append(nn.Parameter(torch.empty(2, 1, fan_out).uniform_(-bound, bound)))
+            self.weights.append(nn.Parameter(torch.empty(count, fan_in, fan_out).uniform_(-bound, bound)))
+            self.biases.append(nn.Parameter(torch.empty(count, 1, fan_out).uniform_(-bound, bound)))
         self.layer_norm = layer_norm
         if layer_norm:
             self.register_buffer("layer_norm_mark", torch.ones(()))  # files tell by it which critics they hold
 
-    def forward(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
-        """Return Q (2, B) of normalised observations (B, D); `frozen` keeps gradients off the weights."""
+    def forward(self, observation: Tensor, action: Tensor, frozen: bool = False, only: Tensor | None = None) -> Tensor:
+        """Return what the critics say (C, B) of normalised observations (B, D), with several outputs O (C, B, O).
+
+        `frozen` keeps gradients off the weights; with `only`, indices of critics, the others are left out.
+        """
         lists = (self.weights, self.biases)
         weights, biases = ([each.detach() for each in one] if frozen else [*one] for one in lists)
-        x = torch.cat([observation, action], dim=-1).expand(2, -1, -1)
+        if only is not None:
+            weights, biases = ([each[only] for each in one] for one in (weights, biases))
+        x = torch.cat([observation, action], dim=-1).expand(len(weights[0]), -1, -1)
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             x = torch.baddbmm(bias, x, weight)
             if self.layer_norm:
                 x = nn.functional.layer_norm(x, x.shape[-1:])
             x = x.relu_()
+        if weights[-1].shape[-1] > 1:
+            return torch.baddbmm(biases[-1], x, weights[-1])
         # A batched product with matrices one column wide is slower.
         return (x * weights[-1].mT).sum(-1) + biases[-1][..., 0]
+
+    def value(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+        """Return the values (B,) that an actor climbs: the least of the critics'."""
+        return self(observation, action, frozen).amin(0)
+
+    @classmethod
+    def of_state(cls, observation_dim: int, action_dim: int, hidden: list[int], state: dict[str, Tensor]) -> Self:
+        """Return critics of the shape of those whose `state_dict` this is.
+
+        Raises:
+            KeyError, IndexError: it is not one of them.
+        """
+        count, _, outputs = state[f"weights.{len(hidden)}"].shape
+        return cls(observation_dim, action_dim, hidden, "layer_norm_mark" in state, count, outputs)
+
+
+class MeanCritics(Critics):
+    """Critics of which an actor climbs the mean, over their outputs too."""
+
+    def value(self, observation: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+        """Return the mean (B,) of all that the critics say."""
+        said = self(observation, action, frozen)
+        return said.mean((0, *range(2, said.ndim)))

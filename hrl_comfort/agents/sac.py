@@ -1,21 +1,24 @@
 """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) on TorchRL's loss module and buffer."""
 
+from __future__ import annotations
+
 import copy
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
-from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
+from hrl_comfort.agents.loss import ActorCriticLoss, bc_loss
 from hrl_comfort.agents.memory import check_memory, check_networks
-from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
+from hrl_comfort.agents.networks import Actor, Critics, Normaliser
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
+from hrl_comfort.config.learning import NoKeys
 
 TERMS = {
     "critic_loss": "loss_qvalue", "actor_loss": "loss_actor", "alpha_loss": "loss_alpha",
@@ -40,7 +43,7 @@ def matmul_precision(precision: str) -> Iterator[None]:
 
 
 class SAC:
-    """The learner: networks, loss, one optimiser and replay buffer.
+    """The learner: networks, loss, one optimiser and replay buffer. TQC, CrossQ and REDQ differ in critics and losses.
 
     `generator` continues torch's global random state as it is after the networks have been drawn, and gives
     every random number of a training; `state_dict` holds it. Gamma is per control step; every transition
@@ -53,28 +56,39 @@ class SAC:
         ConfigError: the device is not available, or buffer or networks are larger than this machine's memory.
     """
 
-    def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int) -> None:
+    Keys: ClassVar[type] = NoKeys
+    """Dataclass of the keys `agent.own`."""
+    terms: ClassVar[tuple[str, ...]] = tuple(TERMS)
+    """What `update` returns, columns of metrics.csv."""
+    critics_type: ClassVar[type[Critics]] = Critics
+    loss_type: ClassVar[type[ActorCriticLoss]] = ActorCriticLoss
+    has_targets: ClassVar[bool] = True
+    betas: ClassVar[tuple[float, float]] = (0.9, 0.999)
+    """Of Adam."""
+
+    def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: Any = None) -> None:
         if config.device == "cuda" and not torch.cuda.is_available():
             raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
         self.config, self.device = config, torch.device(config.device)
+        self.own = self.Keys(**config.own) if own is None else own
         if self.device.type == "cpu":
             floats = config.buffer_size * (2 * observation_dim + action_dim + 4)
             check_memory(f"agent.buffer_size={config.buffer_size}", floats)
             sizes = (observation_dim + action_dim, *config.hidden, 2 * action_dim)
-            # an actor, its average, two critics, their targets; gradients and two moments of the three that learn
-            check_networks(f"agent.hidden={list(config.hidden)}", 6 + 3 * 3, sizes)
+            # an actor, its average, critics, their targets; gradients and two moments of those that learn
+            copies = 5 * (1 + getattr(self.own, "critics", 2))
+            check_networks(f"agent.hidden={list(config.hidden)}", copies, sizes)
         self.observation_dim, self.action_dim = observation_dim, action_dim
-        hidden = list(config.hidden)
         self.normaliser = Normaliser(observation_dim, config.normalise).to(self.device)
-        self.actor = Actor(observation_dim, action_dim, hidden).to(self.device)
-        self.critics, self.targets = (
-            TwinCritics(observation_dim, action_dim, hidden, config.critic_layer_norm).to(self.device) for _ in range(2)
-        )
-        self.loss = TwinSACLoss(
-            self.actor, self.critics, self.targets, config.gamma, config.target_entropy, config.entropy_coefficient
-        )
+        self.actor = Actor(*self.sizes).to(self.device)
+        self.critics = self.new_critics().to(self.device)
+        self.targets = self.new_critics().to(self.device) if self.has_targets else None
+        self.generator = torch.Generator()
+        self.generator.set_state(torch.get_rng_state())
+        self.loss = self.new_loss()
         self.log_alpha = self.loss.log_alpha
-        self.targets.load_state_dict(self.critics.state_dict())
+        if self.targets is not None:
+            self.targets.load_state_dict(self.critics.state_dict())
         self.average = copy.deepcopy(self.actor).requires_grad_(False)
         """The actor that acts outside training: the mean of the actor's steps, or its newest."""
         self._averaged: tuple[list[Tensor], list[Tensor]] = ([*self.average.parameters()], [*self.actor.parameters()])
@@ -84,12 +98,25 @@ class SAC:
         self.updates = 0
         self._stage_begin = 0
         """Number of updates at which the current stage began."""
-        self.generator = torch.Generator()
-        self.generator.set_state(torch.get_rng_state())
+
+    @property
+    def sizes(self) -> tuple[int, int, list[int]]:
+        """Sizes of observation and action, and the widths of the hidden layers."""
+        return self.observation_dim, self.action_dim, list(self.config.hidden)
+
+    def new_critics(self) -> Critics:
+        """Return critics with new weights."""
+        return Critics(*self.sizes, self.config.critic_layer_norm)
+
+    def new_loss(self) -> ActorCriticLoss:
+        """Return the loss of the networks."""
+        config = self.config
+        coefficients = config.gamma, config.target_entropy, config.entropy_coefficient
+        return self.loss_type(self.actor, self.critics, self.targets, *coefficients)
 
     def _new_optimiser(self) -> torch.optim.Optimizer:
         parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
-        return torch.optim.Adam(parameters, lr=self.config.learning_rate, fused=True)
+        return torch.optim.Adam(parameters, lr=self.config.learning_rate, betas=self.betas, fused=True)
 
     def _new_buffer(self) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(storage=LazyTensorStorage(self.config.buffer_size, device=self.device))
@@ -141,18 +168,23 @@ class SAC:
             if not math.isfinite(value):
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         loss = losses["loss_qvalue"]
-        if self.updates - self._stage_begin >= self.config.critic_warmup_updates:
+        if self.actor_learns():
             loss = loss + losses["loss_actor"] + losses["loss_alpha"] + self._bc_loss(batch)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         if self.config.learning_rate_end is not None:
             self.optimiser.param_groups[0]["lr"] = self.learning_rate()
         self.optimiser.step()
-        self.loss.update_targets(self.config.tau)
+        if self.has_targets:
+            self.loss.update_targets(self.config.tau)
         with torch.no_grad():
             torch._foreach_lerp_(*self._averaged, self.config.ema_rate)
         self.updates += 1
         return terms
+
+    def actor_learns(self) -> bool:
+        """Return whether the next update changes the actor too."""
+        return self.updates - self._stage_begin >= self.config.critic_warmup_updates
 
     def sample(self) -> TensorDict:
         """Return B transitions, observations normalised, with the noise (B, A) of both actions."""
@@ -211,7 +243,7 @@ class SAC:
         """Take over the tensors of `networks_state`, targets from its critics; optimiser and buffer stay."""
         for actor in (self.actor, self.average):
             actor.load_state_dict(state["actor"])
-        for critics in (self.critics, self.targets):
+        for critics in (self.critics, *([] if self.targets is None else [self.targets])):
             critics.load_state_dict(state["critics"])
         self.normaliser.load_state_dict(state["normaliser"])
         with torch.no_grad():
@@ -221,7 +253,7 @@ class SAC:
         """Return all that is needed to continue, as plain data; of the buffer the filled part."""
         return {
             "networks": self.networks_state(),
-            "targets": self.targets.state_dict(),
+            "targets": {} if self.targets is None else self.targets.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "updates": self.updates,
@@ -233,7 +265,8 @@ class SAC:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`, in a learner that has stored nothing yet."""
         self.load_networks(state["networks"])
-        self.targets.load_state_dict(state["targets"])
+        if self.targets is not None:
+            self.targets.load_state_dict(state["targets"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.updates, self._stage_begin = state["updates"], state["stage_begin"]

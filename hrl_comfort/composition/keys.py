@@ -7,17 +7,21 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from hrl_comfort.config import checks
+from hrl_comfort.config.hierarchy import TOP_LEARNERS
 from hrl_comfort.config.hydra_conf import values_of
+from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.config.overrides import ROOTS
 
 MOST = 40
 """Longest default, characters, that is shown."""
+OWN: dict[str, dict[str, type]] = {"agent.own": SKILL_LEARNERS, "meta_controller_agent.own": TOP_LEARNERS}
+"""Dataclasses of the keys that some parts alone have, by key and name of the part."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,8 @@ class Key:
 
     @property
     def of_entry(self) -> bool:
-        """Whether it stands for a key of each entry of a list (`[]`) or of a mapping (`NAME`)."""
-        return "[]" in self.name or ".NAME." in self.name
+        """Whether it stands for a key of each entry of a list (`[]`) or mapping (`NAME`), or of some parts alone."""
+        return "[]" in self.name or ".NAME." in self.name or ".own." in self.name
 
     @property
     def section(self) -> str:
@@ -57,12 +61,15 @@ def _keys(kind: Any, values: Any, before: str) -> Iterator[Key]:
         name, hint = f"{before}{field.name}", hints[field.name]
         own = {} if field.default is MISSING else {field.name: field.default}
         own |= {} if field.default_factory is MISSING else {field.name: field.default_factory()}
-        given = own if values is None else values
+        given = values or own
         if is_dataclass(hint):
             yield from _keys(hint, given[field.name], f"{name}.")
             continue
         default = shown(given[field.name]) if field.name in given else ""
         yield Key(name, meanings.get(field.name, ""), allowed(hint), default, hint)
+        for part, keys in OWN.get(name, {}).items():
+            for key in _keys(keys, {}, f"{name}."):
+                yield replace(key, meaning=f"`{part}`: {key.meaning}")
         inner = get_args(hint)[0] if get_origin(hint) is Annotated else hint
         if get_origin(inner) is list and is_dataclass(entry := get_args(inner)[0]):
             yield from _keys(entry, None, f"{name}[].")

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from hrl_comfort.config.checks import ConfigError
-from hrl_comfort.config.hydra_conf import freeze, section
+from hrl_comfort.config.checks import ConfigError, section
+from hrl_comfort.config.hydra_conf import freeze
 from hrl_comfort.config.learning import StageConfig
 from hrl_comfort.config.overrides import check_overrides, one_line, override
 from hrl_comfort.config.training import TrainConfig
@@ -21,10 +21,9 @@ SETTABLE = (
     "task.resample_start_probability",
 )  # fmt: skip
 FIXED = (
-    "agent.policy_steps", "agent.learning_starts", "agent.batch_size", "agent.buffer_size", "agent.hidden",
-    "agent.critic_layer_norm", "agent.entropy_coefficient", "agent.normalise", "agent.device", "agent.log_every",
-    "agent.checkpoint_every",
-    "agent.keep_checkpoints", "comfort.levels", "curriculum.stages",
+    "agent.name", "agent.own", "agent.policy_steps", "agent.learning_starts", "agent.batch_size", "agent.buffer_size",
+    "agent.hidden", "agent.critic_layer_norm", "agent.entropy_coefficient", "agent.normalise", "agent.device",
+    "agent.log_every", "agent.checkpoint_every", "agent.keep_checkpoints", "comfort.levels", "curriculum.stages",
 )  # fmt: skip
 """Keys that hold for the whole training: sizes, budgets, and what is counted over all stages."""
 EPISODE_SEEDS = 10_000
@@ -65,7 +64,7 @@ def _in_stage(config: TrainConfig, stage: StageConfig, number: int) -> TrainConf
     node.agent.policy_steps = stage.policy_steps
     node.episode_seed += number * EPISODE_SEEDS
     for key, value in flat(stage.set):
-        if key in FIXED or not any(f"{key}.".startswith(f"{part}.") for part in SETTABLE):
+        if _within(key, FIXED) or not _within(key, SETTABLE):
             raise ConfigError(f"{key} cannot change within a training; a stage sets values of {', '.join(SETTABLE)}")
         check_overrides("train", [override(key, value)])
         OmegaConf.update(node, key, value)
@@ -73,6 +72,10 @@ def _in_stage(config: TrainConfig, stage: StageConfig, number: int) -> TrainConf
     if (changed.comfort.source == "none") != (config.comfort.source == "none"):
         raise ConfigError(f"comfort.source={changed.comfort.source} changes whether the policy sees the level")
     return changed
+
+
+def _within(key: str, parts: tuple[str, ...]) -> bool:
+    return any(f"{key}.".startswith(f"{part}.") for part in parts)
 
 
 def flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

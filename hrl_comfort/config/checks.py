@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
 import re
 import sys
@@ -11,9 +13,12 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 T = TypeVar("T")
+adapter = cache(TypeAdapter)
+EXACT = 2.0**53
+"""Below it a float holds every whole number."""
 MAX_LINE = 1000
 """Longest message in characters, without the ellipsis."""
 FARTHEST = 1000.0
@@ -184,3 +189,43 @@ def first_error(error: ValidationError) -> str:
     if first["type"] == "too_short":
         return f"{key}={first['input']!r:.200} must name at least {first['ctx']['min_length']}"
     return f"{key}={first['input']!r:.200}: {first['msg']}" if key else first["msg"]
+
+
+def section(cls: type[T], values: Any) -> T:
+    """Return the dataclass `cls` for plain `values`; raise ConfigError if one is missing or not allowed."""
+    # As JSON, for pydantic's strict mode takes a dict for a dataclass only from there.
+    text = json.dumps(_whole(values), default=repr)
+    try:
+        frozen: T = adapter(cls).validate_json(text, strict=True)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise ConfigError(first_error(error)) from None
+    return frozen
+
+
+def _whole(value: Any) -> Any:
+    """Return `value` with whole numbers as integers: 1e4 is one, and a float's field takes integers too."""
+    match value:
+        case dict():
+            return {key: _whole(each) for key, each in value.items()}
+        case list():
+            return [_whole(each) for each in value]
+        case float() if value.is_integer() and abs(value) < EXACT:
+            return int(value)
+    return value
+
+
+def own_keys(key: str, name: str, cls: type[T], values: Mapping[str, Any]) -> T:
+    """Return the dataclass `cls` of the own keys of `KEY.name`, given as `KEY.own`; others have their defaults.
+
+    Raises:
+      ConfigError: the part has no such key, or a value is not allowed.
+    """
+    known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    for each in values:
+        if each not in known:
+            has = ", ".join(f"{key}.own.{one}" for one in known) or "none of its own"
+            raise ConfigError(f"{key}.own.{each} is not a key; {key}.name={name} has {has}")
+    try:
+        return section(cls, dict(values))
+    except ConfigError as error:
+        raise ConfigError(f"{key}.own.{error}") from None

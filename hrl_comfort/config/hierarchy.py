@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
-from hrl_comfort.config.checks import Widths, between, choice, named, unique, within
+from hrl_comfort.config.checks import Widths, between, choice, named, own_keys, unique, within
+from hrl_comfort.config.learning import NoKeys
 
 TOPS = ("nearest", "free", "due", "cautious", "patient", "fixed", "random", "learned")
 ORACLE = "oracle"
@@ -42,9 +43,46 @@ class MetaControllerConfig:
 
 
 @dataclass(frozen=True)
-class MetaControllerAgentConfig:
-    """Double DQN over options (van Hasselt, Guez, Silver 2016)."""
+class DiscreteSACKeys:
+    """Soft actor-critic over options (Christodoulou 2019, arXiv:1910.07207)."""
 
+    entropy_coefficient: Annotated[float, within(1e-8, 100.0)] = 0.1
+    """Initial value of the entropy coefficient, which is learned."""
+    target_entropy: Annotated[float, within(0.0, 100.0)] = 0.3
+    """Target entropy, nats, over the options that can start."""
+
+
+@dataclass(frozen=True)
+class PPOKeys:
+    """Proximal policy optimisation over options (Schulman et al. 2017, arXiv:1707.06347)."""
+
+    rollout: Annotated[int, within(2, 1e6)] = 1024
+    """Number of options after which the policy is updated."""
+    epochs: Annotated[int, within(1, 1000)] = 8
+    """Number of passes over a rollout, each in batches of `batch_size`."""
+    clip: Annotated[float, within(1e-3, 1.0)] = 0.2
+    """Largest change of a probability, as a share of it, that an update still pursues."""
+    gae_lambda: Annotated[float, within(0.0, 1.0)] = 0.95
+    """Weight of the next option's advantage (Schulman et al. 2016, arXiv:1506.02438)."""
+    entropy_weight: Annotated[float, within(0.0, 10.0)] = 0.01
+    """Weight of the entropy in the loss."""
+    value_weight: Annotated[float, within(0.0, 100.0)] = 0.5
+    """Weight of the critic in the loss."""
+
+
+TOP_LEARNERS: dict[str, type] = {"dqn": NoKeys, "discrete_sac": DiscreteSACKeys, "ppo": PPOKeys}
+"""Built-in learners of a top, each with the dataclass of its own keys."""
+
+
+@dataclass(frozen=True)
+class MetaControllerAgentConfig:
+    """The learner of a top, by default double DQN over options (van Hasselt, Guez, Silver 2016)."""
+
+    name: Annotated[str, named("meta_controller_agent.name", *TOP_LEARNERS)]
+    """A built-in learner, one that an installed package offers as an entry point (both by name), or
+    `package.module:Class`."""
+    own: dict[str, Any]
+    """Keys that only this learner has."""
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
     """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`, `jobs`).
     All have the person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for
@@ -79,3 +117,6 @@ class MetaControllerAgentConfig:
 
     def __post_init__(self) -> None:
         between("meta_controller_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
+        if self.name in TOP_LEARNERS:
+            own: Any = own_keys("meta_controller_agent", self.name, TOP_LEARNERS[self.name], self.own)
+            object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import ConfigError, Widths, between, choice, within
+from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, within
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,67 @@ class CurriculumConfig:
 
 
 @dataclass(frozen=True)
-class AgentConfig:
-    """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
+class NoKeys:
+    """A learner without keys of its own."""
 
+
+@dataclass(frozen=True)
+class TQCKeys:
+    """Truncated quantile critics (Kuznetsov et al. 2020, arXiv:2005.04269)."""
+
+    critics: Annotated[int, within(1, 100)] = 5
+    """Number of critics."""
+    quantiles: Annotated[int, within(1, 1000)] = 25
+    """Number of quantiles of the return that each critic predicts."""
+    dropped: Annotated[int, within(0, 999)] = 2
+    """Number of the highest quantiles, for each critic, that targets leave out; fewer than `quantiles`."""
+
+    def __post_init__(self) -> None:
+        between("dropped", self.dropped, 0, self.quantiles - 1)
+
+
+@dataclass(frozen=True)
+class CrossQKeys:
+    """Critics with batch normalisation and without targets (Bhatt et al. 2024, arXiv:1902.05605)."""
+
+    critic_hidden: Widths = field(default_factory=lambda: [512, 512])
+    """Widths of the hidden layers of the critics."""
+    momentum: Annotated[float, within(1e-6, 1.0)] = 0.01
+    """Weight of the latest batch in the running statistics of batch renormalisation (Ioffe 2017, arXiv:1702.03275)."""
+    warmup_updates: Annotated[int, within(0, 1e9)] = 10_000
+    """Number of updates with plain batch normalisation."""
+    updates_per_actor_update: Annotated[int, within(1, 1000)] = 3
+    """Number of updates of the critics for each of the actor."""
+
+
+@dataclass(frozen=True)
+class REDQKeys:
+    """Randomised ensembled double Q-learning (Chen et al. 2021, arXiv:2101.05982)."""
+
+    critics: Annotated[int, within(1, 100)] = 10
+    """Number of critics; the actor climbs their mean."""
+    subset: Annotated[int, within(1, 100)] = 2
+    """Number of target critics, drawn in each update, whose least value is the target; at most `critics`."""
+    updates_per_actor_update: Annotated[int, within(1, 1000)] = 4
+    """Number of updates of the critics for each of the actor."""
+
+    def __post_init__(self) -> None:
+        between("subset", self.subset, 1, self.critics)
+
+
+SKILL_LEARNERS: dict[str, type] = {"sac": NoKeys, "tqc": TQCKeys, "crossq": CrossQKeys, "redq": REDQKeys}
+"""Built-in learners of skills, each with the dataclass of its own keys."""
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """The learner of a skill, by default soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
+
+    name: Annotated[str, named("agent.name", *SKILL_LEARNERS)]
+    """A built-in learner, one that an installed package offers as an entry point (both by name), or
+    `package.module:Class`."""
+    own: dict[str, Any]
+    """Keys that only this learner has."""
     policy_steps: Annotated[int, within(1, 1e9)]
     """Policy calls to train for, over all environments. With `curriculum.stages` the default is the sum of the stages'
     `policy_steps`; another value lengthens or shortens all stages in proportion."""
@@ -128,6 +186,9 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
+        if self.name in SKILL_LEARNERS:
+            own: Any = own_keys("agent", self.name, SKILL_LEARNERS[self.name], self.own)
+            object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all
         if (self.demonstrator is None) != (self.demonstrator_envs == 0):
             raise ConfigError(
                 f"agent.demonstrator_envs={self.demonstrator_envs} does not go with "

@@ -58,7 +58,8 @@ SHARED = {
 """Root of each command that has the configuration of another one."""
 NAMES = {
     "task": "task.name", "human": "human.motion", "robot": "robot.name", "gripper": "robot.gripper.name",
-    "meta_controller": "meta_controller.name",
+    "meta_controller": "meta_controller.name", "agent": "agent.name",
+    "meta_controller_agent": "meta_controller_agent.name",
 }  # fmt: skip
 """Key that names a part, by group: a part of another package has no file in the group."""
 MOST_JOBS = 10_000

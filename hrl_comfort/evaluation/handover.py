@@ -26,7 +26,7 @@ from hrl_comfort.files.output import EVALUATION_MARKS, output_folder
 from hrl_comfort.files.run_config import environment, save_config, trained_environment
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import check_given
-from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.load import observed_by
 from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.tasks import subtask
@@ -137,6 +137,8 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
+    if not isinstance(policy, ActorPolicy):
+        raise ConfigError(f"policy={config.policy!r} has no normaliser to tell what is far from its training")
     task = observed_by(
         policy, config.policy, subtask(config.task.name, hand=config.robot.gripper.holds), environment(config)
     )

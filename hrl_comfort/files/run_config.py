@@ -14,8 +14,9 @@ from omegaconf import OmegaConf
 from yaml import YAMLError
 
 from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config.checks import section
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.hydra_conf import run_folder, section, values_of
+from hrl_comfort.config.hydra_conf import run_folder, values_of
 from hrl_comfort.config.overrides import NAMES, ROOTS, TOO_DEEP, choices, one_line, override
 from hrl_comfort.files.atomic import write_text
 from hrl_comfort.files.documents import read_yaml

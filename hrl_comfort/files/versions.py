@@ -22,6 +22,8 @@ TASK = {"colour": "object", "balls": "objects", "ball_jitter_m": "object_jitter_
 """Keys of the section `task` that were renamed."""
 RULES = {"scripted": "nearest"}
 """Values of `meta_controller.name` that were renamed."""
+LEARNERS = {"agent": "sac", "meta_controller_agent": "dqn"}
+"""Learners, by section, when they had no names."""
 CONTROLLER = {"balls": "objects"}
 """Keys that were renamed in the `spec` of a controller's file."""
 EXECUTOR = {"_first": "stage"}
@@ -64,6 +66,9 @@ def converted(values: Mapping[str, Any]) -> dict[str, Any]:
         found["cell"] = made
         if isinstance(task, dict):
             task.pop("ball_slots_m", None)
+    for agent, name in LEARNERS.items():
+        if isinstance(values.get(agent), Mapping):
+            found[agent] = {"name": name, "own": {}, **values[agent]}
     human = values.get("human")
     if isinstance(human, Mapping) and human.get("stations_m") == []:  # of motions that have none
         found["human"] = {**human, "stations_m": None}

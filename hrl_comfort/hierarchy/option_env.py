@@ -160,8 +160,8 @@ class OptionEnv(EnvBase):
     def transitions(self, after: TensorDictBase) -> TensorDict:
         """Return the options that ended in a step as transitions (F,) of the semi-MDP.
 
-        `after` is the step's `next`. TorchRL's TD0 raises gamma to `steps_to_next_obs`, at the root, and so
-        discounts the value of the next observation by the option's length.
+        `after` is the step's `next`; `row` (F,) numbers their environments. TorchRL's TD0 raises gamma to
+        `steps_to_next_obs`, at the root, and so discounts the value of the next observation by the option's length.
         """
         rows = torch.nonzero(after["deciding"].reshape(-1)).squeeze(-1)
         names = ("observation", "action_mask", "reward", "done", "terminated", "truncated")
@@ -170,6 +170,7 @@ class OptionEnv(EnvBase):
                 "observation": self._origin[rows],
                 "action_mask": self._origin_mask[rows],
                 "action": self.executor.option[rows],
+                "row": rows,
                 "steps_to_next_obs": after["steps_to_next_obs"][rows],
                 "next": TensorDict({name: after[name][rows] for name in names}, batch_size=[len(rows)]),
             },

@@ -152,7 +152,7 @@ def learned(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
     """Return the trained controller in `policies.meta_controller`."""
     if "meta_controller" not in config.policies:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
-    from hrl_comfort.hierarchy.q_learning import load_choice  # seconds, for torchrl
+    from hrl_comfort.hierarchy.learned import load_choice  # seconds, for torchrl
 
     found, limit = config.policies["meta_controller"], config.meta_controller.max_waits
     return load_choice(found, config.comfort.levels, table.names, limit)

@@ -10,7 +10,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.config import CellConfig, ConfigError, RobotConfig
-from hrl_comfort.config.hydra_conf import section
+from hrl_comfort.config.checks import section
 from hrl_comfort.files.run_folder import Recorded, Run, recorded
 from hrl_comfort.files.tables import column
 from hrl_comfort.plots.clip import Array, Clip, path_clip

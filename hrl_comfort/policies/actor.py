@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
-from hrl_comfort.config import ConfigError
+from hrl_comfort.agents.networks import Actor, Critics, Normaliser
+from hrl_comfort.config import AgentConfig, ConfigError
+from hrl_comfort.config.checks import section
+from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.files.provenance import step_files
-
-if TYPE_CHECKING:
-    from hrl_comfort.agents.sac import SAC  # it imports torchrl, seconds
 
 SPEC: dict[str, type] = {
     "task": str, "observation_dim": int, "action_dim": int, "hidden": list, "normalise": bool, "environment": dict,
@@ -23,20 +22,21 @@ SPEC: dict[str, type] = {
 """Keys and types of a policy file's `spec`."""
 PLAIN = (str, int, float, bool, type(None))
 WIDEST = 10**6
+UNFIT = (AttributeError, KeyError, IndexError, TypeError, ValueError, RuntimeError)
+"""Errors of networks that do not fit."""
 
 
-class ActorPolicy:
-    """A trained actor behind its normaliser; acts with the mode of its distribution.
+class Policy:
+    """A trained policy: `module` maps raw observations (N, D) to deterministic actions (N, A) in [-1, 1].
 
     `spec` holds task, observation_dim, action_dim, hidden, normalise, `environment`, what the cell it acts in must
     share, as a dict of plain values, and in files of version 0.2 `config`, the whole environment of its training as in
-    config.yaml, which `files.run_config.trained_environment` reads.
+    config.yaml, which `files.run_config.trained_environment` reads. Where a learner of a user's trained it, there are
+    `learner`, its name, and `agent`, the configuration with which that is made again.
     """
 
-    def __init__(
-        self, actor: Actor, normaliser: Normaliser, spec: dict[str, Any], critics: TwinCritics | None = None
-    ) -> None:
-        self.actor, self.normaliser, self.spec, self.critics = actor, normaliser, spec, critics
+    def __init__(self, module: nn.Module, spec: dict[str, Any]) -> None:
+        self.module, self.spec = module, spec
 
     @torch.no_grad()
     def __call__(self, observation: Tensor) -> Tensor:
@@ -45,13 +45,36 @@ class ActorPolicy:
         if observation.shape[-1] != expected:
             task, given = self.spec["task"], observation.shape[-1]
             raise ConfigError(f"the policy for {task} was trained on {expected} observations, got {given}")
-        return self.actor.mode(self.normaliser(observation.float()))
+        actions: Tensor = self.module(observation.float())
+        return actions
+
+
+class Deterministic(nn.Module):
+    """The mode of an actor behind its normaliser."""
+
+    def __init__(self, actor: Actor, normaliser: Normaliser) -> None:
+        super().__init__()
+        self.actor, self.normaliser = actor, normaliser
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return actions (N, A) for raw observations (N, D)."""
+        return self.actor.mode(self.normaliser(observation))
+
+
+class ActorPolicy(Policy):
+    """A trained actor behind its normaliser; acts with the mode of its distribution."""
+
+    def __init__(
+        self, actor: Actor, normaliser: Normaliser, spec: dict[str, Any], critics: Critics | None = None
+    ) -> None:
+        super().__init__(Deterministic(actor, normaliser), spec)
+        self.actor, self.normaliser, self.critics = actor, normaliser, critics
 
     @torch.no_grad()
     def value(self, observation: Tensor) -> Tensor:
-        """Return the lower critic's values (N,) of raw observations (N, D) at the actions taken there."""
+        """Return the critics' values (N,) of raw observations (N, D) at the actions taken there."""
         assert self.critics is not None
-        return self.critics(self.normaliser(observation.float()), self(observation)).amin(0)
+        return self.critics.value(self.normaliser(observation.float()), self(observation))
 
 
 def save_policy(
@@ -61,7 +84,7 @@ def save_policy(
     counters: dict[str, Any] | None = None,
     critics: bool = True,
 ) -> None:
-    """Write a policy file: `SAC.policy_state()`, the policy's spec, and how far training was.
+    """Write a policy file: what `networks_of` returns, the policy's spec, and how far training was.
 
     Training can go on from the file alone; without `critics` the file is a third of the size and only acts.
     """
@@ -71,29 +94,71 @@ def save_policy(
     checkpoint.save(path, {"networks": kept, "spec": spec, "counters": counters or {}})
 
 
-def load_policy(path: Path | str, critics: bool = False) -> ActorPolicy:
-    """Read the policy of a policy file, a checkpoint or a run folder, on demand with its critics.
+def networks_of(learner: Any) -> dict[str, Any]:
+    """Return the networks that a policy file keeps: actor, critics and normaliser, or a learner's own `policy`."""
+    state = getattr(learner, "policy_state", None)
+    found: dict[str, Any] = {"policy": learner.policy.state_dict()} if state is None else state()
+    return found
+
+
+def load_policy(path: Path | str, critics: bool = False) -> Policy:
+    """Read the policy of a policy file, a checkpoint or a run folder.
+
+    With `critics` it is an ActorPolicy that has them.
 
     Raises:
         ConfigError: there is none, it is damaged, or it lacks the critics asked for.
     """
     file = policy_file(Path(path))
     spec, networks = _read("policy", file, critics)
+    if "policy" in networks:
+        return _own_policy(file, spec, networks["policy"])
     sizes = spec["observation_dim"], spec["action_dim"], spec["hidden"]
+    values = _critics_of(file, spec, networks["critics"]) if critics else None
     with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
         actor, normaliser = Actor(*sizes), Normaliser(spec["observation_dim"], spec["normalise"])
-        values = TwinCritics(*sizes, _layer_norm(networks)) if critics else None
     parts: dict[str, nn.Module | None] = {"actor": actor, "normaliser": normaliser, "critics": values}
     for name, module in parts.items():
         if module is not None:
             try:
                 module.load_state_dict(networks[name], assign=True)
             except (KeyError, RuntimeError) as error:
-                raise ConfigError(f"policy={str(file)!r} is damaged: {str(error).splitlines()[0]}") from error
+                raise _damaged(file, error) from error
             module.requires_grad_(False)
     if not actor.float().bounded() or (normaliser.variance < 0).any():
         raise ConfigError(f"policy={str(file)!r} is damaged: its actions are not always finite")
     return ActorPolicy(actor, normaliser, spec, values)
+
+
+def _critics_of(file: Path, spec: dict[str, Any], state: dict[str, Tensor]) -> Critics:
+    """Return critics for the state of those in a file, without memory of their own."""
+    from hrl_comfort.agents.learners import SKILLS  # seconds, for torchrl
+
+    kind = SKILLS[spec.get("learner", "sac")].critics_type
+    try:
+        with torch.device("meta"):
+            return kind.of_state(spec["observation_dim"], spec["action_dim"], spec["hidden"], state)
+    except UNFIT as error:
+        raise _damaged(file, error) from error
+
+
+def _own_policy(file: Path, spec: dict[str, Any], state: dict[str, Tensor]) -> Policy:
+    """Return the policy of a learner of a user's own, which is made again for it."""
+    from hrl_comfort.agents.learners import make_learner  # seconds, for torchrl
+
+    try:
+        agent = section(AgentConfig, {**spec["agent"], "device": "cpu"})
+        learner = make_learner("agent", agent, spec["observation_dim"], spec["action_dim"])
+        learner.policy.load_state_dict(state)
+    except ConfigError as error:
+        raise ConfigError(f"policy={str(file)!r}: {error}") from error
+    except UNFIT as error:
+        raise _damaged(file, error) from error
+    return Policy(learner.policy.requires_grad_(False).eval(), spec)
+
+
+def _damaged(file: Path, error: Exception) -> ConfigError:
+    return ConfigError(f"policy={str(file)!r} is damaged: {[*str(error).splitlines(), type(error).__name__][0]}")
 
 
 def policy_file(path: Path) -> Path:
@@ -116,12 +181,15 @@ def policy_file(path: Path) -> Path:
     raise ConfigError(f"{path}: a run folder with a policy.pt or checkpoints/ is needed")
 
 
-def load_initial_policy(learner: SAC, path: Path) -> None:
+def load_initial_policy(learner: Any, path: Path) -> None:
     """Let `learner` begin with the networks of a policy file or run folder.
 
     Raises:
-        ConfigError: the file does not hold networks of the learner's shape, or no critics.
+        ConfigError: the file does not hold networks of the learner's kind and shape, or no critics, or the learner
+            cannot begin with any.
     """
+    if not hasattr(learner, "load_networks"):
+        raise ConfigError(f"initial_policy={path}: this agent.name has no load_networks, so it begins from nothing")
     file = policy_file(path)
     spec, networks = _read("initial_policy", file, critics=True)
     config = learner.config
@@ -130,9 +198,11 @@ def load_initial_policy(learner: SAC, path: Path) -> None:
         "action_dim": learner.action_dim,
         "hidden": list(config.hidden),
         "normalise": config.normalise,
-        "critic_layer_norm": config.critic_layer_norm,
+        "learner": config.name,
     }
-    theirs = {**spec, "critic_layer_norm": _layer_norm(networks)}
+    theirs = {"learner": "sac", **spec}
+    if _layer_norm(networks) != _layer_norm(learner.networks_state()):
+        mine["critic_layer_norm"], theirs["critic_layer_norm"] = config.critic_layer_norm, _layer_norm(networks)
     for key, value in mine.items():
         if theirs[key] != value:
             raise ConfigError(f"initial_policy={file} has {key}={theirs[key]}, this training {value}")
@@ -156,13 +226,16 @@ def _read(key: str, file: Path, critics: bool) -> tuple[dict[str, Any], dict[str
     sized = all(type(size) is int and 1 <= size <= WIDEST for size in sizes)
     if not sized or any(type(value) not in PLAIN for value in spec["environment"].values()):
         raise ConfigError(f"{damaged} spec is {spec}")
-    for part in ("actor", "critics", "normaliser"):
+    learner, own = spec.get("learner", "sac"), "policy" in networks if isinstance(networks, dict) else False
+    if type(learner) is not str or own == (learner in SKILL_LEARNERS):
+        raise ConfigError(f"{damaged} learner is {learner!r}")
+    for part in ("policy",) if own else ("actor", "critics", "normaliser"):
         tensors = networks.get(part, {}) if isinstance(networks, dict) else None
         if not isinstance(tensors, dict):
             raise ConfigError(f"{damaged} {part} is not there")
         for name, tensor in tensors.items():
-            floating = isinstance(tensor, Tensor) and tensor.is_floating_point()
-            if not floating or not tensor.float().isfinite().all():
+            number = isinstance(tensor, Tensor) and (own or tensor.is_floating_point())
+            if not number or not tensor.float().isfinite().all():
                 raise ConfigError(f"{damaged} {part} {name} is not finite")
     if critics and not networks.get("critics"):
         raise ConfigError(f"{key}={str(file)!r} was saved without its critics; give a run folder that has them")

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig, GripperConfig
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.versions import INPUTS, ONE_PERSON
-from hrl_comfort.policies.actor import ActorPolicy
+from hrl_comfort.policies.actor import Policy
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.observations.standard import nearest_alone
 from hrl_comfort.tasks.subtask import StateFunction
@@ -65,21 +65,21 @@ class _Read:
 
 
 class PolicyGraph(nn.Module):
-    """Observation terms, normaliser, actor and scale of a policy: named fields of State to joint increments, rad.
+    """Observation terms, module and scale of a policy: named fields of State to joint increments, rad.
 
     Floating-point inputs are float32. The output (N, joints) is what the joint targets move by in each control
     step of the decision; with a hand a last number is the target of its fingers, from -1, open, to 1, closed.
     """
 
-    def __init__(self, policy: ActorPolicy, task: Subtask, inputs: Sequence[str], max_step_rad: float) -> None:
+    def __init__(self, policy: Policy, task: Subtask, inputs: Sequence[str], max_step_rad: float) -> None:
         super().__init__()
-        self.actor, self.normaliser, self._hand = policy.actor, policy.normaliser, has_hand(policy.spec)
+        self.policy, self._hand = policy.module, has_hand(policy.spec)
         self._task, self._inputs, self._max_step_rad = task, tuple(inputs), max_step_rad
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return the increments (N, joints), and perhaps fingers, for the inputs, in the order of `inputs`."""
         observation = self._task.observe(state_of(self._inputs, values)).float()
-        action = self.actor.mode(self.normaliser(observation))
+        action = self.policy(observation)
         if not self._hand:
             return self._max_step_rad * action
         return torch.cat([self._max_step_rad * action[:, :-1], action[:, -1:]], dim=-1)

@@ -13,7 +13,7 @@ from torch import Tensor
 from hrl_comfort.comfort.adapt import with_level
 from hrl_comfort.config import POLICIES, SCRIPTED_POLICIES, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, import_object, is_object
-from hrl_comfort.policies.actor import ActorPolicy, load_policy
+from hrl_comfort.policies.actor import Policy, load_policy
 from hrl_comfort.policies.direct import Direct
 from hrl_comfort.policies.draws import OF_POLICIES, uniform
 from hrl_comfort.policies.expert import Expert
@@ -128,7 +128,7 @@ def random(size: int, seed: int) -> Act:
     return lambda state: uniform(state, size, OF_POLICIES + seed) * 2 - 1
 
 
-def observed_by(actor: ActorPolicy, source: str, task: Subtask, config: EnvConfig) -> Subtask:
+def observed_by(actor: Policy, source: str, task: Subtask, config: EnvConfig) -> Subtask:
     """Return `task` with the observations that the policy read from `source` was trained on.
 
     Raises:

@@ -117,7 +117,7 @@ def state_of(config: TrainingConfig | EvaluateConfig) -> RunState:
 def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
     if not summary.is_file():
         return False
-    from hrl_comfort.hierarchy.q_learning import choice_file  # seconds, for torch
+    from hrl_comfort.hierarchy.learned import choice_file  # seconds, for torch
     from hrl_comfort.policies.actor import policy_file
 
     named = {"policy": config.policy, **config.policies}

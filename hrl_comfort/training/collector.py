@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.load import make_policy, observed_by
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.logger import OUTCOMES
@@ -204,6 +204,7 @@ def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
     source, hand = Path(config.agent.next_skill or ""), config.robot.gripper.holds
     try:
         policy = load_policy(source, critics=True)
+        assert isinstance(policy, ActorPolicy)
         spec = policy.spec
         task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects, hand)
         seen = observed_by(policy, str(source), task, environment(config))

@@ -9,11 +9,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from hrl_comfort.agents.learners import make_learner
 from hrl_comfort.config import MetaControllerTrainConfig
 from hrl_comfort.files.run_config import environment
+from hrl_comfort.hierarchy.learned import save_controller
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
-from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.sort import sorting_table
 from hrl_comfort.training.logger import OptionsLog
 from hrl_comfort.training.loop import Collected, TrainingLoop
@@ -74,7 +75,7 @@ class ControllerTraining(TrainingLoop):
     """Training of a meta-controller in progress."""
 
     config: MetaControllerTrainConfig
-    learner: QLearner
+    learner: Any
     collector: OptionCollector
     log: OptionsLog
     unit = "options"
@@ -96,10 +97,11 @@ class ControllerTraining(TrainingLoop):
         )
         spec = env.observation_spec
         width, count = spec["observation"].shape[-1], spec["action_mask"].shape[-1]
-        learner = QLearner(agent, width, count, config.train_seed)
+        torch.manual_seed(config.train_seed)
+        learner = make_learner("meta_controller_agent", agent, width, count)
         collector, log = OptionCollector(env), OptionsLog(folder / METRICS)
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
-        self._logged = 0
+        self._observation_dim, self._logged = width, 0
         """Options at the latest row."""
 
     @property
@@ -119,7 +121,7 @@ class ControllerTraining(TrainingLoop):
     def record(self, ends: bool) -> None:
         """Write a row and a checkpoint every `log_every` options."""
         if self.steps - self._logged >= self.config.meta_controller_agent.log_every or ends:
-            self.log.write_row(self.steps, self.learner.updates, self.exploration)
+            self.log.write_row(self.steps, self.updates, self.exploration)
             self._logged = self.steps
             self.save()
 
@@ -131,7 +133,8 @@ class ControllerTraining(TrainingLoop):
             "names": self.collector.env.executor.table.names,
             "max_waits": self.config.meta_controller.max_waits,
         }
-        self.learner.save(self.folder / "meta_controller.pt", spec)
+        agent = self.config.meta_controller_agent
+        save_controller(self.folder / "meta_controller.pt", self.learner, agent, self._observation_dim, spec)
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""

@@ -10,7 +10,6 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from hrl_comfort.agents.sac import TERMS
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.tables import GrowingTable
 
@@ -61,7 +60,7 @@ class RowLog:
         row = dict(head)
         for names, count in ((self._outcomes, self._finished), (self._terms, self._updates)):
             if count:
-                row |= {name: self._sums[name] / count for name in names}
+                row |= {name: self._sums[name] / count for name in names if name in self._sums}
         self._table.append([self.cell(row.get(name)) for name in self.columns])
         self._sums.clear()
         self._finished = self._updates = 0
@@ -107,11 +106,13 @@ class MetricsLog(RowLog):
 
     _PLAIN = (*RowLog._PLAIN, "run_id")
 
-    def __init__(self, folder: Path, reward_names: tuple[str, ...], config: TrainConfig) -> None:
+    def __init__(
+        self, folder: Path, reward_names: tuple[str, ...], terms: tuple[str, ...], config: TrainConfig
+    ) -> None:
         self._folder, self._config = folder, config
         outcomes = (*OUTCOMES, *(f"reward/{name}" for name in reward_names))
-        columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *outcomes, *TERMS)
-        super().__init__(folder / "metrics.csv", columns, outcomes, tuple(TERMS))
+        columns = ("policy_steps", "stage", "updates", "episodes", "precision_m", *outcomes, *terms)
+        super().__init__(folder / "metrics.csv", columns, outcomes, terms)
         self._timing = GrowingTable(folder / "timing.csv", TIMING)
         self._tensorboard: SummaryWriter | None = None
         self._wandb: Any = None

@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.learners import Learner
 from hrl_comfort.config import TrainingConfig
 from hrl_comfort.files.provenance import write_provenance
 from hrl_comfort.files.run_config import save_config
@@ -50,25 +51,6 @@ class Collector(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
 
 
-class Learner(Protocol):
-    """Chooses actions and learns from what follows; its state is plain data."""
-
-    updates: int
-    """Number of updates so far."""
-
-    def act(self, now: TensorDictBase, exploration: float) -> Tensor:
-        """Return actions (N, …); `exploration` is the probability of one at random, whatever the policy says."""
-
-    def observe(self, transitions: TensorDictBase) -> None:
-        """Store transitions (F,)."""
-
-    def update(self) -> dict[str, float]:
-        """Do one gradient step; return its terms by column."""
-
-    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
-
-
 class TrainingLoop(ABC):
     """One training in progress: everything that a resumable checkpoint holds.
 
@@ -93,6 +75,7 @@ class TrainingLoop(ABC):
         self.config, self.folder, self.resumes, self.total, self.title = config, folder, resumes, total, title
         self.learner, self.collector, self.log = learner, collector, log
         self.steps = 0
+        self.updates = 0
         self.updates_due = 0.0
         self.seconds = 0.0
 
@@ -168,7 +151,9 @@ class TrainingLoop(ABC):
         due = int(self.updates_due)
         self.updates_due -= due
         for _ in range(due):
-            self.log.update(self.learner.update())
+            if terms := self.learner.update():
+                self.updates += 1
+                self.log.update(terms)
 
     def save(self) -> None:
         """Write the policy and, before the end, what resuming needs."""
@@ -182,7 +167,7 @@ class TrainingLoop(ABC):
 
     def progress(self) -> dict[str, Any]:
         """Return what provenance.json says about the progress."""
-        return {self.unit: self.steps, "updates": self.learner.updates}
+        return {self.unit: self.steps, "updates": self.updates}
 
     def write_provenance(self, finished: bool) -> None:
         """Write provenance.json."""
@@ -191,10 +176,12 @@ class TrainingLoop(ABC):
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
         parts = {name: getattr(self, name).state_dict() for name in ("learner", "collector", "log")}
-        return {**parts, self.unit: self.steps, "updates_due": self.updates_due, "seconds": self.seconds}
+        counts = {name: getattr(self, name) for name in ("updates", "updates_due", "seconds")}
+        return {**parts, self.unit: self.steps, **counts}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         for name in ("collector", "log", "learner"):  # the last may hold torch's global random state
             getattr(self, name).load_state_dict(state[name])
-        self.steps, self.updates_due, self.seconds = state[self.unit], state["updates_due"], state["seconds"]
+        self.steps, self.updates = state[self.unit], state["updates"]
+        self.updates_due, self.seconds = state["updates_due"], state["seconds"]

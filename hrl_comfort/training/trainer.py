@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.sac import SAC
-from hrl_comfort.config import TrainConfig
+from hrl_comfort.agents.learners import make_learner
+from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.files.provenance import step_path
 from hrl_comfort.files.run_config import environment, stored_config
-from hrl_comfort.policies.actor import load_initial_policy, save_policy
+from hrl_comfort.policies.actor import load_initial_policy, networks_of, save_policy
 from hrl_comfort.training.collector import SkillCollector, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list
 from hrl_comfort.training.logger import MetricsLog
@@ -24,6 +26,8 @@ FEWEST_EPISODES = 20
 """Episodes between two checkpoints below which neither can be called the best."""
 SAME_PRECISION_M = 0.005
 """Episodes this much coarser still count for the precision in force (`linear` moves all the time)."""
+ALONE: dict[str, Any] = {"demonstrator": None, "demonstrator_envs": 0, "next_skill": None}
+"""Values of `agent` with which a learner needs no other policies."""
 
 MakeCollector = Callable[[TrainConfig], SkillCollector]
 
@@ -45,7 +49,7 @@ class Training(TrainingLoop):
     """Training of a skill in progress, stage by stage."""
 
     config: TrainConfig
-    learner: SAC
+    learner: Any
     collector: SkillCollector
     log: MetricsLog
     unit = "policy_steps"
@@ -59,10 +63,12 @@ class Training(TrainingLoop):
             make(stage.config.in_one_process()).close()
         collector = make(self.stages[0].config)
         torch.manual_seed(config.train_seed)
-        learner = SAC(self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
+        learner = make_learner("agent", self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
+        if self.stages[1:] and not hasattr(learner, "begin_stage"):
+            raise ConfigError(f"curriculum.stages: agent.name={config.agent.name!r} has no begin_stage; choose []")
         if config.initial_policy is not None and not resumes:
             load_initial_policy(learner, Path(config.initial_policy))
-        log = MetricsLog(folder, collector.reward_names, config)
+        log = MetricsLog(folder, collector.reward_names, getattr(learner, "terms", ()), config)
         title = f"train {config.task.name}"
         super().__init__(config, folder, resumes, learner, collector, log, self.stages[-1].end, title)
         self.best: dict[str, Any] = {}
@@ -128,12 +134,12 @@ class Training(TrainingLoop):
             self.save()
 
     def _write_row(self) -> None:
-        now = self.seconds, self.steps, self.learner.updates
+        now = self.seconds, self.steps, self.updates
         seconds, steps, updates = (here - before for here, before in zip(now, self._lap, strict=True))
         spent = max(seconds, 1e-9)
         stage, precision_m = self.stage.setting.name, self.curriculum.precision_m
         self.log.write_row(
-            self.steps, stage, self.learner.updates, precision_m, (self.seconds, steps / spent, updates / spent)
+            self.steps, stage, self.updates, precision_m, (self.seconds, steps / spent, updates / spent)
         )
         self._lap = now
 
@@ -143,10 +149,10 @@ class Training(TrainingLoop):
 
     def save_policy(self) -> None:
         """Write policy.pt, a light checkpoint, and the best one if this is it."""
-        networks = self.learner.policy_state()
+        networks = networks_of(self.learner)
         counters = {
             "policy_steps": self.steps,
-            "updates": self.learner.updates,
+            "updates": self.updates,
             "precision_m": self.curriculum.precision_m,
         }
         paths = [step_path(self.checkpoints, self.steps), self.folder / "policy.pt"]
@@ -171,13 +177,16 @@ class Training(TrainingLoop):
 
     def spec(self) -> dict[str, Any]:
         """Return the description of the policy that its file holds."""
-        task = self.config.task
+        task, agent = self.config.task, self.config.agent
+        own = {} if agent.name in SKILL_LEARNERS else {"agent": asdict(replace(agent, **ALONE))}
         return {
             "task": task.name,
-            "observation_dim": self.learner.observation_dim,
-            "action_dim": self.learner.action_dim,
-            "hidden": list(self.config.agent.hidden),
-            "normalise": self.config.agent.normalise,
+            "observation_dim": self.collector.observation_dim,
+            "action_dim": self.collector.action_dim,
+            "hidden": list(agent.hidden),
+            "normalise": agent.normalise,
+            "learner": agent.name,
+            **own,
             "environment": {
                 "action_repeat": task.action_repeat,
                 "action": task.action,
@@ -211,6 +220,6 @@ class Training(TrainingLoop):
             self.begin_stage(state["stage"])
         super().load_state_dict(state)
         self.curriculum.load_state_dict(state["curriculum"])
-        self._lap = (self.seconds, self.steps, self.learner.updates)
+        self._lap = (self.seconds, self.steps, self.updates)
         self.best = state["best"]
         self.recent = [(precision_m, success) for precision_m, success in state["recent"]]

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.networks import Actor, Normaliser, TwinCritics
+from hrl_comfort.agents.networks import Actor, Critics, Normaliser
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
@@ -69,7 +69,7 @@ def test_a_policy_without_critics_acts_and_neither_values_nor_begins_a_training(
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_the_value_of_a_policy_is_the_lower_critics_at_its_action(tmp_path, layer_norm):
-    actor, normaliser, critics = Actor(4, 2, [8]), Normaliser(4), TwinCritics(4, 2, [8], layer_norm)
+    actor, normaliser, critics = Actor(4, 2, [8]), Normaliser(4), Critics(4, 2, [8], layer_norm)
     parts = {"actor": actor, "normaliser": normaliser, "critics": critics}
     save_policy(tmp_path / "policy.pt", {name: part.state_dict() for name, part in parts.items()}, SPEC)
     policy, observation = load_policy(tmp_path / "policy.pt", critics=True), torch.randn(6, 4)

@@ -14,8 +14,8 @@ from torch import nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from hrl_comfort.agents.loss import TwinSACLoss, bc_loss
-from hrl_comfort.agents.networks import Actor, TwinCritics
+from hrl_comfort.agents.loss import ActorCriticLoss, bc_loss
+from hrl_comfort.agents.networks import Actor, Critics
 
 B, D, A = 64, 7, 3
 GAMMA = 0.98
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 class Critic(nn.Module):
     """One of the twin critics made of PyTorch's own layers."""
 
-    def __init__(self, twins: TwinCritics, which: int) -> None:
+    def __init__(self, twins: Critics, which: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         for index, (weight, bias) in enumerate(zip(twins.weights, twins.biases, strict=True)):
@@ -42,14 +42,14 @@ class Critic(nn.Module):
         return self.body(torch.cat([observation, action], dim=-1))
 
 
-def twin_loss(layer_norm: bool = False) -> TwinSACLoss:
+def twin_loss(layer_norm: bool = False) -> ActorCriticLoss:
     """Return the module under test; its targets differ from its critics."""
     torch.manual_seed(0)
-    critics, targets = (TwinCritics(D, A, [16, 16], layer_norm) for _ in range(2))
-    return TwinSACLoss(Actor(D, A, [16, 16]), critics, targets, GAMMA, -float(A), 0.3)
+    critics, targets = (Critics(D, A, [16, 16], layer_norm) for _ in range(2))
+    return ActorCriticLoss(Actor(D, A, [16, 16]), critics, targets, GAMMA, -float(A), 0.3)
 
 
-def torchrl_loss(ours: TwinSACLoss) -> SACLoss:
+def torchrl_loss(ours: ActorCriticLoss) -> SACLoss:
     """Return TorchRL's loss of the same networks."""
     policy = ProbabilisticActor(
         TensorDictModule(deepcopy(ours.actor_network), in_keys=["observation"], out_keys=["loc", "scale"]),
@@ -153,8 +153,8 @@ def test_given_noise_is_used() -> None:
 class PreferFirst(nn.Module):
     """Critics that value an action by its first number alone."""
 
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return action[:, 0].expand(2, -1)
+    def value(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return action[:, 0]
 
 
 def test_a_demonstrator_is_imitated_only_where_the_critics_prefer_it() -> None:

@@ -9,15 +9,16 @@ from pathlib import Path
 import pytest
 import torch
 
+from hrl_comfort.agents.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import execute
+from hrl_comfort.hierarchy.learned import save_controller
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.options import OptionTable
-from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import go_on, rendered_positions
@@ -137,8 +138,9 @@ def test_every_meta_controller_works_a_shift_behind_the_shield(tmp_path: Path, c
         agent = compose(
             "train_meta_controller", ["task=shift", "meta_controller_agent.hidden=[8]"]
         ).meta_controller_agent
-        learner = QLearner(agent, observation_dim(agent.observation, 4), len(names), 0)
-        learner.save(tmp_path / "meta_controller.pt", {"names": names, "levels": 10, "objects": 4, "max_waits": None})
+        width = observation_dim(agent.observation, 4)
+        spec = {"names": names, "levels": 10, "objects": 4, "max_waits": None}
+        save_controller(tmp_path / "meta_controller.pt", DQN(agent, width, len(names)), agent, width, spec)
         policies = [f"policies.meta_controller='{tmp_path}'", "meta_controller.level_override=[]"]
     elif controller == "none":
         policies = ["policy=expert"]

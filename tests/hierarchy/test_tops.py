@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.agents.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import plugins
@@ -23,9 +24,9 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.learned import save_controller
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.options import Begun, Choice, Option, OptionTable, lasts
-from hrl_comfort.hierarchy.q_learning import QLearner
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import split_set
 from hrl_comfort.sim.engine import Engine
@@ -98,8 +99,8 @@ def config(name: str, *overrides: str, folder: Path | None = None) -> EvaluateCo
         names = executor(config("nearest", *overrides))[0].table.names
         agent = compose("train_meta_controller", ["meta_controller_agent.hidden=[8]"]).meta_controller_agent
         spec = {"names": names, "levels": 10, "objects": 3, "max_waits": None}
-        learner = QLearner(agent, observation_dim(agent.observation, 3), len(names), 0)
-        learner.save(folder / "meta_controller.pt", spec)  # type: ignore[operator]
+        width = observation_dim(agent.observation, 3)
+        save_controller(folder / "meta_controller.pt", DQN(agent, width, len(names)), agent, width, spec)
     return found
 
 

@@ -17,11 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.hierarchy.decision import Decision
+from hrl_comfort.hierarchy.learned import load_choice, save_controller
 from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.hierarchy.options import Option, OptionTable, lasts
-from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
 from hrl_comfort.policies.actor import load_policy
 from tests.agents.test_checkpoint import write_policy
 from tests.generating import CHANGES, COMFORT, ROWS, Change, changed, inputs, random_state, tried
@@ -120,8 +121,10 @@ TABLE = OptionTable([Option(name, lambda s: s.joint_pos, lambda s: s.steps >= 0,
 def controller(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     agent = replace(compose("train_meta_controller").meta_controller_agent, hidden=[4], buffer_size=1, batch_size=1)
     file = tmp_path_factory.mktemp("controller") / "meta_controller.pt"
-    learner = QLearner(agent, observation_dim(agent.observation, 1), len(OPTIONS), seed=0)
-    learner.save(file, {"levels": COMFORT.levels, "objects": 1, "names": OPTIONS, "max_waits": None})
+    width = observation_dim(agent.observation, 1)
+    spec = {"levels": COMFORT.levels, "objects": 1, "names": OPTIONS, "max_waits": None}
+    torch.manual_seed(0)
+    save_controller(file, DQN(agent, width, len(OPTIONS)), agent, width, spec)
     return checkpoint.load(file)
 
 

@@ -18,7 +18,7 @@ from hrl_comfort.analysis.episodes import terminations
 from hrl_comfort.analysis.summary import summarise, with_totals
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, ReportConfig, RobotConfig
-from hrl_comfort.config.hydra_conf import section
+from hrl_comfort.config.checks import section
 from hrl_comfort.files import run_folder
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.tables import read_table, records_of

@@ -19,7 +19,7 @@ TIMING = (1.0, 2.0, 3.0)
 def metrics_log(folder: Path) -> MetricsLog:
     config = compose("train", ["task=reach", "logger=wandb"])
     assert isinstance(config, TrainConfig)
-    return MetricsLog(folder, (), config)
+    return MetricsLog(folder, (), tuple(TERMS), config)
 
 
 def test_without_the_extra_one_line_names_it(monkeypatch, capsys):

@@ -8,13 +8,14 @@ import torch
 from tensordict import TensorDict
 
 from hrl_comfort.agents import checkpoint
+from hrl_comfort.agents.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.run_folder import find_runs
+from hrl_comfort.hierarchy.learned import load_choice, save_controller
 from hrl_comfort.hierarchy.observation import PERSON, observation_dim
-from hrl_comfort.hierarchy.q_learning import QLearner, load_choice
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from tests.hierarchy.test_sort import EXPERTS
 
@@ -91,7 +92,7 @@ def test_a_controller_learns_to_take_the_option_that_pays() -> None:
         "train_meta_controller",
         ["meta_controller_agent.batch_size=32", "meta_controller_agent.learning_rate=0.01"],
     ).meta_controller_agent
-    learner = QLearner(agent, 2, 3, 0)
+    learner = DQN(agent, 2, 3)
     mask = torch.tensor([[True, True, False]]).expand(64, 3)
     action = torch.arange(64) % 2
     after = {
@@ -113,7 +114,7 @@ def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> N
     agent = compose(
         "train_meta_controller", ["meta_controller_agent.batch_size=4", "meta_controller_agent.ema_rate=0.25"]
     ).meta_controller_agent
-    learner = QLearner(agent, 1, 2, 0)
+    learner = DQN(agent, 1, 2)
     no, mask = torch.zeros(8, 1, dtype=torch.bool), torch.ones(8, 2, dtype=torch.bool)
     after = {
         "observation": torch.ones(8, 1), "action_mask": mask, "reward": torch.ones(8, 1), "done": ~no,
@@ -126,7 +127,7 @@ def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> N
     for _ in range(3):
         learner.update()
         weights.append({name: value.clone() for name, value in learner.network.state_dict().items()})
-    learner.save(tmp_path / "meta_controller.pt", {})
+    save_controller(tmp_path / "meta_controller.pt", learner, agent, 1, {})
     kept = checkpoint.load(tmp_path / "meta_controller.pt")["network"]
     for name, value in kept.items():
         first, second, third = (weight[name] for weight in weights)
@@ -139,7 +140,7 @@ def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:
     agent = compose(
         "train_meta_controller", [f"meta_controller_agent.{change}" for change in changes]
     ).meta_controller_agent
-    learner = QLearner(agent, 1, 2, 0)
+    learner = DQN(agent, 1, 2)
     one, mask = torch.ones(32, 1), torch.tensor([[True, False]]).expand(32, 2)
     no = torch.zeros(32, 1, dtype=torch.bool)
     after = {

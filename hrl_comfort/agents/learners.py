@@ -1,0 +1,87 @@
+"""Learners by name: what a training needs of one, those built in, and those of users."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+
+from hrl_comfort.agents.crossq import CrossQ
+from hrl_comfort.agents.discrete_sac import DiscreteSAC
+from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.options import OptionLearner
+from hrl_comfort.agents.ppo import PPO
+from hrl_comfort.agents.redq import REDQ
+from hrl_comfort.agents.sac import SAC
+from hrl_comfort.agents.tqc import TQC
+from hrl_comfort.config import AgentConfig, ConfigError, MetaControllerAgentConfig
+from hrl_comfort.config.checks import implemented, own_keys, part
+from hrl_comfort.config.hierarchy import TOP_LEARNERS
+from hrl_comfort.config.learning import SKILL_LEARNERS, NoKeys
+
+METHODS = ("act", "observe", "update", "state_dict", "load_state_dict")
+
+
+class Learner(Protocol):
+    """Chooses actions and learns from what follows; its state is plain data.
+
+    The class is called with its configuration, the sizes of observations and actions, and its own keys: a `Keys` of
+    this class, a dataclass with defaults. `policy` is a module that the run keeps: for a skill from raw observations
+    (N, D) to actions (N, A) in [-1, 1], for a top from observations to scores (N, K) of the options, of which the
+    greatest is chosen. `terms`, if any, names the columns of metrics.csv that `update` fills; of a top, it is `loss`.
+    """
+
+    def act(self, now: TensorDictBase, exploration: float) -> Tensor:
+        """Return actions (N, …); `exploration` is the probability of one at random, whatever the policy says."""
+
+    def observe(self, transitions: TensorDictBase) -> None:
+        """Store transitions (F,)."""
+
+    def update(self) -> dict[str, float]:
+        """Learn once, and return terms by column; none where too little has been observed for that."""
+
+    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
+
+
+SKILLS: dict[str, type[SAC]] = implemented(
+    tuple(SKILL_LEARNERS), {"sac": SAC, "tqc": TQC, "crossq": CrossQ, "redq": REDQ}
+)
+"""Built-in learners of skills."""
+TOPS: dict[str, type[OptionLearner]] = implemented(
+    tuple(TOP_LEARNERS), {"dqn": DQN, "discrete_sac": DiscreteSAC, "ppo": PPO}
+)
+"""Built-in learners of tops."""
+KNOWN: dict[str, dict[str, Any]] = {"agent": {**SKILLS}, "meta_controller_agent": {**TOPS}}
+"""Built-in learners by the section of their configuration."""
+
+
+def learner_class(key: str, name: str) -> type:
+    """Return the class of the learner that `KEY.name` names: a built-in one, an entry point or `package.module:Class`.
+
+    Raises:
+      ConfigError: it is not there, or lacks one of METHODS.
+    """
+    found: Any = part(f"{key}.name", name, KNOWN[key])
+    if missing := [method for method in METHODS if not callable(getattr(found, method, None))]:
+        raise ConfigError(f"{key}.name={name!r} has no {missing[0]}; a learner has {', '.join(METHODS)}")
+    if not isinstance(found, type):
+        raise ConfigError(f"{key}.name={name!r} is of type {type(found).__name__}; it must be a class")
+    return found
+
+
+def make_learner(
+    key: str, config: AgentConfig | MetaControllerAgentConfig, observation_dim: int, actions: int
+) -> Any:  # fmt: skip
+    """Return the learner of a training, the section `key` of its configuration, for actions of a size or a number.
+
+    Raises:
+      ConfigError: it is not there, has other keys, or keeps no policy.
+    """
+    kind = learner_class(key, config.name)
+    own = own_keys(key, config.name, getattr(kind, "Keys", NoKeys), config.own)
+    made = kind(config, observation_dim, actions, own)
+    if config.name not in KNOWN[key] and not isinstance(getattr(made, "policy", None), nn.Module):
+        raise ConfigError(f"{key}.name={config.name!r} has no policy, a torch module of observations")
+    return made
