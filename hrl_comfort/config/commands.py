@@ -238,7 +238,7 @@ class DeployConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        self.robot.gripper.refuse("deploy")
+        self.connection.check_moves(self.robot.gripper)
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")
         if self.safety.kind == "none":

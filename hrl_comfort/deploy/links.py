@@ -54,7 +54,10 @@ class Link(Protocol):
     """The latest one."""
 
     def step(self, target: Array) -> Report:
-        """Give the set-point (J,) rad of the next control step; return the report of that step."""
+        """Give the set-point (J,) rad, with a hand (J + 1,), of the next control step; return that step's report."""
+
+    def lay(self, objects: Array) -> None:
+        """Lay the objects, see `Arm`, while the arm stands."""
 
     def rest(self) -> None:
         """End the plan; set-points that still move are braked."""
@@ -80,6 +83,10 @@ class Lockstep:
         """See `Link`."""
         self._run(target)
         return self.report
+
+    def lay(self, objects: Array) -> None:
+        """See `Link`."""
+        self._streamer.arm.lay(objects)
 
     def rest(self) -> None:
         """See `Link`."""
@@ -134,6 +141,10 @@ class Paced:
             self.report = self._receive()
         return self.report
 
+    def lay(self, objects: Array) -> None:
+        """See `Link`."""
+        self._send(objects)
+
     def rest(self) -> None:
         """See `Link`."""
         self._send(None)
@@ -154,7 +165,7 @@ class Paced:
         self._process.join(OPEN_S)
         self._process.terminate()
 
-    def _send(self, message: tuple[int, Array] | str | None) -> None:
+    def _send(self, message: tuple[int, Array] | Array | str | None) -> None:
         with suppress(BrokenPipeError):  # _receive says so
             self._pipe.send(message)
 
@@ -223,6 +234,9 @@ class Server:
         try:
             while not self._gone and self._pipe.poll():
                 message = self._pipe.recv()
+                if isinstance(message, np.ndarray):
+                    self._streamer.arm.lay(message)
+                    continue
                 if isinstance(message, str):
                     self._streamer.stop(message)
                 self._engaged, self._reporting = isinstance(message, tuple), True

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from hrl_comfort.comfort.sources import Live
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig, HumanConfig, SafetyConfig
+from hrl_comfort.deploy.arms import Reading
+from hrl_comfort.deploy.held import Objects
 from hrl_comfort.deploy.links import Link
 from hrl_comfort.deploy.predictor import SPLINE_S, Predictor
 from hrl_comfort.deploy.stops import StoppedError
@@ -76,9 +78,19 @@ class RobotEngine(Engine):
           StoppedError: no way there is free, or the arm was stopped on it.
         """
         first = self._begin(index)
+        self._robot.lay()
         self._approach(first.joint_pos[0].numpy())
         self._begin(index)
         return self._follow()
+
+    def lying(self) -> list[str]:
+        """Return where each object of the episode has to lie, frame of the robot's base."""
+        draw, names = self.episodes.draw, self.scene.cell.kinds
+        found = zip(draw.kinds[0], draw.objects(np.arange(1))[0], draw.turns[0], strict=True)
+        return [
+            f"{names[kind]} with its middle at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {np.degrees(turn):.0f} degrees"
+            for kind, (x, y, z), turn in found
+        ]
 
     def step(self, action: Array, rows: NDArray[np.int64] | None = None) -> StepResult:
         """Run one decision, action (1, A) in [-1, 1], and return its result.
@@ -131,15 +143,16 @@ class RobotEngine(Engine):
     def _approach(self, start: Array) -> None:
         """Move the arm to the joint angles `start` (J,) rad, slowly and behind the shield, which waits for people."""
         largest = np.radians(self.episodes.config.task.max_step_deg)
-        here = self.link.report.reading
-        self.physics.state[:] = state_of(np.concatenate([here.angles, here.velocity])[None])
+        here, opened = self.link.report.reading, np.full(int(self.scene.gripper is not None), -1.0)
+        self._robot.measure(here)
         self.episodes.measured(joint_pos=here.angles[None], joint_vel=here.velocity[None])
         self._follow()
         left_steps = round(PATIENCE_S / CONTROL_STEP_S)
         for goal in self._way(start):
             while np.abs(left := goal - self.link.report.point).max() > AT_START_RAD:
                 asked = APPROACH_GAIN * CONTROL_STEP_S * left / largest
-                state = self._control_step((asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE))[None]).state
+                asked = np.append(asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE), opened)
+                state = self._control_step(asked[None]).state
                 if bool(self.episodes.subtask.failure(state)):
                     hit = [name for name in (*COLLISIONS, "unsafe_contact") if bool(getattr(state, name))]
                     raise StoppedError(f"on the way to the start: {hit[0].replace('_', ' ')}")
@@ -183,43 +196,77 @@ class RobotPhysics:
     def __init__(self, scene: Scene, safety: SafetyConfig, link: Link) -> None:
         self._scene, self._safety, self._link = scene, safety, link
         self._twin, self.state = mujoco.MjData(scene.model), np.zeros((1, scene.nstate))
+        self._angles, self._velocity = np.split(scene.moving - 1, 2)
+        self._velocity = self._velocity - scene.model.nq
+        self._objects = None if scene.gripper is None else Objects(scene)
 
     @property
     def joints(self) -> Array:
         """See `Physics`."""
-        return self.state[:, 1:]
+        return self.state[:, self._scene.moving]
+
+    def measure(self, reading: Reading) -> None:
+        """Take the joints from a reading."""
+        self.state[0, self._scene.moving] = np.concatenate([reading.angles, reading.velocity])
 
     def sense(self, bodies: Array, control: Array) -> Array:
         """See `Physics`."""
-        angles, velocity = np.split(bodies[0], 2)
-        return self.touch(angles, velocity, control[0])[None]
+        twin, model = self._twin, self._scene.model
+        mujoco.mj_setState(model, twin, control[0], CONTROL_SPEC)
+        twin.qpos[:], twin.qvel[:] = np.split(bodies[0], [model.nq])
+        mujoco.mj_forward(model, twin)
+        return twin.sensordata.copy()[None]
 
     def touch(self, angles: Array, velocity: Array, control: Array | None = None) -> Array:
         """Return the sensors (nsensor,) of the model at joint angles and velocities (J,), beside those of `control`."""
         twin, model = self._twin, self._scene.model
         if control is not None:
             mujoco.mj_setState(model, twin, control, CONTROL_SPEC)
-        twin.qpos[:], twin.qvel[:] = angles, velocity
+        twin.qpos[self._angles], twin.qvel[self._velocity] = angles, velocity
+        if self._objects is not None:
+            self._objects.put(twin)
         mujoco.mj_forward(model, twin)
-        return twin.sensordata.copy()
+        sensed = twin.sensordata.copy()
+        if self._objects is not None:
+            self._objects.tell(sensed)
+        return sensed
 
     def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """See `Physics`."""
         self.state[rows] = state_of(bodies)
+        if self._objects is not None:
+            self._objects.begin(bodies[0, : self._scene.model.nq])
         self._predictor = Predictor(self._safety.lag_s, self._safety.latency_s, self._link.report.point)
 
     def begin_decision(self) -> None:
         """See `Physics`."""
 
+    def lay(self) -> None:
+        """Lay the objects where the episode begins."""
+        if self._objects is not None:
+            self._link.lay(self._objects.poses)
+
     def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:
-        """Give the set-point of `control` (1, 1, ncontrol); return the sensors where the arm will be when it comes."""
-        report = self._link.step(control[0, 0, : len(self._scene.home)])
+        """Give the set-point of `control` (1, T, ncontrol), the last one.
+
+        Return the readings (1, T, nsensor), all of them those where the arm will be when it comes.
+        """
+        joints, target = len(self._scene.home), control[0, -1]
+        if self._objects is None:
+            report = self._link.step(target[:joints])
+        else:
+            opened, shut = self._scene.model.actuator_ctrlrange[joints]
+            closed = float((target[joints] - opened) / (shut - opened))
+            report = self._link.step(np.append(target[:joints], closed))
         if report.stopped:
             raise StoppedError(report.stopped)
         self._predictor.follow(report.point)
         reading = self._predictor.ahead(report.reading)
-        self.state[:] = state_of(np.concatenate([reading.angles, reading.velocity])[None])
-        return self.touch(reading.angles, reading.velocity, control[0, 0])[None, None]
+        self.measure(reading)
+        if self._objects is not None and report.reading.hand is not None:
+            self._objects.follow(report.reading.hand, closed, reading.angles)
+        sensed = self.touch(reading.angles, reading.velocity, target)
+        return np.tile(sensed, (1, control.shape[1], 1))
 
     def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
         """See `Physics`; an arm does not go back."""

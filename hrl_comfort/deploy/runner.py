@@ -21,12 +21,13 @@ from rich.console import Console
 from hrl_comfort.analysis.summary import with_totals
 from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.deploy.arms import Arm, SimulatedArm
+from hrl_comfort.deploy.arms import Arm, Equipped, Fingers, SimulatedArm, SimulatedHand
 from hrl_comfort.deploy.frame import Frame
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine, sources_of
-from hrl_comfort.deploy.stops import INTERRUPTED, StoppedError
-from hrl_comfort.deploy.streamer import COLUMNS, Limits
+from hrl_comfort.deploy.robotiq import RobotiqHand
+from hrl_comfort.deploy.stops import INTERRUPTED, GripLostError, StoppedError
+from hrl_comfort.deploy.streamer import COLUMNS, HAND_COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import STALE, EpisodeRecorder, Result
@@ -63,9 +64,8 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
     with output_folder(output, DeployConfig, "config.yaml"):
         scene = scene_of(config)
         limits = Limits.of(config, scene)
-        simulated = partial(SimulatedArm, scene.model, scene.home)
         with interruption() as interrupted:
-            rehearse(config, Lockstep(simulated, limits, Path(os.devnull)), interrupted)
+            rehearse(config, Lockstep(simulated(scene), limits, Path(os.devnull)), interrupted)
         confirm(config)
         opened = open_arm or arm_of(config, scene)
         with interruption() as interrupted, closing(Paced(opened, limits, output / "setpoints.bin")) as link:
@@ -87,6 +87,12 @@ def refuse(config: DeployConfig) -> None:
     if config.task.name in ("shift", "kitting"):
         repeated = config.task.name
         raise ConfigError(f"task.name={repeated} goes on after failures, which deploy does not; choose task=cycle")
+    if config.robot.gripper.holds and config.task.name == "place":
+        raise ConfigError("task.name=place begins with an object in the hand, which deploy does not; choose task=cycle")
+    if config.robot.gripper.holds and name == "ur" and config.episodes > 1:
+        raise ConfigError(
+            f"episodes={config.episodes} would need somebody who lays the objects for each one; choose episodes=1"
+        )
     if config.split == "test":
         raise ConfigError("split=test is for hrl-comfort evaluate, which keeps its ledger; choose split=validation")
     if name == "ur" and not robot.startswith("ur"):
@@ -105,9 +111,29 @@ def settled(config: DeployConfig) -> DeployConfig:
 
 def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:
     """Return what opens the connection of `config`."""
+    host, braking = config.connection.host, float(rating_of(config.robot).acceleration_rad_s2.min())
     if config.connection.name == "simulated":
-        return partial(SimulatedArm, scene.model, scene.home)
-    return partial(UrArm, config.connection.host, float(rating_of(config.robot).acceleration_rad_s2.min()))
+        return simulated(scene)
+    if config.connection.gripper == "robotiq":
+        return partial(ur_with_robotiq, host, braking, config.robot.gripper.force_n)
+    return partial(UrArm, host, braking)
+
+
+def simulated(scene: Scene) -> OpenArm:
+    """Return what opens the arm of a scene in MuJoCo."""
+    if scene.gripper is not None:
+        return partial(SimulatedHand, scene)
+    return partial(SimulatedArm, scene.model, scene.home)
+
+
+def ur_with_robotiq(host: str, acceleration_rad_s2: float, force_n: float) -> Arm:
+    """Connect to an arm and its hand; the hand first, since the arm's script stops without set-points."""
+    hand = RobotiqHand(host, force_n)
+    try:
+        return Equipped(UrArm(host, acceleration_rad_s2), hand)
+    except BaseException:
+        hand.close()
+        raise
 
 
 class Run:
@@ -118,13 +144,23 @@ class Run:
       link: to the arm.
       interrupted: returns whether somebody wants the arm to stop.
       endure: see `RobotEngine`.
+
+    Raises:
+      ConfigError: a policy does not fit, or the hand holds something, which would fall on the way to the start.
     """
 
     def __init__(self, config: DeployConfig, link: Link, interrupted: Callable[[], bool], endure: bool = False) -> None:
         self.result = Result([], [], [])
+        hand = link.report.reading.hand
+        if hand is not None and hand.fingers == Fingers.GRIP:
+            raise ConfigError("the hand holds something: take it out and open the fingers before the arm moves")
         self._config, self._link, self._entries = config, link, open_split(config).entries
         self._engine = RobotEngine(environment(config), link, self._entries, interrupted, endure)
         self._executor, self._top = make_executor(config, None, self._engine, config.first_seed)
+
+    def lying(self) -> list[str]:
+        """See `RobotEngine`; of the last episode that began."""
+        return self._engine.lying()
 
     def all(self) -> None:
         """Run every episode; bring the arm to rest at the end, and where one is stopped.
@@ -159,6 +195,9 @@ class Run:
             if isinstance(error, StoppedError):
                 self._link.stop(str(error))
             self._tell(recorder, taken, cut=True)
+            if isinstance(error, GripLostError) and taken:
+                lost = self.result.episodes[-1]
+                self.result.episodes[-1] = replace(lost, drops=(lost.drops or 0) + 1)
             raise
         self._tell(recorder, taken, cut=False)
         gc.collect()  # not while the arm moves
@@ -176,11 +215,13 @@ class Run:
         """Write the tables of the episodes that began and the set-points."""
         summary = None
         if self.result.episodes:
-            self.result.episodes[:] = [replace(row, split=SPLIT) for row in self.result.episodes]
+            self.result.episodes[:] = [replace(row, split=SPLIT, slip_mm=None) for row in self.result.episodes]
             summary = self.result.write(output, self._config)
         log = output / "setpoints.bin"
         joints = len(self._engine.scene.home)
         names = [*COLUMNS, *(f"sent{k}" for k in range(joints)), *(f"q{k}" for k in range(joints))]
+        if self._engine.scene.gripper is not None:
+            names += HAND_COLUMNS
         rows = np.fromfile(log).reshape(-1, len(names))
         DataFrame(rows, columns=names).to_parquet(output / LOG, index=False)
         log.unlink()
@@ -208,6 +249,8 @@ def rehearse(config: DeployConfig, link: Link, interrupted: Callable[[], bool]) 
     done = sum(each.success for each in episodes)
     touches = sum(each.contact for each in episodes)
     print(f"dry run: {done} of {len(episodes)} episodes succeed, {touches} touch the person")
+    if config.robot.gripper.holds and config.connection.name != "simulated":
+        print(f"lay, in the frame of the robot's base: {'; '.join(run.lying())}")
 
 
 def confirm(config: DeployConfig) -> None:

@@ -12,3 +12,7 @@ class StoppedError(Exception):
     def __init__(self, why: str, code: int = STOPPED) -> None:
         super().__init__(why)
         self.code = code
+
+
+class GripLostError(StoppedError):
+    """The fingers no longer hold what they held; the episode counts a drop."""

@@ -31,6 +31,8 @@ LATE_STEPS = 2
 COLUMNS = ("time_s", "late_s", "step", "tick", "planned")
 """Of the log, before the set-points (J), rad, and the measured angles (J), rad. `planned` is 1 under a planned control
 step, 0 where none was asked for, -1 where it was late and -2 in a stop."""
+HAND_COLUMNS = ("hand_sent", "hand", "fingers")
+"""Of the log of an arm with a hand, the last ones: set-point and position, 0 open to 1 closed, and `Fingers`."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,7 @@ class Streamer:
     def __init__(self, arm: Arm, limits: Limits, log: BinaryIO) -> None:
         self.arm, self._limits, self._log = arm, limits, log
         self._reading = arm.read()
+        self._closed = None if self._reading.hand is None else self._reading.hand.closed
         self.step = 0
         self.point = self._sent = self._reading.angles.copy()
         self.velocity = np.zeros_like(self.point)
@@ -113,8 +116,13 @@ class Streamer:
         self._brake = (self.point, self.velocity, 0.0)
 
     def begin_step(self, target: Array | None, late: bool = False) -> None:
-        """Begin a control step to `target` (J,) rad; None, or a `late` plan, brakes as the rating says."""
+        """Begin a control step to `target` (J,) rad; None, or a `late` plan, brakes as the rating says.
+
+        Of an arm with a hand, `target` is (J + 1,); fingers that are not told anything new keep their set-point.
+        """
         self._from, self._before = self._sent, self.velocity
+        if target is not None and self._closed is not None:
+            target, self._closed = target[:-1], float(target[-1])
         if target is None or late:
             self.velocity = self._limits.rating.brake(self.velocity[None])[0]
         else:
@@ -139,7 +147,7 @@ class Streamer:
         self._speed = (angles - self._sent) / PERIOD_S
         self._sent = angles
         try:
-            self.arm.send(angles)
+            self.arm.send(angles if self._closed is None else np.append(angles, self._closed))
             self._reading = self.arm.read()
             if self._reading.trouble:
                 self.stop(self._reading.trouble)
@@ -148,6 +156,8 @@ class Streamer:
             self.stop(f"lost connection: {error}")
         code = -2 if self.stopped else self._planned
         row = [time.monotonic(), late_s, self.step, number, code, *self._sent, *self._reading.angles]
+        if self._closed is not None and (hand := self._reading.hand) is not None:
+            row += [self._closed, hand.closed, hand.fingers]
         self._log.write(np.array(row, dtype=np.float64).tobytes())
 
     def _between(self, share: float) -> Array:

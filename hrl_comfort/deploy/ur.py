@@ -166,6 +166,9 @@ class UrArm:
         self._count += 1
         self._registers.write(self._count, angles)
 
+    def lay(self, objects: Array) -> None:
+        """See `Arm`."""
+
     def close(self) -> None:
         """See `Arm`; the script ends, and the controller holds the arm."""
         with suppress(ConnectionError):

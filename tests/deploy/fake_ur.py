@@ -1,7 +1,8 @@
-"""A controller of Universal Robots on a loopback address, in a process of its own: RTDE, and one script.
+"""A controller of Universal Robots on a loopback address, in a process of its own: RTDE, one script, and a hand.
 
 It speaks RTDE 2 on port 30004 and takes URScript on port 30002. Of a script it reads the watchdog, how long it waits
-for the counter and how it brakes; it follows the registers as `servoj` does. The arm is MuJoCo's.
+for the counter and how it brakes; it follows the registers as `servoj` does. The arm is MuJoCo's. With a hand there is
+also the server of a Robotiq, on port 63352: what it says of the fingers is what lies between them in that world.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
+from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm, SimulatedHand
 from hrl_comfort.deploy.links import prefer
+from hrl_comfort.scene.workcell import Scene
+from tests.deploy.fake_robotiq import PORT, FakeRobotiq, RobotiqWorld
 
 TYPES = {
     "timestamp": "d", "actual_q": "6d", "actual_qd": "6d", "target_q": "6d", "robot_mode": "i", "safety_mode": "i",
@@ -63,11 +66,31 @@ class Peer:
 
 
 class Controller:
-    """The controller; `run` until the pipe is closed, on which it takes safety modes and tells the arm's state."""
+    """The controller; `run` until the pipe is closed, on which it takes safety modes and tells the arm's state.
 
-    def __init__(self, host: str, model: mujoco.MjModel, start: NDArray[np.float64], faults: Faults) -> None:
-        self._arm, self._faults, self._rng = SimulatedArm(model, start), faults, np.random.default_rng(faults.seed)
-        self._listeners = {port: socket.create_server((host, port)) for port in (30004, 30002)}
+    The arm is a model's, at `start`, or at home with the hand of a scene, before which `objects` (B, 7) lie.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        world: mujoco.MjModel | Scene,
+        start: NDArray[np.float64],
+        faults: Faults,
+        objects: NDArray[np.float64] | None,
+    ) -> None:
+        self._faults, self._rng = faults, np.random.default_rng(faults.seed)
+        ports = [30004, 30002]
+        self._arm: SimulatedArm | RobotiqWorld
+        if isinstance(world, Scene):
+            self._arm = RobotiqWorld(SimulatedHand(world))
+            self._arm.lay(objects)
+            self._hand: FakeRobotiq = self._arm.server
+            ports.append(PORT)
+        else:
+            self._arm = SimulatedArm(world, start)
+        self._listeners = {port: socket.create_server((host, port)) for port in ports}
+        self._clients: list[socket.socket] = []
         self._peers: list[Peer] = []
         self._senders: list[socket.socket] = []
         self._queue: list[tuple[float, int, Any]] = []
@@ -96,13 +119,22 @@ class Controller:
             self._control()
 
     def _listen(self, wait_s: float) -> None:
-        sockets = [*self._listeners.values(), *(peer.socket for peer in self._peers), *self._senders]
+        peers = [peer.socket for peer in self._peers]
+        sockets = [*self._listeners.values(), *peers, *self._senders, *self._clients]
         for ready in select.select(sockets, [], [], wait_s)[0]:
             if ready is self._listeners[30004]:
                 self._peers.append(Peer(ready.accept()[0]))
                 self._peers[-1].socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             elif ready is self._listeners[30002]:
                 self._senders.append(ready.accept()[0])
+            elif ready is self._listeners.get(PORT):
+                self._clients.append(ready.accept()[0])
+            elif ready in self._clients:
+                line = ready.recv(1024).decode()
+                if line:
+                    ready.sendall(self._hand.answer(line.strip()))
+                else:
+                    self._clients.remove(ready)
             elif ready in self._senders:
                 text = ready.recv(65536).decode()
                 if not text:
@@ -230,12 +262,16 @@ def serve(pipe: Connection, *args: Any) -> None:
 
 @contextmanager
 def fake_ur(
-    host: str, model: mujoco.MjModel, start: NDArray[np.float64], faults: Faults | None = None
+    host: str,
+    world: mujoco.MjModel | Scene,
+    start: NDArray[np.float64],
+    faults: Faults | None = None,
+    objects: NDArray[np.float64] | None = None,
 ) -> Iterator[FakeUr]:
     """Run a controller at a loopback address `host`."""
     context = multiprocessing.get_context("spawn")
     pipe, theirs = context.Pipe()
-    process = context.Process(target=serve, args=(theirs, host, model, start, faults or Faults()))
+    process = context.Process(target=serve, args=(theirs, host, world, start, faults or Faults(), objects))
     process.start()
     theirs.close()
     assert pipe.recv() == "ready"
