@@ -23,6 +23,17 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.sb3 import OptionRewards
 
 
+def checked(reward: np.ndarray, gamma: float) -> OptionRewards:
+    """Return the rewards (N,) of options that are discounted by `gamma`; raise ConfigError if they are not."""
+    if not isinstance(reward, OptionRewards) or reward.gamma is None:
+        raise ConfigError(
+            "rewards without durations: take options from hrl_comfort.sb3.make_vec_env, without normalised rewards"
+        )
+    if reward.gamma != gamma:
+        raise ConfigError(f"gamma={gamma} is not that of the environment; give make_vec_env gamma={gamma}")
+    return reward
+
+
 class OptionReplayBuffer(ReplayBuffer):
     """Replay buffer of DQN and QRDQN whose samples hold `gamma ** info["duration"]` as their discounts."""
 
@@ -41,7 +52,12 @@ class OptionReplayBuffer(ReplayBuffer):
         done: np.ndarray,
         infos: list[dict[str, Any]],
     ) -> None:
-        """Add an option of every row."""
+        """Add an option of every row.
+
+        Raises:
+          ConfigError: as `OptionRolloutBuffer.add`.
+        """
+        checked(reward, self.gamma)
         self.durations[self.pos] = [info["duration"] for info in infos]
         super().add(obs, next_obs, action, reward, done, infos)
 
@@ -81,18 +97,11 @@ class _Discounting:
         Raises:
           ConfigError: the rewards are not those of `hrl_comfort.sb3.make_vec_env`, or its gamma is another one.
         """
-        if not isinstance(reward, OptionRewards) or reward.gamma is None:
-            raise ConfigError(
-                "rewards without durations: take options from hrl_comfort.sb3.make_vec_env, without normalised rewards"
-            )
-        if reward.gamma != self.gamma:
-            raise ConfigError(
-                f"gamma={self.gamma} is not that of the environment; give make_vec_env gamma={self.gamma}"
-            )
-        discount = self.gamma**reward.duration
+        paid = checked(reward, self.gamma)
+        discount = self.gamma**paid.duration
         self.discounts[self.pos] = discount  # type: ignore[attr-defined]
-        value = (np.asarray(reward) - reward.plain) / self.gamma
-        super().add(obs, action, reward.plain + discount * value, *args, **kwargs)  # type: ignore[misc]
+        value = (np.asarray(paid) - paid.plain) / self.gamma
+        super().add(obs, action, paid.plain + discount * value, *args, **kwargs)  # type: ignore[misc]
 
     def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
         """Estimate advantages and returns; `last_values` (N,) follow the last step, `dones` (N,) say where none do."""

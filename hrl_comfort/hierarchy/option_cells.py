@@ -40,7 +40,7 @@ class OptionCells(Cells):
         gamma: float = 1.0,
         observation: str | None = None,
     ) -> None:
-        between("gamma", gamma, 0.0, 1.0)
+        between("gamma", gamma, 1e-3, 1.0)
         self._layout, self.gamma = observation, gamma
         super().__init__(config, num_envs, render_mode)
 

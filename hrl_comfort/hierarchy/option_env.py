@@ -71,9 +71,9 @@ class OptionEnv(EnvBase):
         each step, and the first option that can start takes the place of one that cannot; without it, that is an error.
 
         Raises:
-          ConfigError: `seed` is not a whole number from 0 to 2**32 - 1, or `gamma` is not in [0, 1].
+          ConfigError: `seed` is not a whole number from 0 to 2**32 - 1, or `gamma` is not in [0.001, 1].
         """
-        between("gamma", gamma, 0.0, 1.0)
+        between("gamma", gamma, 1e-3, 1.0)
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = make_engine(config, rows, episode_seed(seed), disturbance=disturbance)
         self.executor = OptionExecutor(make_options(self.engine), self.engine.episodes)

@@ -94,10 +94,13 @@ def save_policy(
     checkpoint.save(path, {"networks": kept, "spec": spec, "counters": counters or {}})
 
 
-def networks_of(learner: Any) -> dict[str, Any]:
-    """Return the networks that a policy file keeps: actor, critics and normaliser, or a learner's own `policy`."""
-    state = getattr(learner, "policy_state", None)
-    found: dict[str, Any] = {"policy": learner.policy.state_dict()} if state is None else state()
+def networks_of(learner: Any, name: str) -> dict[str, Any]:
+    """Return the networks that a policy file keeps: actor, critics and normaliser, or a learner's own `policy`.
+
+    `name` is that of the learner, as `agent.name`.
+    """
+    own = name not in SKILL_LEARNERS
+    found: dict[str, Any] = {"policy": learner.policy.state_dict()} if own else learner.policy_state()
     return found
 
 

@@ -26,8 +26,7 @@ METRICS = "meta_controller_metrics.csv"
 def train_meta_controller(config: MetaControllerTrainConfig) -> Path:
     """Train as `config` says; return the run folder.
 
-    With `config.resume`, the training in that folder continues with its own config.yaml, bit for bit unless a
-    skill acts at random.
+    With `config.resume`, the training in that folder continues with its own config.yaml, bit for bit.
 
     Raises:
       ConfigError: a choice is not allowed, a policy is missing, or the folder is taken.

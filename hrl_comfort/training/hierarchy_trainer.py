@@ -1,4 +1,4 @@
-"""`hrl-comfort train hierarchy`: train the options of a cycle in order, evaluate them and the cycle.
+"""`hrl-comfort train hierarchy`: train the options of a cycle, in order or at a time, evaluate them and the cycle.
 
 Every part leaves a file by which a later call knows that it is done, so the same command goes on where it stopped.
 """
@@ -25,6 +25,7 @@ from hrl_comfort.config import (
     MetaControllerTrainConfig,
     TrainConfig,
 )
+from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
@@ -83,6 +84,11 @@ def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfi
 
 def _check(config: HierarchyTrainConfig, folder: Path) -> None:
     """Raise ConfigError at a choice that a later part would refuse."""
+    if config.hierarchy.refinement and config.agent.name not in SKILL_LEARNERS:
+        raise ConfigError(
+            f"hierarchy.refinement goes on from networks that agent.name={config.agent.name} does not keep; choose one "
+            f"of {', '.join(SKILL_LEARNERS)}, or hierarchy.refinement=[]"
+        )
     options = {name: option_config(config, name, folder / name, "ik") for name in config.meta_controller.options}
     for name, option in options.items():
         stages_of(option)
@@ -92,7 +98,10 @@ def _check(config: HierarchyTrainConfig, folder: Path) -> None:
 
 
 def train_options(config: HierarchyTrainConfig, folder: Path) -> list[TrainConfig]:
-    """Train every option, then refine them from the last to the first; return the configurations of their runs."""
+    """Train every option, as `hierarchy.starts` says, then refine them from the last to the first.
+
+    Return the configurations of their runs.
+    """
     names, refined = list(config.meta_controller.options), bool(config.hierarchy.refinement)
     folders = [folder / (f"{name}_first" if refined else name) for name in names]
     if config.hierarchy.starts == "ik":

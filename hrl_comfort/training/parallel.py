@@ -9,6 +9,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
+from hrl_comfort.sim.processes.child import with_trace
 from hrl_comfort.training.preemption import Preempted, asked_to_stop, end_with_parent
 
 C = TypeVar("C")
@@ -30,22 +31,35 @@ def run_each(call: Callable[[C], object], arguments: Sequence[C], jobs: int) -> 
         for argument in arguments:
             call(argument)
         return
-    waiting, running, failed = list(arguments), dict[Connection, BaseProcess](), list[BaseException]()
+    waiting, running, stopped = list(arguments), dict[Connection, BaseProcess](), set[int | None]()
+    failed: list[BaseException] = []
     with asked_to_stop() as stop:
-        while running or (waiting and not failed and not stop()):
-            while waiting and len(running) < jobs and not failed and not stop():
-                here, process = _started(call, waiting.pop(0))
-                running[here] = process
-            heard = wait(list(running), POLL_S)
-            for here in [each for each in running if each in heard]:
-                failed += _ended(here, running.pop(here))
-            if failed or stop():
-                for process in running.values():
-                    process.terminate()
-        if stop():
+        try:
+            while running or (waiting and not failed and not stop()):
+                while waiting and len(running) < jobs and not failed and not stop():
+                    here, process = _started(call, waiting.pop(0))
+                    running[here] = process
+                heard = wait(list(running), POLL_S)
+                for here in [each for each in running if each in heard]:
+                    failed += _ended(here, running.pop(here))
+                if failed or stop():
+                    _terminate(running, stopped)
+        finally:
+            _terminate(running, stopped)
+            for process in running.values():
+                process.join()
+        if stop() and all(isinstance(each, Preempted) for each in failed):
             raise Preempted("stopped by SIGTERM")
     if failed:
         raise failed[0]
+
+
+def _terminate(running: dict[Connection, BaseProcess], stopped: set[int | None]) -> None:
+    """Send SIGTERM to processes, once to each: a second would cut short how a training ends."""
+    for process in running.values():
+        if process.pid not in stopped:
+            stopped.add(process.pid)
+            process.terminate()
 
 
 def _started(call: Callable[[C], object], argument: C) -> tuple[Connection, BaseProcess]:
@@ -77,5 +91,5 @@ def _told(parent: int, there: Connection, call: Callable[[C], object], argument:
     try:
         call(argument)
     except BaseException as error:  # noqa: BLE001
-        raised.append(error)
+        raised.append(with_trace(error))
     there.send(raised)

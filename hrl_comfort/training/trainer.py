@@ -149,7 +149,7 @@ class Training(TrainingLoop):
 
     def save_policy(self) -> None:
         """Write policy.pt, a light checkpoint, and the best one if this is it."""
-        networks = networks_of(self.learner)
+        networks = networks_of(self.learner, self.config.agent.name)
         counters = {
             "policy_steps": self.steps,
             "updates": self.updates,

@@ -101,6 +101,16 @@ class Child:
         return None
 
 
+def with_trace(error: BaseException) -> BaseException:
+    """Return an error for another process: with its traceback as a note, and one that can be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001
+        error = RuntimeError(f"{type(error).__name__}: {error}").with_traceback(error.__traceback__)
+    error.add_note(f"In process {os.getpid()}:\n{''.join(format_exception(error))}")
+    return error
+
+
 def serve(connection: Connection, make: Callable[[], Child]) -> None:
     """Do what the parent asks for until it ends, or closes the connection.
 
@@ -111,20 +121,19 @@ def serve(connection: Connection, make: Callable[[], Child]) -> None:
     warnings.simplefilter("ignore")  # the parent has said it
     torch.set_num_threads(1)
     try:
-        child = None
+        child, message = None, b""
         while True:
             try:
                 if child is None:
                     child, answer = make(), None
                 else:
-                    asked, changed, words = pickle.loads(connection.recv_bytes())
+                    asked, changed, words = pickle.loads(message)
                     child.take(changed)
                     answer = getattr(child, asked)(*words)
-            except EOFError:
-                return
+                told = pickle.dumps(answer, protocol=5)
             except Exception as error:  # noqa: BLE001
-                error.add_note(f"In process {os.getpid()}:\n{''.join(format_exception(error))}")
-                answer = error
-            connection.send_bytes(pickle.dumps(answer, protocol=5))
-    except OSError:  # the parent is gone
+                told = pickle.dumps(with_trace(error), protocol=5)
+            connection.send_bytes(told)
+            message = connection.recv_bytes()
+    except (EOFError, OSError):  # the parent is gone
         return

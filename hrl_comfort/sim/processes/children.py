@@ -37,19 +37,27 @@ class Children:
             theirs.close()
             self._connections.append(ours)
             self._processes.append(process)
-        self._answers()
+        self._checked(self._answers())
 
     def ask(self, what: str, changed: Sequence[Arrays], words: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Return the answers of all to `Child.what`, each given its `words`, after it took what has `changed`."""
-        for index, message in enumerate(zip(changed, words, strict=True)):
-            try:
-                self._connections[index].send_bytes(pickle.dumps((what, *message), protocol=5))
-            except OSError as error:
-                raise self._ended(index) from error
-        return self._answers()
+        messages = [pickle.dumps((what, *message), protocol=5) for message in zip(changed, words, strict=True)]
+        try:
+            for index, message in enumerate(messages):
+                try:
+                    self._connections[index].send_bytes(message)
+                except OSError as error:
+                    raise self._ended(index) from error
+            answers = self._answers()
+        except BaseException:  # what has not been answered would be taken for the answer to the next word
+            self.close()
+            raise
+        return self._checked(answers)
 
     def _answers(self) -> list[Any]:
-        answers = [self._answer(index) for index in range(len(self._processes))]
+        return [self._answer(index) for index in range(len(self._processes))]
+
+    def _checked(self, answers: list[Any]) -> list[Any]:
         for answer in answers:
             if isinstance(answer, BaseException):
                 raise answer
