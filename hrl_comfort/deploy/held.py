@@ -61,7 +61,8 @@ class Objects:
         Raises:
           GripLostError: what the fingers held is no longer there, though they were not told to open.
         """
-        opening, self._told = told < self._told, told
+        least = self._told if self._held is None else max(self._told, self._gripped)
+        opening, self._told = told < least, told
         self._speed, self._closed = (hand.closed - self._closed) / CONTROL_STEP_S, hand.closed
         self._steps += 1
         self._velocity[:] = 0.0

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,11 +16,12 @@ from numpy.typing import NDArray
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped, Fingers, SimulatedHand
+from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped, Fingers, HandReading, SimulatedHand
+from hrl_comfort.deploy.held import Objects
 from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.runner import LOG, Run, deploy, ur_with_robotiq
-from hrl_comfort.deploy.stops import StoppedError
+from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
@@ -101,6 +103,25 @@ def test_a_grip_that_is_lost_over_the_server_of_the_hand_stops_the_arm(
     assert Fingers.GRIP in set(log["fingers"]) and "SET POS 255" in server.lines
     episode = run.result.episodes[0]
     assert (episode.success, episode.truncated, episode.drops) == (False, True, 1)
+
+
+def test_an_object_rides_until_the_fingers_open_though_their_answer_comes_late() -> None:
+    scene = scene_of(config("task=pick"))
+    objects, data = Objects(scene), mujoco.MjData(scene.model)
+    data.qpos[scene.moving[:6] - 1] = scene.home
+    mujoco.mj_kinematics(scene.model, data)
+    middle = data.site("robot/tcp").xpos
+    data.qpos[scene.model.joint("object_1_ball").qposadr[0] :][:3] = middle
+    objects.begin(data.qpos)
+    for told in (0.9, 0.3, 0.0, 0.0):
+        objects.follow(HandReading(0.4, Fingers.GRIP), told, scene.home)
+    assert objects.poses[0, :3] == pytest.approx(middle, abs=1e-3)
+    objects.follow(HandReading(0.0, Fingers.THERE), 0.0, scene.home)
+    assert objects.poses[0, :3] == pytest.approx([*middle[:2], scene.floor_z + 0.03], abs=1e-3)
+    objects.begin(data.qpos)
+    objects.follow(HandReading(0.4, Fingers.GRIP), 0.9, scene.home)
+    with pytest.raises(GripLostError, match=r"gripped at 40 % of their way, and are at 55 % \(MOVE\)"):
+        objects.follow(HandReading(0.55, Fingers.MOVE), 0.9, scene.home)
 
 
 def test_a_fault_of_the_hand_stops_the_arm_and_fingers_keep_their_set_point(
