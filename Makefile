@@ -74,8 +74,7 @@ fuzz: setup
 	$(BIN)/python -m tests.adversary 2000 300
 
 demo: $(or $(wildcard $(STAMP)),$(LIGHT))
-	$(BIN)/hrl-comfort train hierarchy experiment=comfort_varied agent.policy_steps=70000 hierarchy.starts=ik hierarchy.jobs=2 \
-	    hierarchy.budget_fractions='{pick: 0.6, place: 1, return: 0.4}' hierarchy.episodes=50 output=runs/demo
+	$(BIN)/hrl-comfort train hierarchy experiment=demo output=runs/demo
 
 clean:
 	rm -rf $(WEB)/dist $(WEB)/node_modules .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
