@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -78,7 +79,10 @@ def _ended(here: Connection, process: BaseProcess) -> list[BaseException]:
         raised = here.recv()
     except EOFError:
         process.join()
-        raised = [RuntimeError(f"a process ended with exit code {process.exitcode}")]
+        if process.exitcode == -signal.SIGTERM:  # before it could hear of it
+            raised = [Preempted("stopped by SIGTERM")]
+        else:
+            raised = [RuntimeError(f"a process ended with exit code {process.exitcode}")]
     process.join()
     here.close()
     return raised
