@@ -25,7 +25,7 @@ from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
-from tests.deploy.test_robotiq import host
+from tests.deploy.test_robotiq_client import host
 
 GRASP = ["cell=grasp", "policy=expert", "human=none", "confirm=yes", "output=none"]
 WAY_OFF_M, HELD_TICKS, NOTICED_TICKS = 0.5, 200, 150
