@@ -1,4 +1,4 @@
-"""What the learners of a top share: a score of each option, an average that is kept, and an exact state."""
+"""Parts that the learners of a top share: a score of each option, an average that is kept, and an exact state."""
 
 from __future__ import annotations
 

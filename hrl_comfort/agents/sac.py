@@ -59,7 +59,7 @@ class SAC:
     Keys: ClassVar[type] = NoKeys
     """Dataclass of the keys `agent.own`."""
     terms: ClassVar[tuple[str, ...]] = tuple(TERMS)
-    """What `update` returns, columns of metrics.csv."""
+    """Values that `update` returns, columns of metrics.csv."""
     critics_type: ClassVar[type[Critics]] = Critics
     loss_type: ClassVar[type[ActorCriticLoss]] = ActorCriticLoss
     has_targets: ClassVar[bool] = True

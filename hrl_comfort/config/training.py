@@ -81,7 +81,7 @@ class HierarchyConfig:
     """Budget of each option's training, as a multiple of `agent.policy_steps`. The curriculum stages of that training
     are lengthened or shortened in proportion."""
     starts: Annotated[str, choice("recorded", "ik")]
-    """Where an option's episodes begin in training: `recorded`, in terminal states of the option before it; `ik`, as
+    """Begin of an option's episodes in training: `recorded`, in terminal states of the option before it; `ik`, as
     `task.start=ik` says, so that options can be trained at the same time."""
     terminal_states_episodes: Annotated[int, within(2, 10**6)]
     """`recorded`: number of episodes run to record terminal states; the next option is trained from the ends of those

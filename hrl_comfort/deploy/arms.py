@@ -23,7 +23,7 @@ STILL_PER_S = 0.05
 
 
 class Fingers(IntEnum):
-    """What fingers do, by the numbers of Robotiq's `OBJ`."""
+    """State of the fingers, by the numbers of Robotiq's `OBJ`."""
 
     MOVE = 0
     STOPPED_OPENING = 1

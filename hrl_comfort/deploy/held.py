@@ -1,4 +1,4 @@
-"""Where the objects are beside a real hand, which tells no more than whether its fingers grip something.
+"""Places of the objects beside a real hand, which tells no more than whether its fingers grip something.
 
 An object lies where its episode begins until the fingers grip near it. Then it rides on the tool, and when they open it
 falls on what is below.

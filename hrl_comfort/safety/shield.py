@@ -46,7 +46,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the servos of N arms may make of their distance from their set-points."""
+    """Motion that the servos of N arms may make of their distance from their set-points."""
 
     way: Array
     """(C, N) m, how far each capsule is from where the set-points have it, at most."""
