@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from pandas import DataFrame, read_csv
 
 from hrl_comfort.analysis.episodes import chain_lengths
-from hrl_comfort.analysis.option_use import over_time, summarise, table, with_kinds
+from hrl_comfort.analysis.option_use import over_time, shares_by_kind, summarise, table, with_kinds
 from hrl_comfort.cli.main import main
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, FigureConfig
@@ -19,6 +19,7 @@ from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.hierarchy import timeline
 from hrl_comfort.plots.option_use import CAUSES, option_use
+from hrl_comfort.plots.training import option_shares
 
 
 def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, object]:
@@ -146,3 +147,13 @@ def test_an_evaluation_of_before_causes_were_told_is_refused(evaluation: Path, t
     read_csv(old / "options.csv").drop(columns="cause").to_csv(old / "options.csv", index=False)
     with pytest.raises(ConfigError, match="old does not say why its options ended; evaluate again with --overwrite"):
         figure(compose("figure", ["kind=options", f"evaluations=[{old}]", f"output={tmp_path}/o.png"]))
+
+
+def test_the_shares_of_options_over_a_training_are_drawn_by_kind() -> None:
+    shares = {"share/wait": [0.5, 0.0], "share/pick_1": [0.25, 0.5], "share/pick_2_as_6": [0.25, 0.5]}
+    log = DataFrame({"options": [100, 200], "episodes": [1, 1], **shares})
+    found = shares_by_kind(log)
+    assert {kind: share.tolist() for kind, share in found.items()} == {"pick": [0.5, 1.0], "wait": [0.5, 0.0]}
+    assert list(found) == ["pick", "wait"] and not shares_by_kind(log[["options", "episodes"]])
+    drawn = option_shares({"run": log})
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["pick", "wait"]
