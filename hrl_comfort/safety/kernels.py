@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel
+from hrl_comfort.scene.kernels import Body, walkers_limbs
 
 Array = NDArray[np.float64]
 Geometry = tuple[Array, Array, Array, Array, NDArray[np.int64], Array]
@@ -268,8 +269,20 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
 
 
 @kernel
-def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array) -> Array:
-    """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
+def beside(
+    sine: Array, versine: Array, steps: Array, offset: Array, axis: Array, anchor: Array, link: NDArray[np.int64],
+    local: Array, person: Array, arm_radius: Array, person_radius: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """See `Separation.beside`: the fields of an `ArmPose` as `pose` returns them, and `gaps`."""
+    axes, anchors, ends = pose(sine, versine, steps, offset, axis, anchor, link, local)
+    return axes, anchors, ends, gaps(ends, person, arm_radius, person_radius)
+
+
+@kernel
+def met(
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array
+) -> tuple[Array, Array]:
+    """Return how far (N,) m people went, and how far arms are from them then: inf if that is not as far as it was.
 
     `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.
     """
@@ -278,15 +291,28 @@ def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Arra
         if apart[:, m].min() <= way[m]:
             for part in range(len(apart)):
                 gap[m] = min(apart_of(ends, part, after, m, arm_radius, person_radius), gap[m])
-    return gap
+    return way, gap
+
+
+@kernel
+def arrive(
+    position: Array, yaw: Array, walked_m: Array, speed_m_s: Array, directions: Array, floor_z: float, body: Body,
+    limb: NDArray[np.int64], local: Array, ends: Array, apart: Array, person: Array, arm_radius: Array,
+    person_radius: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Return `walkers_limbs` of people, the ends of their capsules, and what `met` does."""
+    limbs = walkers_limbs(position, yaw, walked_m, speed_m_s, directions, floor_z, *body)
+    after = limb_ends(limbs, limb, local)
+    way, gap = met(ends, apart, person, after, arm_radius, person_radius)
+    return limbs, after, way, gap
 
 
 @kernel
 def approached(
-    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
+    ends: Array, apart: Array, way: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
 ) -> NDArray[np.bool_]:
-    """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
-    way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
+    """See `Shield.beyond_bound`: whether people, who went `way` (N,) m, came nearer to a capsule by over `most_m`."""
+    nearer = np.zeros(apart.shape[1], dtype=np.bool_)
     for m in range(len(nearer)):
         if way[m] > most_m:
             for part in range(len(apart)):

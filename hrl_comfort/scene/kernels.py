@@ -13,6 +13,8 @@ from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, STRIDE
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Body = tuple[Array, Array, Array, float]
+"""Side, top and swing of each limb, and how far the body sinks: the last arguments of `walkers_limbs`."""
 
 
 @kernel

@@ -172,9 +172,10 @@ class Plan:
             crowd = self.people.step(noise[k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
-                point = self.drive.beside(point, now, crowd.ends)
+                point = self.drive.beside(point, now, crowd.ends, self.people.way)
             points.append(point)
-            self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
+            if self.tracker.active:
+                self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
             followed = self._servos.follow(targets)
             if self._gripping is not None and grips is not None:
                 grips.append(self._gripping.fingers.follow(grips[-1], command))

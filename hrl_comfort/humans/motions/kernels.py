@@ -38,8 +38,6 @@ from hrl_comfort.humans.motions.moves import (
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Place = tuple[float, float, float]
-COMPILED = ("random_walk", "arc", "approach", "patrol", "worker", "reactive", "fetcher")
-"""Motions by their kind in `propose`."""
 EPSILON = 1e-9
 NEAR_STATION_M, NEAR_TABLE_M, NEAR_GOAL_M = 0.02, 0.05, 0.1
 """Distances at which `patrol`, `worker` and `reactive` have reached a station."""
@@ -297,43 +295,3 @@ def reactive(
     going = math.sqrt(wx * wx + wy * wy) > 0.1
     heading = math.atan2(wy, wx) if going else math.atan2(tool_y, tool_x)
     return there_x, there_y, turned(yaw, who[5], heading)
-
-
-@kernel
-def propose(
-    kinds: Ints, numbers: Array, position: Array, yaw: Array, spawn: Array, walked_m: Array, speed_m_s: Array,
-    steps: Ints, velocity: Array, limbs: Array, memory: Array, traits: Array, retreat: Ints, noise: Array, tcp: Array,
-    discs: Array, radius_m: float, stations: Array, points: Array, moving: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return the places, yaws, limbs and memories that people's motions propose for the end of a control step.
-
-    Each draws one of the motions of `kinds`, indices of COMPILED, with their `numbers`; those of another kind stay.
-    From `position` to `retreat` these are the fields of `Walk`.
-    """
-    n, who = len(yaw), np.empty(10)
-    there, facing, bent, kept = np.empty((n, 2)), np.empty(n), limbs.copy(), memory.copy()
-    for m in range(n):
-        who[0], who[1], who[2], who[8], who[9] = position[m, 0], position[m, 1], yaw[m], traits[m, 1], traits[m, 2]
-        who[3], who[4], who[5] = velocity[m, 0], velocity[m, 1], velocity[m, 2]
-        who[6], who[7] = spawn[m, 0], spawn[m, 1]
-        index = int(traits[m, 0] * len(kinds))
-        kind, of, mine = kinds[index], numbers[index], kept[m]
-        x, y, heading = who[0], who[1], who[2]
-        if kind == 0:
-            x, y, heading = random_walk(who, of, noise[m])
-        elif kind == 1:
-            x, y, heading = arc(who, of, noise[m], steps[m])
-        elif kind == 2:
-            x, y, heading = approach(who, of, tcp[m])
-        elif kind == 3:
-            x, y, heading = patrol(who, of, mine, noise[m], stations[m], discs[m], radius_m)
-        elif kind == 4:
-            x, y, heading = worker(who, of, mine, bent[m], noise[m], stations[m], discs[m], radius_m)
-        elif kind == 5:
-            x, y, heading = reactive(
-                who, of, mine, steps[m] == 0, noise[m], stations[m], discs[m], radius_m, tcp[m], points[m], moving[m]
-            )
-        elif kind == 6:
-            x, y, heading = fetcher(who, of, mine, bent[m], noise[m], stations[m], discs[m], radius_m)
-        there[m, 0], there[m, 1], facing[m] = x, y, heading
-    return there, facing, bent, kept
