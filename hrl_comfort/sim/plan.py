@@ -154,7 +154,7 @@ class Plan:
         index = np.minimum(times, self._sampler.horizon - 1).T
         noise = draw.noise[np.arange(self._rows), index]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
-        standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
+        standing = state.layout.numpy(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
             part.begin_decision()
         points, crowd, waiting = [set_points(state)], self.people.now, list[Array]()
