@@ -281,17 +281,20 @@ def beside(
 @kernel
 def met(
     ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array
-) -> tuple[Array, Array]:
-    """Return how far (N,) m people went, and how far arms are from them then: inf if that is not as far as it was.
+) -> tuple[Array, bool, float]:
+    """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
 
     `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.
+    Return also whether any of them touch, and how far the end of any capsule went at most.
     """
-    way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
+    way, gap, touching, most = farthest(after, person), np.full(apart.shape[1], np.inf), False, 0.0
     for m in range(len(gap)):
+        most = max(way[m], most)
         if apart[:, m].min() <= way[m]:
             for part in range(len(apart)):
                 gap[m] = min(apart_of(ends, part, after, m, arm_radius, person_radius), gap[m])
-    return way, gap
+            touching |= gap[m] <= 0.0
+    return gap, touching, most
 
 
 @kernel
@@ -299,20 +302,20 @@ def arrive(
     position: Array, yaw: Array, walked_m: Array, speed_m_s: Array, directions: Array, floor_z: float, body: Body,
     limb: NDArray[np.int64], local: Array, ends: Array, apart: Array, person: Array, arm_radius: Array,
     person_radius: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array, bool, float]:  # fmt: skip
     """Return `walkers_limbs` of people, the ends of their capsules, and what `met` does."""
     limbs = walkers_limbs(position, yaw, walked_m, speed_m_s, directions, floor_z, *body)
     after = limb_ends(limbs, limb, local)
-    way, gap = met(ends, apart, person, after, arm_radius, person_radius)
-    return limbs, after, way, gap
+    gap, touching, most = met(ends, apart, person, after, arm_radius, person_radius)
+    return limbs, after, gap, touching, most
 
 
 @kernel
 def approached(
-    ends: Array, apart: Array, way: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array, most_m: float
 ) -> NDArray[np.bool_]:
-    """See `Shield.beyond_bound`: whether people, who went `way` (N,) m, came nearer to a capsule by over `most_m`."""
-    nearer = np.zeros(apart.shape[1], dtype=np.bool_)
+    """See `Shield.beyond_bound`: whether people came nearer to a capsule by more than `most_m`."""
+    way, nearer = farthest(after, person), np.zeros(apart.shape[1], dtype=np.bool_)
     for m in range(len(nearer)):
         if way[m] > most_m:
             for part in range(len(apart)):

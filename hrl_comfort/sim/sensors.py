@@ -73,7 +73,7 @@ class Sensors:
         return fields
 
     def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> Fields:
-        fields = self._read(readings[:, :, -1], planned, before.joint_home.numpy())
+        fields = self._read(np.ascontiguousarray(readings[:, :, -1]), planned, before.joint_home.numpy())
         fields |= self._contacts(readings, planned.limbs, before, limbs)
         if self._hand is None:
             return fields

@@ -147,7 +147,7 @@ def test_people_who_come_nearer_faster_than_the_shield_assumes_are_counted(away_
     still = np.zeros((1, len(scene.home)))
     points = SetPoints.unshielded(still, still, np.zeros(1, dtype=np.int64))
     now, ends = separation.encounter(scene.home[None], before), separation.person.ends(after)
-    counted = drive.beside(points, now, ends, farthest(ends, now.person))
+    counted = drive.beside(points, now, ends, farthest(ends, now.person).max())
     assert bool(counted.human_beyond_bound[0]) == some
 
 
