@@ -28,11 +28,10 @@ def pose(
 ) -> tuple[Array, Array, Array]:
     """See `ArmGeometry.pose`: of `sine` and `versine` (J, N), 1 less the cosine, and fields of the geometry."""
     joints, n = sine.shape
-    turns, anchors, origins = np.empty((3, 3, joints, n)), np.empty((3, joints, n)), np.empty((3, joints, n))
-    before, here = np.zeros((3, 3, n)), np.zeros((3, n))
+    anchors, axes, ends = np.empty((3, joints, n)), np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
+    before, turn, step, here = np.zeros((3, 3, n)), np.empty((3, 3, n)), np.empty((3, 3, n)), np.zeros((3, n))
     for i in range(3):
         before[i, i] = 1.0
-    step = np.empty((3, 3, n))
     for j in range(joints):
         for i in range(3):
             for k in range(3):
@@ -45,33 +44,28 @@ def pose(
                 anchors[i, j, m] = here[i, m] + (before[i, 0, m] * x + before[i, 1, m] * y + before[i, 2, m] * z)
             for k in range(3):
                 for m in range(n):
-                    turns[i, k, j, m] = (
+                    turn[i, k, m] = (
                         before[i, 0, m] * step[0, k, m]
                         + before[i, 1, m] * step[1, k, m]
                         + before[i, 2, m] * step[2, k, m]
                     )
         x, y, z = anchor[j]
+        u, v, w = axis[j]
         for i in range(3):
             for m in range(n):
-                there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-                here[i, m] = anchors[i, j, m] - there
-                origins[i, j, m] = here[i, m]
+                here[i, m] = anchors[i, j, m] - (turn[i, 0, m] * x + turn[i, 1, m] * y + turn[i, 2, m] * z)
+                axes[i, j, m] = turn[i, 0, m] * u + turn[i, 1, m] * v + turn[i, 2, m] * w
+        for part in range(len(link)):
+            for end in range(2 if link[part] == j else 0):
+                x, y, z = local[part, end]
+                for i in range(3):
+                    for m in range(n):
+                        there = turn[i, 0, m] * x + turn[i, 1, m] * y + turn[i, 2, m] * z
+                        ends[i, part, end, m] = here[i, m] + there
+        for i in range(3):
             for k in range(3):
                 for m in range(n):
-                    before[i, k, m] = turns[i, k, j, m]
-    axes, ends = np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
-    for i in range(3):
-        for j in range(joints):
-            x, y, z = axis[j]
-            for m in range(n):
-                axes[i, j, m] = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-        for part in range(len(link)):
-            j = link[part]
-            for end in range(2):
-                x, y, z = local[part, end]
-                for m in range(n):
-                    there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-                    ends[i, part, end, m] = origins[i, j, m] + there
+                    before[i, k, m] = turn[i, k, m]
     return axes, anchors, ends
 
 

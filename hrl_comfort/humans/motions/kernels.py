@@ -229,10 +229,22 @@ def fetcher(
 
 
 @kernel
-def social_force(
-    apart_x: float, apart_y: float, approach_x: float, approach_y: float, least: float
-) -> tuple[float, float, float]:
-    """Return the acceleration, m/s², by which a person avoids something, and its size; 0 if less than e^`least`.
+def strength(apart_x: float, apart_y: float, approach_x: float, approach_y: float) -> float:
+    """Return the logarithm of more than the size of `social_force`, of the same arguments.
+
+    Both its parts shrink with the square of an angle, which is not smaller than the chord of its arc.
+    """
+    distance = max(math.sqrt(apart_x * apart_x + apart_y * apart_y), 1e-9)
+    away_x, away_y = apart_x / distance, apart_y / distance
+    x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
+    size = max(math.sqrt(x * x + y * y), 1e-9)
+    reach, chord_squared = RANGE * size, 2 - 2 * (away_x * x + away_y * y) / size
+    return LARGEST - distance / reach - SHARP * SHARP * reach * reach * chord_squared
+
+
+@kernel
+def social_force(apart_x: float, apart_y: float, approach_x: float, approach_y: float) -> tuple[float, float, float]:
+    """Return the acceleration, m/s², by which a person avoids something, and its size.
 
     `apart` m leads from it to the person, `approach` m/s is the person's velocity less its own (Moussaïd et al. 2009,
     equations 3 to 6).
@@ -241,10 +253,7 @@ def social_force(
     away_x, away_y = apart_x / distance, apart_y / distance
     x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
     size = max(math.sqrt(x * x + y * y), 1e-9)
-    reach = RANGE * size
-    if LARGEST - distance / reach < least:
-        return 0.0, 0.0, 0.0
-    along_x, along_y = x / size, y / size
+    reach, along_x, along_y = RANGE * size, x / size, y / size
     theta = (math.atan2(along_y, along_x) - math.atan2(away_y, away_x) + math.pi) % FULL_TURN - math.pi
     slow, fast = SHARPER * reach * theta, SHARP * reach * theta
     braking = math.exp(-distance / reach - slow * slow)
@@ -282,13 +291,22 @@ def reactive(
     curious = max(2 * of[CURIOSITY] - 1, 0.0)
     wx, wy = wx + curious * (look_x - wx), wy + curious * (look_y - wy)
 
-    vx, vy, rx, ry, strongest, least = who[3], who[4], 0.0, 0.0, 0.0, -np.inf
+    vx, vy, most, nearest, rx, ry, strongest = who[3], who[4], -np.inf, 0, 0.0, 0.0, 0.0
     for index in range(len(points)):
-        fx, fy, size = social_force(
-            x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1], least
-        )
+        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
+        bound = strength(ax, ay, bx, by)
+        if bound > most:
+            nearest, most = index, bound
+    ax, ay, bx, by = x - points[nearest, 0], y - points[nearest, 1], vx - moving[nearest, 0], vy - moving[nearest, 1]
+    size = social_force(ax, ay, bx, by)[2]
+    least = math.log(size) if size > 0 else -np.inf
+    for index in range(len(points)):
+        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
+        if strength(ax, ay, bx, by) < least:
+            continue
+        fx, fy, size = social_force(ax, ay, bx, by)
         if size > strongest:
-            rx, ry, strongest, least = fx, fy, size, math.log(size)
+            rx, ry, strongest = fx, fy, size
     afraid = 2 * (1 - of[CURIOSITY])
     fx, fy = (wx - vx) / RELAXATION_S + rx * afraid, (wy - vy) / RELAXATION_S + ry * afraid
     there_x, there_y = walking(who, of, vx + fx * CONTROL_STEP_S, vy + fy * CONTROL_STEP_S, discs, radius_m)
