@@ -234,11 +234,12 @@ def strength(apart_x: float, apart_y: float, approach_x: float, approach_y: floa
 
     Both its parts shrink with the square of an angle, which is not smaller than the chord of its arc.
     """
-    distance = max(math.sqrt(apart_x * apart_x + apart_y * apart_y), 1e-9)
+    far = math.sqrt(apart_x * apart_x + apart_y * apart_y)
+    distance = max(far, 1e-9)
     away_x, away_y = apart_x / distance, apart_y / distance
     x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
     size = max(math.sqrt(x * x + y * y), 1e-9)
-    reach, chord_squared = RANGE * size, 2 - 2 * (away_x * x + away_y * y) / size
+    reach, chord_squared = RANGE * size, 2 * (far / distance - (away_x * x + away_y * y) / size)
     return LARGEST - distance / reach - SHARP * SHARP * reach * reach * chord_squared
 
 
