@@ -20,8 +20,8 @@ ANSWER_S = 2.0
 """Longest time for an answer before the arm moves."""
 STALE_S = 0.25
 """Age of a request without an answer at which the connection counts as lost."""
-ROUND = ("OBJ", "POS", "FLT", "OBJ", "POS", "STA")
-"""Variables that are asked for in turn."""
+ROUND = ("OBJ", "POS", "OBJ", "FLT", "OBJ", "POS", "OBJ", "STA")
+"""Variables that are asked for in turn: every second time, whether the fingers still hold something."""
 ACTIVE, MOST = 3, 255
 """Value of STA of a hand that has been activated; largest value of POS, SPE and FOR."""
 FORCE_N = (20.0, 235.0)

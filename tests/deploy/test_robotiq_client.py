@@ -56,12 +56,12 @@ def test_set_points_in_a_row_leave_room_for_questions(monkeypatch: pytest.Monkey
     server = FakeRobotiq(still)
     hand = connected(server, monkeypatch)
     server.lines.clear()
-    for step in range(1, 25):
+    for step in range(1, 33):
         hand.send(step / 100)
         hand.read()
-    assert [line.split()[0] for line in server.lines] == ["SET", "GET"] * 12
+    assert [line.split()[0] for line in server.lines] == ["SET", "GET"] * 16
     asked = [line.split()[1] for line in server.lines[1::2]]
-    assert {name: asked.count(name) for name in set(ROUND)} == {"OBJ": 4, "POS": 4, "FLT": 2, "STA": 2}
+    assert {name: asked.count(name) for name in set(ROUND)} == {"OBJ": 8, "POS": 4, "FLT": 2, "STA": 2}
 
 
 @pytest.mark.parametrize(
