@@ -74,7 +74,7 @@ fuzz: setup
 	$(BIN)/python -m tests.adversary 2000 300
 
 demo: $(or $(wildcard $(STAMP)),$(LIGHT))
-	$(BIN)/hrl-comfort train hierarchy experiment=shielded agent.policy_steps=40000 output=runs/demo
+	$(BIN)/hrl-comfort train hierarchy experiment=demo output=runs/demo
 
 clean:
 	rm -rf $(WEB)/dist $(WEB)/node_modules .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -138,9 +138,7 @@ class Training(TrainingLoop):
         seconds, steps, updates = (here - before for here, before in zip(now, self._lap, strict=True))
         spent = max(seconds, 1e-9)
         stage, precision_m = self.stage.setting.name, self.curriculum.precision_m
-        self.log.write_row(
-            self.steps, stage, self.updates, precision_m, (self.seconds, steps / spent, updates / spent)
-        )
+        self.log.write_row(self.steps, stage, self.updates, precision_m, (self.seconds, steps / spent, updates / spent))
         self._lap = now
 
     def _passes(self, every: int) -> bool:
