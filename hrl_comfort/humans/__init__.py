@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import FAR_AWAY_M, ConfigError, HumanConfig
-from hrl_comfort.humans import kernels
 from hrl_comfort.humans.evaluation import (
     MOTION_STREAM,
     EvaluationSet,
@@ -19,7 +18,7 @@ from hrl_comfort.humans.evaluation import (
     share_of,
     split_set,
 )
-from hrl_comfort.humans.motions import CARRIERS, COMPILED, MOTIONS, STEERED, UNBOUNDED, Compiled, bounds, free, motion
+from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, Compiled, bounds, free, motion, step
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import pose_at
@@ -98,7 +97,7 @@ class Motions:
         ])  # fmt: skip
         self._others = [
             (index, each, motion(each.motion))
-            for index, each in enumerate(self._members) if each.motion not in COMPILED
+            for index, each in enumerate(self._members) if each.motion not in step.COMPILED
         ]  # fmt: skip
 
     def advance(self, walk: Walk, noise: Array, seen: Surroundings) -> Walk:
@@ -108,25 +107,23 @@ class Motions:
         The human stays in place if the slide ends in another disc or beyond `bound_m`. Motions that are `free` keep to
         neither.
         """
-        there, facing, bent, kept = self._compiled(walk, noise, seen)
+        there, facing, bent, kept = proposed = walk.proposed()
         for index, member, move in self._others:
             rows: Any = slice(None)
             if len(self._members) > 1:
                 rows = np.flatnonzero((walk.traits[:, 0] * len(self._members)).astype(np.int64) == index)
                 if not len(rows):
                     continue
-            proposed = move(member, walk.part(rows), noise[rows], seen.part(rows))
-            stride = proposed if isinstance(proposed, Stride) else Stride(*proposed)
+            moved = move(member, walk.part(rows), noise[rows], seen.part(rows))
+            stride = moved if isinstance(moved, Stride) else Stride(*moved)
             there[rows], facing[rows] = stride.position, stride.yaw
             if stride.limbs is not None:
                 bent[rows] = stride.limbs
             if stride.memory is not None:
                 kept[rows] = stride.memory
-        arm = seen.arm()[0] if walk.retreat.any() else np.empty((len(noise), 0, 3))
-        discs, points = contiguous(seen.keep_out.centres, arm)
-        velocity, walked, speed, steps, left = kernels.settle(
-            there, facing, bent, kept, self._limits,
-            *contiguous(*vars(walk).values()), discs, float(seen.keep_out.radius_m), points, SPEED_SMOOTHING,
+        velocity, walked, speed, steps, left = step.advance(
+            *self._compiled.motions, self._limits, SPEED_SMOOTHING, *proposed, *contiguous(*vars(walk).values()),
+            *self._compiled.beside(walk, noise, seen),
         )  # fmt: skip
         return Walk(there, facing, walk.spawn, walked, speed, steps, velocity, bent, kept, walk.traits, left)
 

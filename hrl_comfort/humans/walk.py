@@ -53,6 +53,10 @@ class Walk:
         """Return the walks of the rows `index`."""
         return Walk(**{name: value.take(index, axis=0) for name, value in vars(self).items()})
 
+    def proposed(self) -> tuple[Array, Array, Array, Array]:
+        """Return copies of position, yaw, limbs and memory: what motions propose to change."""
+        return self.position.copy(), self.yaw.copy(), self.limbs.copy(), self.memory.copy()
+
     def part(self, at: slice | NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `at`; without copying those of a slice."""
         return Walk(**{name: value[at] for name, value in vars(self).items()})

@@ -222,14 +222,14 @@ class Drive:
             shield.remember(seen.person, trail)
         return begin, SetPoints(angles, velocity, share, share_sum, braking, stops, before.human_beyond_bound)
 
-    def beside(self, points: SetPoints, now: Encounter, after: Array) -> SetPoints:
+    def beside(self, points: SetPoints, now: Encounter, after: Array, way: float) -> SetPoints:
         """Return the set-points of a control step in which people move on from `now`, their capsules' ends to `after`.
 
-        These are (3, P, 2, N) m.
+        These are (3, P, 2, N) m; none of them went farther than `way` m.
         """
         if self.shield is None:
             return points
-        beyond = self.shield.beyond_bound(now, after)
+        beyond = self.shield.beyond_bound(now, after, way)
         if not beyond.any():
             return points
         return replace(points, human_beyond_bound=points.human_beyond_bound + beyond)

@@ -136,6 +136,18 @@ def unsafe(
 
 
 @kernel
+def extreme(values: Array, largest: bool) -> Array:
+    """Return the largest or the smallest (1, N) of `values` (C, N); NaN stays."""
+    found = values[:1].copy()
+    for part in range(1, len(values)):
+        for m in range(values.shape[1]):
+            one, other = found[0, m], values[part, m]
+            kept = one >= other if largest else one <= other
+            found[0, m] = one if kept or one != one else other
+    return found
+
+
+@kernel
 def presses(
     begin: Array, wanted: Array, m: int, person: Array, geometry: Geometry, radius: Array, person_radius: Array
 ) -> bool:
@@ -257,10 +269,20 @@ def drive(
                         moving[part, m] = max(moving[part, m], left)
             for m in range(n):
                 room[part, m] -= way[part, m]
-        tried = np.empty((1, count))
+        tried, longest = np.empty((1, count)), np.empty((1, count))
+        for j in range(count):
+            longest[0, j] = lever[:, j].max()
+        # One capsule that is as near as the nearest and as fast as the fastest: where that one is safe, all are.
+        nearest, fastest, quickest = extreme(room, False), extreme(fast, True), extreme(moving, True)
         for m in range(n):
             passed, closing = 1.0, pace[m]
-            worst = unsafe(wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0, swept)
+            worst = unsafe(
+                wanted, m, fastest, fastest, 1.0, nearest, quickest, m, closing, longest, acceleration, limits, 0, swept
+            )
+            if worst >= 0:
+                worst = unsafe(
+                    wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0, swept
+                )
             if worst >= 0:
                 passed = 0.0
                 for share in SHARES[::-1]:

@@ -81,8 +81,7 @@ class ArmGeometry:
     def pose(self, angles: Array) -> ArmPose:
         """Return the arm at `angles` (N, J) rad."""
         if plain(angles):
-            turned = np.ascontiguousarray(angles.T)
-            return ArmPose(*kernels.pose(np.sin(turned), 1 - np.cos(turned), *self.compiled))
+            return ArmPose(*kernels.pose(*turns(angles), *self.compiled))
         rotation, anchor, origins = self._frames(angles)
         local = self.local.transpose(2, 0, 1)[..., None]
         ends = origins[:, self.link, None] + _turned(rotation[:, :, self.link, None], local)
@@ -184,6 +183,12 @@ class PersonGeometry:
         moved = limbs.transpose(2, 1, 0)
         turns = rotations(moved[3:])[:, :, self._limb, None]
         return moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
+
+
+def turns(angles: Array) -> tuple[Array, Array]:
+    """Return the sines of `angles` (N, J) rad and 1 less their cosines, (J, N), as kernels take them."""
+    turned = np.ascontiguousarray(angles.T)
+    return np.sin(turned), 1 - np.cos(turned)
 
 
 def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel
+from hrl_comfort.scene.kernels import Body, walkers_limbs
 
 Array = NDArray[np.float64]
 Geometry = tuple[Array, Array, Array, Array, NDArray[np.int64], Array]
@@ -27,11 +28,10 @@ def pose(
 ) -> tuple[Array, Array, Array]:
     """See `ArmGeometry.pose`: of `sine` and `versine` (J, N), 1 less the cosine, and fields of the geometry."""
     joints, n = sine.shape
-    turns, anchors, origins = np.empty((3, 3, joints, n)), np.empty((3, joints, n)), np.empty((3, joints, n))
-    before, here = np.zeros((3, 3, n)), np.zeros((3, n))
+    anchors, axes, ends = np.empty((3, joints, n)), np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
+    before, turn, step, here = np.zeros((3, 3, n)), np.empty((3, 3, n)), np.empty((3, 3, n)), np.zeros((3, n))
     for i in range(3):
         before[i, i] = 1.0
-    step = np.empty((3, 3, n))
     for j in range(joints):
         for i in range(3):
             for k in range(3):
@@ -44,33 +44,28 @@ def pose(
                 anchors[i, j, m] = here[i, m] + (before[i, 0, m] * x + before[i, 1, m] * y + before[i, 2, m] * z)
             for k in range(3):
                 for m in range(n):
-                    turns[i, k, j, m] = (
+                    turn[i, k, m] = (
                         before[i, 0, m] * step[0, k, m]
                         + before[i, 1, m] * step[1, k, m]
                         + before[i, 2, m] * step[2, k, m]
                     )
         x, y, z = anchor[j]
+        u, v, w = axis[j]
         for i in range(3):
             for m in range(n):
-                there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-                here[i, m] = anchors[i, j, m] - there
-                origins[i, j, m] = here[i, m]
+                here[i, m] = anchors[i, j, m] - (turn[i, 0, m] * x + turn[i, 1, m] * y + turn[i, 2, m] * z)
+                axes[i, j, m] = turn[i, 0, m] * u + turn[i, 1, m] * v + turn[i, 2, m] * w
+        for part in range(len(link)):
+            for end in range(2 if link[part] == j else 0):
+                x, y, z = local[part, end]
+                for i in range(3):
+                    for m in range(n):
+                        there = turn[i, 0, m] * x + turn[i, 1, m] * y + turn[i, 2, m] * z
+                        ends[i, part, end, m] = here[i, m] + there
+        for i in range(3):
             for k in range(3):
                 for m in range(n):
-                    before[i, k, m] = turns[i, k, j, m]
-    axes, ends = np.empty((3, joints, n)), np.empty((3, len(link), 2, n))
-    for i in range(3):
-        for j in range(joints):
-            x, y, z = axis[j]
-            for m in range(n):
-                axes[i, j, m] = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-        for part in range(len(link)):
-            j = link[part]
-            for end in range(2):
-                x, y, z = local[part, end]
-                for m in range(n):
-                    there = turns[i, 0, j, m] * x + turns[i, 1, j, m] * y + turns[i, 2, j, m] * z
-                    ends[i, part, end, m] = origins[i, j, m] + there
+                    before[i, k, m] = turn[i, k, m]
     return axes, anchors, ends
 
 
@@ -268,17 +263,45 @@ def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, pe
 
 
 @kernel
-def met(ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array) -> Array:
+def beside(
+    sine: Array, versine: Array, steps: Array, offset: Array, axis: Array, anchor: Array, link: NDArray[np.int64],
+    local: Array, person: Array, arm_radius: Array, person_radius: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """See `Separation.beside`: the fields of an `ArmPose` as `pose` returns them, and `gaps`."""
+    axes, anchors, ends = pose(sine, versine, steps, offset, axis, anchor, link, local)
+    return axes, anchors, ends, gaps(ends, person, arm_radius, person_radius)
+
+
+@kernel
+def met(
+    ends: Array, apart: Array, person: Array, after: Array, arm_radius: Array, person_radius: Array
+) -> tuple[Array, bool, float]:
     """Return how far (N,) m arms are from people who went on; inf if those did not go as far as the arm was.
 
     `person` and `after` are the ends of their capsules, `apart` (C, N) m is how far each part of the arm was from them.
+    Return also whether any of them touch, and how far the end of any capsule went at most.
     """
-    way, gap = farthest(after, person), np.full(apart.shape[1], np.inf)
+    way, gap, touching, most = farthest(after, person), np.full(apart.shape[1], np.inf), False, 0.0
     for m in range(len(gap)):
+        most = max(way[m], most)
         if apart[:, m].min() <= way[m]:
             for part in range(len(apart)):
                 gap[m] = min(apart_of(ends, part, after, m, arm_radius, person_radius), gap[m])
-    return gap
+            touching |= gap[m] <= 0.0
+    return gap, touching, most
+
+
+@kernel
+def arrive(
+    position: Array, yaw: Array, walked_m: Array, speed_m_s: Array, directions: Array, floor_z: float, body: Body,
+    limb: NDArray[np.int64], local: Array, ends: Array, apart: Array, person: Array, arm_radius: Array,
+    person_radius: Array,
+) -> tuple[Array, Array, Array, bool, float]:  # fmt: skip
+    """Return `walkers_limbs` of people, the ends of their capsules, and what `met` does."""
+    limbs = walkers_limbs(position, yaw, walked_m, speed_m_s, directions, floor_z, *body)
+    after = limb_ends(limbs, limb, local)
+    gap, touching, most = met(ends, apart, person, after, arm_radius, person_radius)
+    return limbs, after, gap, touching, most
 
 
 @kernel

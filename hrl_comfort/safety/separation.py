@@ -7,7 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.safety.geometry import ArmGeometry, ArmPose, PersonGeometry, closest_points, dot, gaps, norm
+from hrl_comfort.compiled import contiguous, plain
+from hrl_comfort.safety import kernels
+from hrl_comfort.safety.geometry import (
+    ArmGeometry,
+    ArmPose,
+    PersonGeometry,
+    closest_points,
+    dot,
+    gaps,
+    norm,
+    turns,
+)
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
@@ -47,8 +58,14 @@ class Separation:
 
     def beside(self, angles: Array, person: Array) -> Encounter:
         """Return arms at `angles` (N, J) rad beside people whose capsules have their ends at `person` (3, P, 2, N)."""
-        pose = self.arm.pose(angles)
-        return Encounter(pose, person, gaps(self.arm, pose.ends, self.person, person))
+        arm = self.arm
+        if plain(angles, person):
+            *pose, apart = kernels.beside(
+                *turns(angles), *arm.compiled, *contiguous(person), arm.radius, self.person.radius
+            )
+            return Encounter(ArmPose(*pose), person, apart)
+        there = arm.pose(angles)
+        return Encounter(there, person, gaps(arm, there.ends, self.person, person))
 
     def gap(self, angles: Array, limbs: Array) -> Array:
         """Return the distance (N,) m of arms at `angles` (N, J) rad from people at `limbs` (N, L, 7).

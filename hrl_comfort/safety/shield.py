@@ -171,12 +171,14 @@ class Shield:
         until = self._plan(velocity, self.arm.speeds(now.pose, velocity))[0].max(axis=0)
         return np.where(until > 0.0, self._bound(until, self._pace(now)), 0.0)
 
-    def beyond_bound(self, now: Encounter, after: Array) -> NDArray[np.bool_]:
+    def beyond_bound(self, now: Encounter, after: Array, way: float) -> NDArray[np.bool_]:
         """Return (N,) whether people come nearer to a capsule of the arm than `human_speed_m_s` allows.
 
-        Their capsules have their ends at `after` (3, P, 2, N) a control step after `now`.
+        Their capsules have their ends at `after` (3, P, 2, N) a control step after `now`; none went over `way` m.
         """
         most = self._config.human_speed_m_s * CONTROL_STEP_S + ROUNDING
+        if not way > most:
+            return np.zeros(after.shape[-1], dtype=bool)
         given = contiguous(now.pose.ends, now.apart, now.person, after)
         return kernels.approached(*given, self.arm.radius, self._person.radius, most)
 

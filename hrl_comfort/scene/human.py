@@ -38,7 +38,8 @@ _HIPS, _SIDES = (HIP_HALF_WIDTH_M, -HIP_HALF_WIDTH_M), (SHOULDER_HALF_WIDTH_M, -
 _SIDE = np.array([0.0, *_HIPS, *_SIDES, *_SIDES])
 _TOP = np.array([HIP_M] * 3 + [SHOULDER_M] * 4)
 _SWING = np.array([0.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
-_CONSTANTS = _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
+BODY = _SIDE, _TOP, _SWING, HIP_M - LEG_RADIUS_M
+"""As kernels take it."""
 
 
 def limbs_of_person(index: int) -> tuple[str, ...]:
@@ -87,7 +88,7 @@ def limb_poses(
     """
     if directions is not None and plain(x, y, yaw, phase, swing_rad, directions) and np.ndim(x) == 1:
         given: Any = x, y, yaw, phase, swing_rad, directions
-        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), float(np.asarray(floor_z)), *_CONSTANTS)
+        compiled: NDArray[np.float64] = kernels.limb_poses(*contiguous(*given), float(np.asarray(floor_z)), *BODY)
         return compiled
     x, y, yaw, phase, swing_rad, floor_z = (
         np.asarray(v, dtype=np.float64)[..., None] for v in (x, y, yaw, phase, swing_rad, floor_z)
@@ -121,7 +122,7 @@ def limb_poses(
 def walkers_limbs(walk: Walk, floor_z: float) -> NDArray[np.float64]:
     """Return the limbs (n, 7, 7) of n people, as of `limb_poses` in their gait."""
     fields = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
-    limbs: NDArray[np.float64] = kernels.walkers_limbs(*fields, floor_z, *_CONSTANTS)
+    limbs: NDArray[np.float64] = kernels.walkers_limbs(*fields, floor_z, *BODY)
     return limbs
 
 

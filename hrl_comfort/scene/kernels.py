@@ -13,6 +13,8 @@ from hrl_comfort.humans.walk import FULL_SWING_RAD, FULL_SWING_SPEED_M_S, STRIDE
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Body = tuple[Array, Array, Array, float]
+"""Side, top and swing of each limb, and how far the body sinks: the last arguments of `walkers_limbs`."""
 
 
 @kernel
@@ -133,9 +135,8 @@ def controls(
                 for index in range(objects.shape[1] if bodies and not shown else 0):
                     body = first + marks + index * bodies + kinds[m, index]
                     out[joints + 3 * body + axis] = objects[m, index, axis]
+            for time in range(step * substeps + 1, (step + 1) * substeps):
+                control[m, time, joints:] = out[joints:]
             for time in range(step * substeps, (step + 1) * substeps):
-                for index in range(joints, control.shape[2]):
-                    control[m, time, index] = out[index]
-                for j in range(joints):
-                    control[m, time, j] = targets[m, time, j]
+                control[m, time, :joints] = targets[m, time]
     return control

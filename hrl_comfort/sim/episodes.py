@@ -28,7 +28,7 @@ from hrl_comfort.sim.objects import choose_target
 from hrl_comfort.sim.people import People
 from hrl_comfort.sim.plan import Joints, Plan
 from hrl_comfort.sim.referee import Referee
-from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.step_result import StepResult, tensors
 from hrl_comfort.sim.variation.disturbance import Disturbance
 from hrl_comfort.sim.variation.randomisation import Values, observed
 from hrl_comfort.tasks import Start, State, Subtask, subtask
@@ -254,8 +254,7 @@ class Episodes:
         limbs = self.people.now.limbs
         result = self.referee.judge(self.state, self.draw, self.plan.planned, limbs, readings, rows)
         self.plan.end(result.decision_steps.numpy() - 1)
-        self.state = result.state
-        self.state = self.measured(**self.plan.bodies(self.state.joint_pos.numpy()))
+        self.state = result.state.with_(**tensors(self.plan.bodies(result.state.joint_pos.numpy())))
         return replace(result, state=self.state)
 
     def values(self, rows: Any = slice(None)) -> Values:

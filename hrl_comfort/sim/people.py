@@ -20,8 +20,9 @@ from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, gaps
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps
 from hrl_comfort.safety.separation import Encounter, Separation
+from hrl_comfort.scene.human import BODY
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.variation.disturbance import Disturbance
@@ -45,18 +46,9 @@ class Crowd:
 
     @property
     def places(self) -> Array:
-        """(N, P, 2) m, axes of the people."""
-        return together([walk.position for walk in self.walks])
-
-    @property
-    def yaw(self) -> Array:
-        """(N, P) rad."""
-        return together([walk.yaw for walk in self.walks])
-
-    @property
-    def velocity(self) -> Array:
-        """(N, P, 2) m/s, with which their axes moved in the last control step."""
-        return together([walk.velocity[:, :2] for walk in self.walks])
+        """(N, P, 2) m, axes of the people; of one without a copy."""
+        each = [walk.position for walk in self.walks]
+        return each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
 
     def put(self, rows: NDArray[np.int64], other: Crowd) -> Crowd:
         """Return a copy whose `rows` (r,) are those of `other` (r)."""
@@ -103,6 +95,8 @@ class People:
         """People as the decision begins and after each of its control steps."""
         self._around: list[humans.Surroundings] = []
         """What each person sees while a decision lasts: the robot as at its beginning."""
+        self.way = 0.0
+        """m, farthest that the end of any capsule went in the latest control step beside the arms."""
 
     def crowd(self, walks: Sequence[humans.Walk]) -> Crowd:
         """Return people who walk as `walks`, one of each person, say."""
@@ -138,7 +132,8 @@ class People:
         if now is None:
             self.course.append(self.crowd(walks))
         else:
-            self.course.append(stop_at_contact(self._scene, self._separation, now, before, walks))
+            crowd, self.way = stop_at_contact(self._scene, self._separation, now, before, walks)
+            self.course.append(crowd)
         return self.course[-1]
 
     def end_decision(self, last: NDArray[np.int64]) -> None:
@@ -178,11 +173,6 @@ class People:
         ])  # fmt: skip
 
 
-def together(each: Sequence[Array]) -> Array:
-    """Return values (N, P, ...) of those (N, ...) of each person; of one person without a copy."""
-    return each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
-
-
 def share_walked(room: Array, gap: Array) -> Array:
     """Return the share (n,) of a step that ends at OVERLAP_M, 1 if it is free.
 
@@ -194,11 +184,11 @@ def share_walked(room: Array, gap: Array) -> Array:
 
 def stop_at_contact(
     scene: Scene, separation: Separation, now: Encounter, before: Crowd, walks: Sequence[humans.Walk]
-) -> Crowd:
+) -> tuple[Crowd, float]:
     """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M, who will leave.
 
     `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Each
-    person is looked at alone.
+    person is looked at alone. Return also how far, m, the end of any capsule went at most.
     """
     found, begin = [], 0
     for person, stood, walk in zip(separation.each, before.walks, walks, strict=True):
@@ -208,20 +198,23 @@ def stop_at_contact(
         begin = part.stop
     if len(found) == 1:
         return found[0]
-    limbs, ends = (np.concatenate([getattr(each, name) for each in found], axis=1) for name in ("limbs", "ends"))
-    return Crowd(tuple(each.walks[0] for each in found), limbs, ends)
+    each, ways = zip(*found, strict=True)
+    limbs, ends = (np.concatenate([getattr(one, name) for one in each], axis=1) for name in ("limbs", "ends"))
+    return Crowd(tuple(one.walks[0] for one in each), limbs, ends), max(ways)
 
 
 def _stopped(
     scene: Scene, arm: ArmGeometry, person: PersonGeometry, now: Encounter, before: humans.Walk, walk: humans.Walk
-) -> Crowd:
-    """Return one `person`, whose capsules are those of `now`."""
-    limbs = limbs_of(scene, walk)
-    ends = person.ends(limbs)
-    given = contiguous(now.pose.ends, now.apart, now.person, ends)
-    gap = kernels.met(*given, arm.radius, person.radius)  # somebody else may have been nearer than this person
-    if not (gap <= 0.0).any():
-        return Crowd((walk,), limbs, ends)
+) -> tuple[Crowd, float]:
+    """Return what `stop_at_contact` does of one `person`, whose capsules are those of `now`."""
+    walked = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
+    given = contiguous(now.pose.ends, now.apart, now.person)
+    # Somebody else may have been nearer than this person.
+    limbs, ends, gap, touching, way = kernels.arrive(
+        *walked, scene.floor_z, BODY, *person.compiled, *given, arm.radius, person.radius
+    )
+    if not touching:
+        return Crowd((walk,), limbs, ends), way
     touched = np.flatnonzero(gap <= 0.0)
     walk = begin_retreat(walk, touched)
     stood = before.rows(touched)
@@ -233,4 +226,5 @@ def _stopped(
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
     limbs[at] = limbs_of(scene, held)
     ends[..., at] = person.ends(limbs[at])
-    return Crowd((walk.put(at, held),), limbs, ends)
+    way = max(way, farthest(ends[..., at], now.person[..., at]).max(initial=0.0))
+    return Crowd((walk.put(at, held),), limbs, ends), way

@@ -63,7 +63,7 @@ class Rollout:
     @property
     def joints(self) -> Array:
         """See `Physics`."""
-        return self._now[:, self._scene.moving]
+        return self._now.take(self._scene.moving, axis=1)
 
     @property
     def course(self) -> Array:

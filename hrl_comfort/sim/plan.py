@@ -154,7 +154,7 @@ class Plan:
         index = np.minimum(times, self._sampler.horizon - 1).T
         noise = draw.noise[np.arange(self._rows), index]
         objects, kinds = rendered_positions(state, self._subtask), state.kinds.numpy()
-        standing = draw.layout(), objects, kinds, draw.points[:, : self._subtask.points]
+        standing = state.layout.numpy(), objects, kinds, draw.points[:, : self._subtask.points]
         for part in self._parts:
             part.begin_decision()
         points, crowd, waiting = [set_points(state)], self.people.now, list[Array]()
@@ -172,9 +172,10 @@ class Plan:
             crowd = self.people.step(noise[k], times[:, k], now)
             if self.drive is not None:
                 assert now is not None
-                point = self.drive.beside(point, now, crowd.ends)
+                point = self.drive.beside(point, now, crowd.ends, self.people.way)
             points.append(point)
-            self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
+            if self.tracker.active:
+                self.tracker.see(times[:, k] + 1, draw.frames, crowd.places, crowd.limbs)
             followed = self._servos.follow(targets)
             if self._gripping is not None and grips is not None:
                 grips.append(self._gripping.fingers.follow(grips[-1], command))
@@ -234,15 +235,20 @@ class Plan:
 
         They are `measured` at (N, K, P, 2) m, by default where they are.
         """
-        places, yaw, velocity = (
-            instants([getattr(crowd, name) for crowd in crowds]) for name in ("places", "yaw", "velocity")
-        )
+        everyone = [*zip(*(crowd.walks for crowd in crowds), strict=True)]
+
+        def of(name: str) -> Array:
+            each = [instants([getattr(walk, name) for walk in walks]) for walks in everyone]
+            return each[0][:, :, None] if len(each) == 1 else np.stack(each, axis=2)
+
+        places, yaw, velocity = of("position"), of("yaw"), of("velocity")
         measured = places if measured is None else measured
         seen = self.shown(measured)
         same = seen == measured
         whole = same[..., 0] & same[..., 1]
         return {
-            "humans_pos": places, "humans_yaw": yaw, "humans_vel": velocity, "humans_seen": seen, "humans_shown": whole,
+            "humans_pos": places, "humans_yaw": yaw, "humans_vel": velocity[..., :2], "humans_seen": seen,
+            "humans_shown": whole,
         }  # fmt: skip
 
     def stand(self, walk: humans.Walk, draw: Draw, values: Values) -> dict[str, NDArray[Any]]:
@@ -307,11 +313,8 @@ def capsules(ends: Array, radius: Array) -> Array:
 
 
 def instants(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return values (N, K, ...) of K instants from those (N, ...) of each; faster than `np.stack` on short arrays."""
-    values = np.empty((len(each[0]), len(each), *each[0].shape[1:]), each[0].dtype)
-    for index, value in enumerate(each):
-        values[:, index] = value
-    return values
+    """Return values (N, K, ...) of K instants from those (N, ...) of each, which lie one after the other in memory."""
+    return np.concatenate(each).reshape(len(each), *each[0].shape).swapaxes(0, 1)
 
 
 def set_points(state: State) -> SetPoints:

@@ -73,7 +73,7 @@ class Sensors:
         return fields
 
     def _read_all(self, readings: Array, planned: Planned, before: State, limbs: Array) -> Fields:
-        fields = self._read(readings[:, :, -1], planned, before.joint_home.numpy())
+        fields = self._read(np.ascontiguousarray(readings[:, :, -1]), planned, before.joint_home.numpy())
         fields |= self._contacts(readings, planned.limbs, before, limbs)
         if self._hand is None:
             return fields
@@ -89,12 +89,12 @@ class Sensors:
         fields = dict(planned.fields)
         fields |= {name: sensed[..., self._at[name]] for name in MEASURED}
         fields |= {name: self._felt(sensed, key) for name, key in COLLISIONS.items()}
-        resting = np.broadcast_to(home[:, None], fields["joint_pos"].shape)
-        for name, angles, measured in (
-            ("arm_distance", fields["joint_pos"], self._measure_arm),
-            ("home_distance", resting, self._measure_home),
-        ):
-            fields[name] = self._gap(angles, planned.limbs) if measured else np.full(sensed.shape[:2], np.nan)
+        fields["arm_distance"] = fields["home_distance"] = np.full(sensed.shape[:2], np.nan)
+        if self._measure_arm:
+            fields["arm_distance"] = self._gap(fields["joint_pos"], planned.limbs)
+        if self._measure_home:
+            resting = np.broadcast_to(home[:, None], fields["joint_pos"].shape)
+            fields["home_distance"] = self._gap(resting, planned.limbs)
         return fields
 
     def _felt(self, readings: Array, key: str) -> NDArray[np.bool_]:
@@ -115,7 +115,8 @@ class Sensors:
         """
         old = {"contact": before.contact.numpy(), "unsafe_contact": before.unsafe_contact.numpy()}
         felt = self._felt(readings, "human")
-        touching = reduce(np.logical_or, np.moveaxis(felt, 2, 0))  # over so few, reductions of numpy take long
+        # Over so few, reductions of numpy take long.
+        touching = reduce(np.logical_or, [felt[:, :, substep] for substep in range(felt.shape[2])])
         if touching.any():
             speed = self.approach(felt, readings, limbs, before, limbs_before)
             new = {"contact": touching, "unsafe_contact": speed > UNSAFE_SPEED_M_S}

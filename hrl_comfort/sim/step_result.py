@@ -179,8 +179,11 @@ def compute_step(rules: Rules, max_episode_steps: Tensor, before: State, moving:
     limits, task = max_episode_steps.numpy(), rules.subtask
     stages, failing, last, earned = rules.judged(before, moving, limits)
     moving = {**moving, "stage": stages}
-    rows = np.arange(len(last))
-    kept = {name: value[rows, last] for name, value in moving.items()}
+    rows, end = np.arange(len(last)), failing.shape[1] - 1
+    if (last == end).all():  # as a rule, of few rows
+        kept = {name: np.ascontiguousarray(value[:, end]) for name, value in moving.items()}
+    else:
+        kept = {name: value[rows, last] for name, value in moving.items()}
     ended, failed = before.with_(**tensors(kept)), failing[rows, last]
     finished = task.success(ended).numpy()
     terminated = (failed | finished) & (not task.repeats)

@@ -14,6 +14,7 @@ from hrl_comfort import humans
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans import body
+from hrl_comfort.humans.motions.kernels import social_force, strength
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
 from hrl_comfort.scene.human import limb_poses, walkers_limbs
@@ -96,3 +97,12 @@ def test_arms_that_reach(rows: int) -> None:
     for hands in (rng.normal(0, 1, (rows, 2, 3)) + body.SHOULDERS, np.tile(body.SHOULDERS, (rows, 1, 1)),
                   np.tile(body.HANGING, (rows, 1, 1))):  # fmt: skip
         same(*(body.reaching(each) for each in (hands, hands.view(Numpy))))
+
+
+def test_no_force_is_stronger_than_is_looked_up_first() -> None:
+    rng = np.random.default_rng(0)
+    scale = 10.0 ** rng.uniform(-10, 1, (20000, 2, 1))
+    scale[::7, 0] = 0.0  # at the place of the other
+    for (ax, ay), (bx, by) in scale * rng.normal(size=(20000, 2, 2)):
+        size = social_force(ax, ay, bx, by)[2]
+        assert size == 0.0 or np.log(size) < strength(ax, ay, bx, by)

@@ -18,6 +18,7 @@ from hrl_comfort.humans.retreat import RETREAT_STEPS
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.scripted import nearest_person, standing_limbs
 from hrl_comfort.safety.allowances import people_of
+from hrl_comfort.safety.geometry import farthest
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import scene_of
@@ -220,7 +221,9 @@ def test_who_touches_the_arm_stops_and_steps_back_alone() -> None:
         now = separation.encounter(angles, crowd.limbs)
         ahead = [walk.rows(np.array([0])) for walk in crowd.walks]
         ahead = [humans.Walk(**{**vars(walk), "position": walk.position - 0.01 * outwards}) for walk in ahead]
-        before, crowd = crowd, stop_at_contact(scene, separation, now, crowd, ahead)
+        before = crowd
+        crowd, way = stop_at_contact(scene, separation, now, before, ahead)
+        assert way >= farthest(crowd.ends, before.ends).max()
         if crowd.walks[1].retreat[0]:
             break
     assert crowd.walks[1].retreat[0] == RETREAT_STEPS and crowd.walks[0].retreat[0] == 0

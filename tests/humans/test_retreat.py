@@ -69,7 +69,7 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     now = separation.encounter(angles, limbs_of(scene, walk))
 
     def stopped(ahead: humans.Walk) -> tuple[humans.Walk, Encounter]:
-        crowd = stop_at_contact(scene, separation, now, engine.episodes.people.crowd([walk]), [ahead])
+        crowd, _ = stop_at_contact(scene, separation, now, engine.episodes.people.crowd([walk]), [ahead])
         return crowd.walks[0], separation.encounter(angles, crowd.limbs)
 
     for _ in range(50):

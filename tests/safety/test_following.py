@@ -14,6 +14,7 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.drive import Drive, SetPoints, rating_of
+from hrl_comfort.safety.geometry import farthest
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.safety.shield import LAGS, SERVO_SHARE
 from hrl_comfort.scene.human import limb_poses
@@ -145,7 +146,8 @@ def test_people_who_come_nearer_faster_than_the_shield_assumes_are_counted(away_
     before, after = (limb_poses(np.full(1, x), 0.0, 0.0, 0.0, 0.0, scene.floor_z) for x in (1.0, 1.0 + away_m))
     still = np.zeros((1, len(scene.home)))
     points = SetPoints.unshielded(still, still, np.zeros(1, dtype=np.int64))
-    counted = drive.beside(points, separation.encounter(scene.home[None], before), separation.person.ends(after))
+    now, ends = separation.encounter(scene.home[None], before), separation.person.ends(after)
+    counted = drive.beside(points, now, ends, farthest(ends, now.person).max())
     assert bool(counted.human_beyond_bound[0]) == some
 
 

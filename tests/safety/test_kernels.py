@@ -108,7 +108,9 @@ def test_whom_people_meet_and_come_nearer_to(separation: Separation, rows: int) 
     then, way = gaps(arm, now.pose.ends, person, ends), farthest(ends, now.person)
     given = now.pose.ends, now.apart, now.person, ends, arm.radius, person.radius
     met = np.where(now.apart.min(axis=0) <= way, then.min(axis=0), np.inf)
-    np.testing.assert_array_equal(kernels.met(*given), met)
+    gap, touching, most_m = kernels.met(*given)
+    np.testing.assert_array_equal(gap, met)
+    assert touching == (met <= 0.0).any() and most_m == way.max()
     for most in (0.0, 0.05, 0.1, 0.2):
         nearer = (way > most) & ((now.apart - then).max(axis=0) > most)
         np.testing.assert_array_equal(kernels.approached(*given, most), nearer)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +12,11 @@ from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.humans.motions.adversary import adversary
-from hrl_comfort.humans.motions.kernels import COMPILED, propose
 from hrl_comfort.humans.motions.live import live
 from hrl_comfort.humans.motions.moves import NUMBERS
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import recorded
+from hrl_comfort.humans.motions.step import COMPILED, propose
 from hrl_comfort.humans.motions.still import still
 from hrl_comfort.humans.recordings import bounds as recorded_bounds
 from hrl_comfort.humans.recordings import read_recordings
@@ -26,27 +27,27 @@ class Compiled:
     """The motions of COMPILED of some people, each of whom draws one of `members`; those who draw another stay."""
 
     def __init__(self, members: Sequence[HumanConfig]) -> None:
-        self._kinds = np.array([KINDS.get(each.motion, -1) for each in members])
+        kinds = np.array([KINDS.get(each.motion, -1) for each in members])
         numbers = [[getattr(each, name) for name in NUMBERS] for each in members]
-        self._numbers = np.array(numbers, dtype=np.float64)
-        self.any = bool((self._kinds >= 0).any())
+        self.motions = kinds, np.array(numbers, dtype=np.float64)
+        """Their kinds (M,) and numbers (M, NUMBERS), as kernels take them."""
         self._answers = any(each.motion == "reactive" for each in members)
 
-    def __call__(self, walk: Walk, noise: Array, around: Surroundings) -> tuple[Array, Array, Array, Array]:
-        """Return places (n, 2) m, yaws (n,) rad, limbs and memories, as `Walk`, of people after a control step."""
-        if not self.any:
-            return walk.position.copy(), walk.yaw.copy(), walk.limbs.copy(), walk.memory.copy()
-        discs = around.keep_out
-        points, moving = around.arm() if self._answers else (np.empty((len(noise), 0, 3)),) * 2
-        moved = contiguous(*vars(walk).values())
-        beside = contiguous(noise, around.tcp, discs.centres)
-        arm = contiguous(around.stations, points, moving)
-        return propose(self._kinds, self._numbers, *moved, *beside, float(discs.radius_m), *arm)
+    def beside(self, walk: Walk, noise: Array, around: Surroundings) -> tuple[Any, ...]:
+        """Return noise and what people see as kernels take it; the arm alone if somebody answers it, or retreats."""
+        discs, nothing = around.keep_out, np.empty((len(noise), 0, 3))
+        points, moving = around.arm() if self._answers or walk.retreat.any() else (nothing, nothing)
+        seen = contiguous(noise, around.tcp, discs.centres, around.stations, points, moving)
+        return *seen[:3], float(discs.radius_m), *seen[3:]
 
 
 def compiled(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings) -> Stride:
     """Return the stride of people who all move as `config` says, by one of COMPILED."""
-    return Stride(*Compiled([config])(walk, noise, around))
+    motions = Compiled([config])
+    proposed = walk.proposed()
+    moved = contiguous(walk.position, walk.yaw, walk.spawn, walk.step, walk.velocity, walk.traits)
+    propose(*motions.motions, *proposed, *moved, *motions.beside(walk, noise, around))
+    return Stride(*proposed)
 
 
 KINDS = {name: kind for kind, name in enumerate(COMPILED)}

@@ -38,8 +38,6 @@ from hrl_comfort.humans.motions.moves import (
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Place = tuple[float, float, float]
-COMPILED = ("random_walk", "arc", "approach", "patrol", "worker", "reactive", "fetcher")
-"""Motions by their kind in `propose`."""
 EPSILON = 1e-9
 NEAR_STATION_M, NEAR_TABLE_M, NEAR_GOAL_M = 0.02, 0.05, 0.1
 """Distances at which `patrol`, `worker` and `reactive` have reached a station."""
@@ -231,10 +229,23 @@ def fetcher(
 
 
 @kernel
-def social_force(
-    apart_x: float, apart_y: float, approach_x: float, approach_y: float, least: float
-) -> tuple[float, float, float]:
-    """Return the acceleration, m/s², by which a person avoids something, and its size; 0 if less than e^`least`.
+def strength(apart_x: float, apart_y: float, approach_x: float, approach_y: float) -> float:
+    """Return the logarithm of more than the size of `social_force`, of the same arguments.
+
+    Both its parts shrink with the square of an angle, which is not smaller than the chord of its arc.
+    """
+    far = math.sqrt(apart_x * apart_x + apart_y * apart_y)
+    distance = max(far, 1e-9)
+    away_x, away_y = apart_x / distance, apart_y / distance
+    x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
+    size = max(math.sqrt(x * x + y * y), 1e-9)
+    reach, chord_squared = RANGE * size, 2 * (far / distance - (away_x * x + away_y * y) / size)
+    return LARGEST - distance / reach - SHARP * SHARP * reach * reach * chord_squared
+
+
+@kernel
+def social_force(apart_x: float, apart_y: float, approach_x: float, approach_y: float) -> tuple[float, float, float]:
+    """Return the acceleration, m/s², by which a person avoids something, and its size.
 
     `apart` m leads from it to the person, `approach` m/s is the person's velocity less its own (Moussaïd et al. 2009,
     equations 3 to 6).
@@ -243,10 +254,7 @@ def social_force(
     away_x, away_y = apart_x / distance, apart_y / distance
     x, y = away_x - IMPORTANCE * approach_x, away_y - IMPORTANCE * approach_y
     size = max(math.sqrt(x * x + y * y), 1e-9)
-    reach = RANGE * size
-    if LARGEST - distance / reach < least:
-        return 0.0, 0.0, 0.0
-    along_x, along_y = x / size, y / size
+    reach, along_x, along_y = RANGE * size, x / size, y / size
     theta = (math.atan2(along_y, along_x) - math.atan2(away_y, away_x) + math.pi) % FULL_TURN - math.pi
     slow, fast = SHARPER * reach * theta, SHARP * reach * theta
     braking = math.exp(-distance / reach - slow * slow)
@@ -284,56 +292,25 @@ def reactive(
     curious = max(2 * of[CURIOSITY] - 1, 0.0)
     wx, wy = wx + curious * (look_x - wx), wy + curious * (look_y - wy)
 
-    vx, vy, rx, ry, strongest, least = who[3], who[4], 0.0, 0.0, 0.0, -np.inf
+    vx, vy, most, nearest, rx, ry, strongest = who[3], who[4], -np.inf, 0, 0.0, 0.0, 0.0
     for index in range(len(points)):
-        fx, fy, size = social_force(
-            x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1], least
-        )
+        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
+        bound = strength(ax, ay, bx, by)
+        if bound > most:
+            nearest, most = index, bound
+    ax, ay, bx, by = x - points[nearest, 0], y - points[nearest, 1], vx - moving[nearest, 0], vy - moving[nearest, 1]
+    size = social_force(ax, ay, bx, by)[2]
+    least = math.log(size) if size > 0 else -np.inf
+    for index in range(len(points)):
+        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
+        if strength(ax, ay, bx, by) < least:
+            continue
+        fx, fy, size = social_force(ax, ay, bx, by)
         if size > strongest:
-            rx, ry, strongest, least = fx, fy, size, math.log(size)
+            rx, ry, strongest = fx, fy, size
     afraid = 2 * (1 - of[CURIOSITY])
     fx, fy = (wx - vx) / RELAXATION_S + rx * afraid, (wy - vy) / RELAXATION_S + ry * afraid
     there_x, there_y = walking(who, of, vx + fx * CONTROL_STEP_S, vy + fy * CONTROL_STEP_S, discs, radius_m)
     going = math.sqrt(wx * wx + wy * wy) > 0.1
     heading = math.atan2(wy, wx) if going else math.atan2(tool_y, tool_x)
     return there_x, there_y, turned(yaw, who[5], heading)
-
-
-@kernel
-def propose(
-    kinds: Ints, numbers: Array, position: Array, yaw: Array, spawn: Array, walked_m: Array, speed_m_s: Array,
-    steps: Ints, velocity: Array, limbs: Array, memory: Array, traits: Array, retreat: Ints, noise: Array, tcp: Array,
-    discs: Array, radius_m: float, stations: Array, points: Array, moving: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return the places, yaws, limbs and memories that people's motions propose for the end of a control step.
-
-    Each draws one of the motions of `kinds`, indices of COMPILED, with their `numbers`; those of another kind stay.
-    From `position` to `retreat` these are the fields of `Walk`.
-    """
-    n, who = len(yaw), np.empty(10)
-    there, facing, bent, kept = np.empty((n, 2)), np.empty(n), limbs.copy(), memory.copy()
-    for m in range(n):
-        who[0], who[1], who[2], who[8], who[9] = position[m, 0], position[m, 1], yaw[m], traits[m, 1], traits[m, 2]
-        who[3], who[4], who[5] = velocity[m, 0], velocity[m, 1], velocity[m, 2]
-        who[6], who[7] = spawn[m, 0], spawn[m, 1]
-        index = int(traits[m, 0] * len(kinds))
-        kind, of, mine = kinds[index], numbers[index], kept[m]
-        x, y, heading = who[0], who[1], who[2]
-        if kind == 0:
-            x, y, heading = random_walk(who, of, noise[m])
-        elif kind == 1:
-            x, y, heading = arc(who, of, noise[m], steps[m])
-        elif kind == 2:
-            x, y, heading = approach(who, of, tcp[m])
-        elif kind == 3:
-            x, y, heading = patrol(who, of, mine, noise[m], stations[m], discs[m], radius_m)
-        elif kind == 4:
-            x, y, heading = worker(who, of, mine, bent[m], noise[m], stations[m], discs[m], radius_m)
-        elif kind == 5:
-            x, y, heading = reactive(
-                who, of, mine, steps[m] == 0, noise[m], stations[m], discs[m], radius_m, tcp[m], points[m], moving[m]
-            )
-        elif kind == 6:
-            x, y, heading = fetcher(who, of, mine, bent[m], noise[m], stations[m], discs[m], radius_m)
-        there[m, 0], there[m, 1], facing[m] = x, y, heading
-    return there, facing, bent, kept

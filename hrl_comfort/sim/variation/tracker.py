@@ -55,8 +55,6 @@ class Tracker:
 
         Two at most are lost in a row.
         """
-        if not self.active:
-            return
         passed = steps * CONTROL_STEP_S * self._rate_hz + self._phase
         before = (steps - 1) * CONTROL_STEP_S * self._rate_hz + self._phase
         due = np.floor(passed) > np.floor(before)
