@@ -54,7 +54,7 @@ def test_generated_pages_are_those_of_the_code() -> None:
         ("eval/episodes.csv", EPISODES),
         ("metrics.csv", MetricsLog(Path(), ("NAME",), SAC.terms, config=None).columns),
         ("timing.csv", TIMING),
-        ("meta_controller_metrics.csv", OptionsLog(Path()).columns),
+        ("meta_controller_metrics.csv", OptionsLog(Path(), ["NAME"]).columns),
         ("handover.csv", handover.HANDOVER),
         ("handover_episodes.csv", handover.SINGLE),
         ("seams.csv", handover.FAR_OBSERVATIONS),

@@ -18,6 +18,7 @@ class DiscreteSAC(ReplayLearner):
 
     Keys = DiscreteSACKeys
     own: DiscreteSACKeys
+    quantity = "probability"
     copies = 15  # an actor, its average, two critics, their targets; gradients and two moments of those that learn
     losses = ("loss_actor", "loss_qvalue", "loss_alpha")
 

@@ -23,6 +23,7 @@ class PPO(OptionLearner):
 
     Keys = PPOKeys
     own: PPOKeys
+    quantity = "probability"
     copies = 9  # an actor, its average, a critic; gradients and two moments of both
 
     def __init__(self, *given: Any) -> None:

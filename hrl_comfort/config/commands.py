@@ -25,8 +25,8 @@ GRASP_SUBSTEPS = 4
 PICK_AND_PLACE = ("pick_place", "cycle", *SORTING)
 """Tasks that pick an object and then place it."""
 FIGURES = (
-    "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "controllers", "divisions",
-    "handover",
+    "levels", "speed", "plane", "paths", "people", "jump", "timeline", "chain", "options", "controllers",
+    "divisions", "handover",
 )  # fmt: skip
 
 

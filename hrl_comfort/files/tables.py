@@ -59,7 +59,7 @@ KNOWN: dict[str, dict[str, str]] = {
     | dict.fromkeys(("seen", "contact", "unsafe_contact", "truncated", "object_lost", "diverged"), "bool?"),
     "checkpoints": OF_CHECKPOINTS,
     "grid": OF_CHECKPOINTS,
-    "options": {"comfort_level": "int?"},
+    "options": {"comfort_level": "int?", "cause": "text?"},
 }
 """Columns of a kind of their own that may be absent; all others are `float?`."""
 MOST_CELLS = 5 * 10**7

@@ -40,7 +40,8 @@ def make_executor(
         table, retries = _chain(config, engine, seed), meta_controller.retries
     executor = OptionExecutor(table, episodes, retries)
     if meta_controller.name == ORACLE:
-        return executor, Top(ORACLE, Oracle(engine, executor), together=True)
+        oracle = Oracle(engine, executor)
+        return executor, Top(ORACLE, oracle, together=True, values=oracle.values)
     return executor, make_top(config, table, seed)
 
 

@@ -15,6 +15,8 @@ from hrl_comfort.hierarchy.options import OptionTable
 from hrl_comfort.tasks import State
 
 KEY = "meta_controller.name"
+VALUE, PROBABILITY = "value", "probability"
+"""Quantities of an option that a top may give."""
 
 
 @dataclass(frozen=True)
@@ -55,17 +57,45 @@ class Top:
       choose: its choices; a sequence or an array does as well as a tensor.
       begin: called with the rows (N,) bool in which an episode begins.
       together: it is slow, and asked only once every cell is to decide; until then those that are stand still in time.
+      values: what it thinks of each option, (N, K) numbers; None: it does not say.
+      quantity: what these numbers are, such as VALUE or PROBABILITY.
     """
 
     def __init__(
-        self, name: str, choose: Choose, begin: Callable[[Tensor], object] | None = None, together: bool = False
+        self,
+        name: str,
+        choose: Choose,
+        begin: Callable[[Tensor], object] | None = None,
+        together: bool = False,
+        values: Callable[[Decision], Tensor] | None = None,
+        quantity: str = VALUE,
     ) -> None:
         self.name, self._choose, self._begin, self.together = name, choose, begin, together
+        self._values, self.quantity = values, quantity
 
     def begin(self, rows: Tensor) -> None:
         """Let episodes begin in `rows` (N,) bool."""
         if self._begin is not None:
             self._begin(rows)
+
+    def values(self, decision: Decision) -> Tensor | None:
+        """Return what the top thinks of the options, (N, K) float64; None where it does not say.
+
+        Raises:
+          ConfigError: they are not N times K numbers.
+        """
+        if self._values is None:
+            return None
+        rows, count = decision.mask.shape
+        found = self._values(decision)
+        try:
+            values = torch.as_tensor(found, dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):
+            values = torch.empty(0)
+        if values.shape != (rows, count):
+            what = f"shape {tuple(values.shape)}" if values.numel() else type(found).__name__
+            raise ConfigError(f"{KEY}={self.name!r}: values returned {what}; it must return {rows} x {count} numbers")
+        return values
 
     def __call__(self, decision: Decision) -> Tensor:
         """Return the choices (N,) int64; those of rows that do not decide are arbitrary.

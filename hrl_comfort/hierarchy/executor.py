@@ -13,7 +13,7 @@ from torch import Tensor
 from hrl_comfort.comfort.adapt import max_episode_steps
 from hrl_comfort.files.versions import EXECUTOR, renamed
 from hrl_comfort.hierarchy.decision import Decision, Top
-from hrl_comfort.hierarchy.options import NONE, Begun, OptionTable, Termination
+from hrl_comfort.hierarchy.options import NONE, OF_FAILURES, Begun, Cause, OptionTable, Termination
 from hrl_comfort.policies.draws import OF_ENDS, uniform
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.episodes import Episodes
@@ -23,6 +23,8 @@ from hrl_comfort.tasks import State
 TERMINATIONS = tuple(Termination)
 """Meaning of the numbers in `EndedOptions.termination`."""
 _SUCCESS, _FAILURE, _PREEMPTED = range(len(TERMINATIONS))
+CAUSES = tuple(Cause)
+"""Meaning of the numbers in `EndedOptions.cause`."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class EndedOptions:
     """(N,) bool, the option has ended."""
     termination: Tensor
     """(N,) int64, index into TERMINATIONS; 0 where the option has not ended."""
+    cause: Tensor
+    """(N,) int64, index into CAUSES; 0 where the option has not ended."""
     given_up: Tensor
     """(N,) bool, an option ran out of time once more than `retries` allows: the episode is over."""
 
@@ -47,6 +51,7 @@ class OptionRun:
     start_step: int
     end_step: int
     termination: str
+    cause: str
     regret: float | None = None
     """By how much the value of the best option was higher when it was chosen (`oracle`); None where nobody judged."""
 
@@ -178,7 +183,21 @@ class OptionExecutor:
         given_up = torch.zeros_like(ended)
         if self.retries is not None:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
-        return EndedOptions(ended, torch.where(ended, termination, 0), given_up)
+        cause = self._causes(result, termination, lost, late)
+        return EndedOptions(ended, torch.where(ended, termination, 0), torch.where(ended, cause, 0), given_up)
+
+    def _causes(self, result: StepResult, termination: Tensor, lost: Tensor, late: Tensor) -> Tensor:
+        """Return indices into CAUSES (N,) of options that end so, `late` at their limit, their object `lost`."""
+        failed, preempted = termination == _FAILURE, termination == _PREEMPTED
+        holds = [(preempted, Cause.EPISODE_OVER), (preempted & late, Cause.TIME_LIMIT)]
+        holds += [(preempted & lost, Cause.OBJECT_LOST), (failed, Cause.OTHER_FAILURE)]
+        if bool(failed.any()):
+            names = reversed(self._episodes.subtask.failures)
+            holds += [(failed & result.begun(name), OF_FAILURES.get(name, Cause.OTHER_FAILURE)) for name in names]
+        found = torch.full_like(self.option, CAUSES.index(Cause.DONE))
+        for rows, cause in holds:
+            found[rows] = CAUSES.index(cause)
+        return found
 
     @contextmanager
     def held(self, rows: Tensor) -> Iterator[None]:
@@ -204,6 +223,7 @@ class OptionExecutor:
             int(self.started[row]),
             end_step,
             TERMINATIONS[int(ended.termination[row])].value,
+            CAUSES[int(ended.cause[row])].value,
         )
 
 

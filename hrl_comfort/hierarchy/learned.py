@@ -10,13 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.learners import make_learner
+from hrl_comfort.agents.learners import TOPS, make_learner
 from hrl_comfort.agents.options import make_network
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import section
 from hrl_comfort.config.hierarchy import TOP_LEARNERS, MetaControllerAgentConfig
 from hrl_comfort.files.versions import CONTROLLER, renamed
-from hrl_comfort.hierarchy.decision import Choose, Decision
+from hrl_comfort.hierarchy.decision import PROBABILITY, Decision
 from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
@@ -48,7 +48,31 @@ def choice_file(source: Path) -> Path:
     return source / "meta_controller.pt" if source.is_dir() else source
 
 
-def load_choice(source: str, levels: int, options: list[str], max_waits: int | None = None) -> Choose:
+class Learned:
+    """The top that chooses the option of highest score by `network`, from observations of `layout` at `levels`.
+
+    `quantity` is what the scores are: logits where it is PROBABILITY.
+    """
+
+    def __init__(self, network: nn.Module, levels: int, layout: str, quantity: str) -> None:
+        self._network, self._levels, self._layout, self.quantity = network, levels, layout, quantity
+
+    def __call__(self, decision: Decision) -> Tensor:
+        """Return the options (N,) of highest score."""
+        return self._scores(decision).argmax(dim=1)
+
+    def values(self, decision: Decision) -> Tensor:
+        """Return the values or probabilities (N, K) of the options."""
+        scores = self._scores(decision)
+        return scores.softmax(dim=1) if self.quantity == PROBABILITY else scores
+
+    @torch.no_grad()
+    def _scores(self, decision: Decision) -> Tensor:
+        scores: Tensor = self._network(meta_observation(decision.state, self._levels, self._layout).float())
+        return scores.masked_fill(~decision.mask, -torch.inf)
+
+
+def load_choice(source: str, levels: int, options: list[str], max_waits: int | None = None) -> Learned:
     """Return the trained meta-controller in `source`, a run folder or a meta_controller.pt.
 
     Raises:
@@ -88,13 +112,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
     if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
         raise ConfigError(f"{key} is damaged: its weights are not all finite numbers")
     network.float()
-
-    @torch.no_grad()
-    def choose(decision: Decision) -> Tensor:
-        scores: Tensor = network(meta_observation(decision.state, levels, layout).float())
-        return scores.masked_fill(~decision.mask, -torch.inf).argmax(1)
-
-    return choose
+    learner = spec.get("learner", "dqn")
+    return Learned(network, levels, layout, TOPS[learner].quantity if learner in TOPS else "score")
 
 
 def _network(key: str, spec: dict[str, Any], weights: dict[str, Tensor], options: int) -> nn.Module:

@@ -31,6 +31,33 @@ class Termination(Enum):
     PREEMPTED = "preempted"
 
 
+class Cause(Enum):
+    """Reasons for which an option ends."""
+
+    DONE = "done"
+    """Its own termination, or the end of the task."""
+    UNSAFE_CONTACT = "unsafe contact"
+    CONTACT = "contact"
+    HIT_TABLE = "hit table"
+    SELF_COLLISION = "self-collision"
+    OBJECT_LOST = "object lost"
+    OTHER_FAILURE = "other failure"
+    """Of a user's own task."""
+    TIME_LIMIT = "time limit"
+    """Its own, not that of the episode."""
+    EPISODE_OVER = "episode over"
+
+
+OF_FAILURES = {
+    "unsafe_contact": Cause.UNSAFE_CONTACT,
+    "contact": Cause.CONTACT,
+    "table_collision": Cause.HIT_TABLE,
+    "self_collision": Cause.SELF_COLLISION,
+    "object_lost": Cause.OBJECT_LOST,
+}
+"""Causes by the names of `Subtask.failures`."""
+
+
 @dataclass(frozen=True)
 class Begun:
     """Beginnings of the options in force, (N,) int64 each."""

@@ -24,6 +24,8 @@ class Oracle:
 
     def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
         self._engine, self._executor = engine, executor
+        self._latest: tuple[Decision, Tensor] | None = None
+        """The decision judged last, and its values: they take long."""
 
     def __call__(self, decision: Decision) -> Tensor:
         """Return the options (N,) of highest value."""
@@ -34,6 +36,12 @@ class Oracle:
 
         Elsewhere they are 0 for options that can start.
         """
+        if self._latest is None or self._latest[0] is not decision:
+            self._latest = decision, self._tried(decision)
+        return self._latest[1]
+
+    def _tried(self, decision: Decision) -> Tensor:
+        """Return the values as `values` does, from copies of the cells."""
         values = torch.zeros(decision.mask.shape, dtype=torch.float64).masked_fill(~decision.mask, -torch.inf)
         several = decision.deciding & (decision.mask.sum(dim=1) > 1)
         rows, tried = torch.nonzero(decision.mask & several[:, None]).unbind(dim=1)

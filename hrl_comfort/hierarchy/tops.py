@@ -12,7 +12,7 @@ from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import TOPS as NAMES
-from hrl_comfort.hierarchy.decision import KEY, Choose, Decision, Top
+from hrl_comfort.hierarchy.decision import KEY, VALUE, Choose, Decision, Top
 from hrl_comfort.hierarchy.options import NONE, OptionTable
 from hrl_comfort.policies.draws import OF_TOPS, uniform
 
@@ -38,16 +38,23 @@ def make_top(config: EvaluateConfig, table: OptionTable, seed: int) -> Top:
     """
     name = config.meta_controller.name
     if name in TOPS:
-        return Top(name, TOPS[name](config, table, seed))
+        return _top(name, TOPS[name](config, table, seed))
     found: Any = part(KEY, name, TOPS)
     try:
         found = found() if isinstance(found, type) else found
     except TypeError as error:
         raise ConfigError(f"{KEY}={name!r} is a class that cannot be made without arguments: {error}") from error
+    return _top(name, found)
+
+
+def _top(name: str, found: Any) -> Top:
+    """Return a callable, or what has `choose`, as a top; `begin`, `values` and `quantity` of it are optional."""
     choose = getattr(found, "choose", found)
     if not callable(choose):
         raise ConfigError(f"{KEY}={name!r} is of type {type(found).__name__}; it must be callable or have choose")
-    return Top(name, choose, getattr(found, "begin", None))
+    values, quantity = getattr(found, "values", None), getattr(found, "quantity", VALUE)
+    told = values if callable(values) else None
+    return Top(name, choose, getattr(found, "begin", None), values=told, quantity=quantity)
 
 
 def in_order(decision: Decision) -> Tensor:

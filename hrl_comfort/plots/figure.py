@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from pandas import DataFrame
 from rich.console import Console
 
-from hrl_comfort.analysis import comparison, level_change, tables
+from hrl_comfort.analysis import comparison, level_change, option_use, tables
 from hrl_comfort.analysis import handover as handovers
 from hrl_comfort.analysis.comfort import DISTANCE, SPEED, STEPS, common, of_spawns, paired, summarise
 from hrl_comfort.analysis.episodes import chain_lengths
@@ -22,6 +22,7 @@ from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.output import output_file
 from hrl_comfort.files.run_folder import Run, read_run
 from hrl_comfort.plots import hierarchy, levels, paths
+from hrl_comfort.plots.option_use import option_use as options_drawn
 from hrl_comfort.plots.style import save_png
 
 Groups = Mapping[str, Sequence[Run]]
@@ -134,20 +135,30 @@ def _timeline(config: FigureConfig, groups: Groups) -> Drawn:
     return hierarchy.timeline(_options(runs[0]), config.episodes), {}
 
 
-def _chain(config: FigureConfig, groups: Groups) -> Drawn:
-    def pooled(frames: Iterable[DataFrame]) -> DataFrame:
-        """Return the rows of several evaluations; an episode's number tells which of them it belongs to."""
-        return pd.concat(
-            frame.assign(episode=f"{i}/" + frame["episode"].astype("str")) for i, frame in enumerate(frames)
-        )
+def _pooled(runs: Sequence[Run]) -> tuple[DataFrame, DataFrame]:
+    """Return episodes and options of several evaluations; an episode's number tells which of them it belongs to."""
+    named = [
+        [frame.assign(episode=f"{i}/" + frame["episode"].astype("str")) for frame in (run.episodes, _options(run))]
+        for i, run in enumerate(runs)
+        if run.episodes is not None
+    ]
+    episodes, options = (pd.concat(frames, ignore_index=True) for frames in zip(*named, strict=True))
+    return episodes, options
 
-    numbers = {
-        label: chain_lengths(
-            pooled(run.episodes for run in runs if run.episodes is not None), pooled(_options(run) for run in runs)
-        )
-        for label, runs in groups.items()
-    }
+
+def _chain(config: FigureConfig, groups: Groups) -> Drawn:
+    numbers = {label: chain_lengths(*_pooled(runs)) for label, runs in groups.items()}
     return hierarchy.chain(numbers), dict(numbers)
+
+
+def _option_use(config: FigureConfig, groups: Groups) -> Drawn:
+    for run in _everything(groups):
+        if "cause" not in _options(run):
+            raise ConfigError(f"{run.folder} does not say why its options ended; evaluate again with --overwrite")
+    pools = {label: _pooled(runs) for label, runs in groups.items()}
+    options = {label: option_use.with_kinds(of) for label, (_, of) in pools.items()}
+    numbers = {label: option_use.summarise(pools[label][0], each) for label, each in options.items()}
+    return options_drawn(options), numbers
 
 
 def _comparison(config: FigureConfig, groups: Groups) -> Drawn:
@@ -169,12 +180,14 @@ _KINDS: dict[str, Callable[[FigureConfig, Groups], Drawn]] = {
     "jump": _jump,
     "timeline": _timeline,
     "chain": _chain,
+    "options": _option_use,
     "controllers": _comparison,
     "divisions": _comparison,
 }
 KINDS = implemented(tuple(name for name in FIGURES if name != "handover"), _KINDS)
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "levels": tables.levels,
+    "options": option_use.table,
     "controllers": comparison.table,
     "divisions": comparison.table,
     "handover": handovers.table,

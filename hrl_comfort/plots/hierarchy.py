@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -16,13 +16,12 @@ from pandas import DataFrame
 from hrl_comfort.analysis.comparison import QUANTITIES
 from hrl_comfort.analysis.episodes import PICK, kind_of
 from hrl_comfort.analysis.handover import STARTS
+from hrl_comfort.analysis.option_use import KINDS
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.plots.style import BLACK, BLUE, CYCLE, around, of_estimates, points, styled
 
 SHOWN_TIMELINES = 12
 """Episodes of an option timeline, where none are named."""
-KINDS = ("pick", "place", "return", "retreat", "wait")
-"""Kinds of options, in the order of their colours; the same in every timeline."""
 MARKS = {"failure": "X", "preempted": "D"}
 """Marks of options that did not succeed."""
 
@@ -43,7 +42,7 @@ def timeline(options: DataFrame, episodes: Sequence[int] = ()) -> Figure:
         raise ConfigError(f"episodes={episodes}: options.csv has no episode {min(missing)}")
     options = options[options["episode"].isin(episodes)]
     kinds = options["option"].map(kind_of)
-    colours = dict(zip(dict.fromkeys([*KINDS, *kinds]), cycle(CYCLE), strict=False))
+    colours = colours_of(kinds)
     with styled():
         figure = Figure(figsize=(10.2, 1.3 + 0.24 * len(episodes)))
         axis = figure.subplots()
@@ -67,6 +66,11 @@ def timeline(options: DataFrame, episodes: Sequence[int] = ()) -> Figure:
         handles += [Line2D([], [], marker=marker, label=end, **mark) for end, marker in MARKS.items() if end in ends]
         figure.legend(handles=handles, loc="outside right upper")
         return figure
+
+
+def colours_of(kinds: Iterable[str]) -> dict[str, str]:
+    """Return the colour of each kind of option; those of KINDS have the same in every figure."""
+    return dict(zip(dict.fromkeys([*KINDS, *kinds]), cycle(CYCLE), strict=False))
 
 
 def chain(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:

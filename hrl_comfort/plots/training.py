@@ -11,10 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from pandas import DataFrame
 
 from hrl_comfort.analysis.learning_curve import curve_of
+from hrl_comfort.analysis.option_use import shares_by_kind
 from hrl_comfort.files.tables import Floats, column
+from hrl_comfort.plots.hierarchy import colours_of
 from hrl_comfort.plots.style import (
     BLACK,
     BLUE,
@@ -101,6 +104,26 @@ def over_training(tables: Mapping[str, DataFrame], rows: Sequence[tuple[str, str
             _stages(below, table)
         for axis, (_, label, _) in zip(axes[:, 0], rows, strict=True):
             axis.set_ylabel(label)
+        return figure
+
+
+def option_shares(tables: Mapping[str, DataFrame]) -> Figure:
+    """Draw by run the share of time of each kind of option, columns share/NAME of its log, over its training."""
+    shares = {name: shares_by_kind(table) for name, table in tables.items()}
+    colours = colours_of(kind for each in shares.values() for kind in each)
+    with styled():
+        figure, axes = panels(len(tables), (1,), 2.4)
+        for (name, each), axis in zip(shares.items(), axes[0], strict=True):
+            x = _thousands(tables[name])
+            bounds = np.concatenate([[0.0], x])
+            below = np.zeros_like(x)
+            for kind, share in each.items():
+                axis.stairs(below + 100 * share, bounds, baseline=below, fill=True, color=colours[kind])
+                below = below + 100 * share
+            axis.set(title=name, xlabel="options (thousands)", ylim=(0, 100), xlim=(0, x[-1]))
+        axes[0, 0].set_ylabel("time in the option (%)")
+        drawn = dict.fromkeys(kind for kind in colours if any(kind in each for each in shares.values()))
+        figure.legend(handles=[Patch(color=colours[kind], label=kind) for kind in drawn], loc="outside right upper")
         return figure
 
 

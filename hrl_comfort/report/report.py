@@ -20,6 +20,7 @@ from rich.console import Console
 
 from hrl_comfort.analysis.episodes import TERMINATIONS, terminations
 from hrl_comfort.analysis.learning_curve import POLICY, curve_of
+from hrl_comfort.analysis.option_use import shares_by_kind
 from hrl_comfort.analysis.summary import KEYS, with_totals
 from hrl_comfort.analysis.tables import HEADLINE, SHOWN, SPAWNS, cell, cells, of_groups
 from hrl_comfort.config import ReportConfig
@@ -90,6 +91,8 @@ def _curves(runs: Sequence[Run]) -> dict[str, str]:
         figures["diagnostics"] = training.over_training(policies, training.DIAGNOSTICS)
     if controllers:
         figures["controllers"] = training.over_training(controllers, training.CONTROLLER)
+    if shares := {name: log for name, log in controllers.items() if shares_by_kind(log)}:
+        figures["options"] = training.option_shares(shares)
     if checkpoints:
         figures["checkpoints"] = training.by_checkpoint(checkpoints)
     return {name: data_uri(figure) for name, figure in figures.items()}

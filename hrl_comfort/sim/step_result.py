@@ -71,6 +71,12 @@ class StepResult:
         """(N, K) bool, the control steps this decision took."""
         return torch.arange(self.step_rewards.shape[1]) < self.decision_steps[:, None]
 
+    def begun(self, name: str) -> Tensor:
+        """Return (N,) bool: the truth `name` of the state began in the last control step of the decision."""
+        after, before = self.moving[name], getattr(self.before, name).numpy()
+        rows, last = np.arange(len(after)), self.decision_steps.numpy() - 1
+        return torch.from_numpy(after[rows, last] & ~np.where(last > 0, after[rows, last - 1], before))
+
     @property
     def level(self) -> Tensor:
         """(N,) comfort level in force, NaN without one; `state.level` is the next decision's."""

@@ -12,6 +12,7 @@ import viser
 from hrl_comfort import humans
 from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import CONTROL_STEP_S, ConfigError
+from hrl_comfort.hierarchy.decision import PROBABILITY
 from hrl_comfort.humans.steering import CARRYING
 from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.page import add_slider, by_viewer
@@ -32,6 +33,8 @@ STOPPED_SHARE = 0.005
 """Share of the speed below which the readout calls the arm stopped; it is shown as 0 %."""
 LOWEST, HIGHEST = "keep away, go slowly", "at ease"
 """Meaning of the lowest and the highest comfort level."""
+SHOWN_VALUES = 8
+"""Options whose values the readout shows: the best, and the one in force."""
 NO_LEVEL = "These policies have no comfort level."
 HELP = Markup("Drag the person, or walk with <b>W A S D</b> and turn with <b>Q E</b>. Drag elsewhere to look around.")
 PLAIN: Any = "gray"
@@ -273,6 +276,7 @@ class Panel(Watcher):
         if self._outcomes:
             rows.append(("last episode", [self._outcomes.get(cell, "") for cell in range(len(sessions))]))
         lines.append(columns(rows, len(sessions)))
+        lines += [columns(option_values(each), 1) for each in sessions if each.values]
         if not self._loop.running:
             lines.append("paused")
         elif self._loop.rate < 0.99:
@@ -309,6 +313,15 @@ def readout(sessions: Sequence[Session], motion: str) -> list[tuple[str, list[st
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
     return list(rows.items())
+
+
+def option_values(session: Session) -> list[tuple[str, list[str]]]:
+    """Return rows of the options that could start at the latest choice, best first, with values; ▸ is in force."""
+    best = sorted(session.values, key=lambda name: -session.values[name])
+    shown = [name for rank, name in enumerate(best) if rank < SHOWN_VALUES or name == session.option]
+    form = "{:.0%}" if session.quantity == PROBABILITY else "{:.2f}"
+    rows = [("▸ " * (name == session.option) + name, [form.format(session.values[name])]) for name in shown]
+    return [("options", [session.quantity]), *rows]
 
 
 def policy_label(session: Session) -> str:

@@ -108,6 +108,8 @@ class Session:
         """Simulated time, decisions, contacts with the person and unsafe ones since the session began."""
         self.successes, self.failures = 0, 0
         """Episodes that ended with and without success since the session began."""
+        self.values: dict[str, float] = {}
+        """What the top thought of the options that could start when the latest did; empty where it does not say."""
         self.over = False
         self.play(self.config)
 
@@ -158,6 +160,11 @@ class Session:
         """Names of all options."""
         return self.executor.table.names
 
+    @property
+    def quantity(self) -> str:
+        """What `values` are, such as value or probability."""
+        return self._top.quantity
+
     def play(self, config: StudioConfig) -> None:
         """Begin an episode under the policies of `config`; its cell and person stay as they are.
 
@@ -189,7 +196,7 @@ class Session:
         self.executor = self.executor.anew()
         self.over = False
         self._top.begin(ROW)
-        self._begin(self._top(self.executor.decision(self.state)))
+        self._begin()
 
     def _beside_arm(self, walk: humans.Walk) -> humans.Walk:
         """Return `walk` farther from the base, where the arm begins inside the person; MuJoCo would fling it."""
@@ -224,7 +231,7 @@ class Session:
         self.seconds += clip.duration_s
         if not self.over:
             if runs:
-                self._begin(self._top(self.executor.decision(self.state)))
+                self._begin()
             else:
                 self._decide()
         return Step(clip, before, result, runs, self.over)
@@ -273,7 +280,13 @@ class Session:
         """Stop the engine's threads."""
         self.engine.close()
 
-    def _begin(self, chosen: Tensor) -> None:
+    def _begin(self, chosen: Tensor | None = None) -> None:
+        """Start the option `chosen` (1,), by default that of the top."""
+        decision = self.executor.decision(self.state)
+        chosen = self._top(decision) if chosen is None else chosen
+        values = self._top.values(decision)
+        told = [] if values is None else zip(self.options, values[0].tolist(), decision.mask[0].tolist(), strict=True)
+        self.values = {name: value for name, value, able in told if able}
         self.executor.begin(ROW, chosen)
         self._decide()
 

@@ -134,16 +134,17 @@ class Subtask:
 
     def failure(self, state: State) -> Tensor:
         """Return (N,) bool: a contact with the human, as `terminate_on` says, the workcell or itself, or a loss."""
-        return reduce(or_, (getattr(state, name) for name in self._failures))
+        return reduce(or_, (getattr(state, name) for name in self.failures))
 
     def failed(self, before: State, after: State) -> Tensor:
         """Return (N,) bool: a control step ends in failure or, if stages are repeated, a failure begins in it."""
         if not self.repeats:
             return self.failure(after)
-        return reduce(or_, (getattr(after, name) & ~getattr(before, name) for name in self._failures))
+        return reduce(or_, (getattr(after, name) & ~getattr(before, name) for name in self.failures))
 
     @property
-    def _failures(self) -> tuple[str, ...]:
+    def failures(self) -> tuple[str, ...]:
+        """Names of the fields of `State` that are failures."""
         return self.terminate_on, "table_collision", "self_collision", *self.losses
 
     def location(self, stage: int) -> ObjectAt:

@@ -42,6 +42,8 @@ class OptionCollector:
         self.env = env
         self.now: TensorDictBase = env.reset()
         self._returns = torch.zeros(env.batch_size[0], dtype=torch.float64)
+        self.ran = torch.zeros(len(env.executor.table), dtype=torch.int64)
+        """(K,) control steps of the options that have ended since the latest row of the log."""
 
     def step(self, action: Tensor) -> Collected:
         """Start options (N,) where an environment awaits one, and step until the next options end."""
@@ -53,7 +55,9 @@ class OptionCollector:
             numbers = after["success"][row], state.placed[row].sum(), self._returns[row], state.steps[row]
             finished.append(dict(zip(OptionsLog.OUTCOMES, map(float, numbers), strict=True)))
             self._returns[row] = 0.0
-        return Collected(self.env.transitions(after), finished)
+        ended = self.env.transitions(after)
+        self.ran.index_add_(0, ended["action"], ended["steps_to_next_obs"].reshape(-1))
+        return Collected(ended, finished)
 
     def close(self) -> None:
         """Stop what simulates the environments."""
@@ -61,13 +65,13 @@ class OptionCollector:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
-        return {"env": self.env.state_dict(), "now": dict(self.now.items()), "returns": self._returns}
+        return {"env": self.env.state_dict(), "now": dict(self.now.items()), "returns": self._returns, "ran": self.ran}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.env.load_state_dict(state["env"])
         self.now = TensorDict(state["now"], batch_size=self.env.batch_size)
-        self._returns = state["returns"]
+        self._returns, self.ran = state["returns"], state["ran"]
 
 
 class ControllerTraining(TrainingLoop):
@@ -98,7 +102,7 @@ class ControllerTraining(TrainingLoop):
         width, count = spec["observation"].shape[-1], spec["action_mask"].shape[-1]
         torch.manual_seed(config.train_seed)
         learner = make_learner("meta_controller_agent", agent, width, count)
-        collector, log = OptionCollector(env), OptionsLog(folder / METRICS)
+        collector, log = OptionCollector(env), OptionsLog(folder / METRICS, env.executor.table.names)
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
         self._observation_dim, self._logged = width, 0
         """Options at the latest row."""
@@ -120,7 +124,8 @@ class ControllerTraining(TrainingLoop):
     def record(self, ends: bool) -> None:
         """Write a row and a checkpoint every `log_every` options."""
         if self.steps - self._logged >= self.config.meta_controller_agent.log_every or ends:
-            self.log.write_row(self.steps, self.updates, self.exploration)
+            self.log.write_row(self.steps, self.updates, self.exploration, self.collector.ran.tolist())
+            self.collector.ran.zero_()
             self._logged = self.steps
             self.save()
 

@@ -91,14 +91,18 @@ class OptionsLog(RowLog):
     OUTCOMES = ("success", "placed", "return", "steps")
     """Of an episode: success, objects placed, undiscounted return and control steps."""
 
-    def __init__(self, path: Path) -> None:
-        columns = ("options", "updates", "episodes", *self.OUTCOMES, "exploration", "loss")
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Write to `path` rows of a training among the options `names` (K)."""
+        self.shares = [f"share/{name}" for name in names]
+        """Columns of the options: the share of time that they ran."""
+        columns = ("options", "updates", "episodes", *self.OUTCOMES, "exploration", "loss", *self.shares)
         super().__init__(path, columns, self.OUTCOMES, ("loss",))
 
-    def write_row(self, options: int, updates: int, exploration: float) -> None:
-        """Write a row; its `episodes` are those since the row before."""
+    def write_row(self, options: int, updates: int, exploration: float, steps: Sequence[int]) -> None:
+        """Write a row; its `episodes` are those since the row before, and so are the control `steps` (K) of options."""
         head = {"options": options, "updates": updates, "episodes": self._finished, "exploration": exploration}
-        self.append(head)
+        total = sum(steps)
+        self.append(head | {name: count / total for name, count in zip(self.shares, steps, strict=True) if total})
 
 
 class MetricsLog(RowLog):

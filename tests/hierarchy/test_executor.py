@@ -7,6 +7,7 @@ from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -43,7 +44,10 @@ def state() -> State:
 
 
 def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> StepResult:
+    """Return the result of a decision; a failure is a contact with the table."""
     n = len(state.steps)
+    harms = {name: np.zeros((n, 1), dtype=bool) for name in ("contact", "self_collision")}
+    harms["table_collision"] = (done & ~truncated & ~success).numpy()[:, None]
     return StepResult(
         state=state,
         reward_terms=torch.zeros(n, 1),
@@ -54,7 +58,7 @@ def outcome(state: State, done: Tensor, success: Tensor, truncated: Tensor) -> S
         truncated=truncated,
         decision_steps=torch.ones(n, dtype=torch.int64),
         before=state,
-        moving={},
+        moving=harms,
     )
 
 
@@ -94,7 +98,7 @@ def played(
 ) -> tuple[list[Array], list[ExecutedStep]]:
     """Execute the options where decisions lead to `results`; return the actions and what was executed."""
     episodes = SimpleNamespace(rows=3, state=at(results[0].state, [0] * 3, [0] * 3), observed=lambda state: state)
-    episodes.config = SimpleNamespace(comfort=comfort)
+    episodes.config, episodes.subtask = SimpleNamespace(comfort=comfort), subtask("cycle")
     actions, ahead = [], iter(results)
 
     def step(action: Array, rows: Array) -> StepResult:
@@ -114,7 +118,8 @@ def test_rows_run_different_options_and_report_how_each_ended(state: State) -> N
     actions, steps = played([first, outcome(first.state, NO, NO, NO)], three())
     assert (actions[0] == 0.1).all() and actions[1][:, 0].tolist() == [0.2, 0.1, 0.0]
     runs = steps[0].runs
-    assert [(r.row, r.option, r.termination) for r in runs] == [(0, "pick", "success"), (2, "pick", "failure")]
+    ends = [(r.row, r.option, r.termination, r.cause) for r in runs]
+    assert ends == [(0, "pick", "success", "done"), (2, "pick", "failure", "hit table")]
     assert [(r.start_step, r.end_step) for r in runs] == [(0, 5), (0, 4)]
     assert [step.ended.tolist() for step in steps] == [[False, False, True], [False] * 3]
 
@@ -122,15 +127,16 @@ def test_rows_run_different_options_and_report_how_each_ended(state: State) -> N
 def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) -> None:
     _, steps = played([outcome(at(state, [k] * 3, [0] * 3), NO, NO, NO) for k in (10, 20)], three())
     assert [step.ended.all() for step in steps] == [False, True]
-    row = [(r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]
-    assert row == [(1, "preempted"), (2, "preempted")]
+    row = [(r.attempt, r.termination, r.cause) for step in steps for r in step.runs if r.row == 0]
+    assert row == [(1, "preempted", "time limit"), (2, "preempted", "time limit")]
 
 
 def test_a_lost_object_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:
     path = [([5, 5, 5], [1, 1, 1]), ([9, 9, 9], [0, 0, 0]), ([18, 18, 18], [1, 1, 1])]
     _, steps = played([outcome(at(state, *where), NO, NO, NO) for where in path], three(), retries=0)
-    row = [(r.option, r.attempt, r.termination) for step in steps for r in step.runs if r.row == 0]
-    assert row == [("pick", 1, "success"), ("place", 1, "preempted"), ("pick", 1, "success")]
+    row = [(r.option, r.attempt, r.termination, r.cause) for step in steps for r in step.runs if r.row == 0]
+    assert [each[:3] for each in row] == [("pick", 1, "success"), ("place", 1, "preempted"), ("pick", 1, "success")]
+    assert [each[3] for each in row] == ["done", "object lost", "done"]
     assert not any(step.ended.any() for step in steps)
 
 
@@ -153,6 +159,28 @@ def test_a_finished_cycle_ends_with_success(state: State) -> None:
     ends = [(r.option, r.termination) for step in steps for r in step.runs if r.row == 1]
     assert ends == [("pick", "success"), ("place", "success"), ("return", "success")]
     assert steps[-1].ended.all()
+
+
+def test_an_option_that_the_end_of_the_episode_cuts_short_says_so(state: State) -> None:
+    _, steps = played([outcome(at(state, [7] * 3, [0] * 3), ~NO, NO, ~NO)], three())
+    assert {(r.termination, r.cause) for r in steps[0].runs} == {("preempted", "episode over")}
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"), [("unsafe_contact", "unsafe contact"), ("self_collision", "self-collision")]
+)
+def test_in_a_task_that_goes_on_a_failure_is_what_has_just_begun(state: State, name: str, cause: str) -> None:
+    """The arm leans on the table since before; in the last control step something else is touched."""
+    leaning = state.with_(table_collision=~NO)
+    harms = {each: np.zeros((3, 2), dtype=bool) for each in ("unsafe_contact", "self_collision")}
+    moving = {**harms, "table_collision": np.ones((3, 2), dtype=bool), name: np.array([[False, True]] * 3)}
+    result = replace(outcome(at(state, [7] * 3, [0] * 3), NO, NO, NO), failed=~NO, before=leaning, moving=moving)
+    result = replace(result, decision_steps=torch.full((3,), 2))
+    task = replace(subtask("cycle"), terminate_on="unsafe_contact", repeats=True)
+    episodes = SimpleNamespace(rows=3, config=SimpleNamespace(comfort=COMFORT), subtask=task)
+    executor = OptionExecutor(three(), episodes)  # type: ignore[arg-type]
+    ended = executor.ended(result)
+    assert {executor.run_of(row, ended, 7).cause for row in range(3)} == {cause}
 
 
 def test_random_policy_is_seeded_and_bounded(state: State) -> None:

@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.agents.discrete_sac import DiscreteSAC
 from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.learners import TOPS as LEARNERS
+from hrl_comfort.agents.ppo import PPO
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import plugins
@@ -35,6 +38,7 @@ from hrl_comfort.studio.web.content import refuse
 from hrl_comfort.tasks import State
 
 ROWS = 6
+NAMES = {learner: name for name, learner in LEARNERS.items()}
 SKILLS = [f"policies.{name}=random" for name in ("pick", "place", "return")]
 PAGE = Path(__file__).parents[2] / "docs" / "bring_your_own.md"
 SNIPPETS = dict(re.findall(r"```python\n# (\w+)\.py\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL))
@@ -65,6 +69,26 @@ def last(decision):
 def beyond(decision):
     return torch.full((len(decision.mask),), 99)
 
+class Counting:
+    quantity = "objects"
+
+    def choose(self, decision):
+        return first(decision)
+
+    def values(self, decision):
+        return decision.table.object.expand(decision.mask.shape).tolist()
+
+class Short(Counting):
+    def values(self, decision):
+        return [0.5]
+
+class Wordy(Counting):
+    def values(self, decision):
+        return "none"
+
+class Data(Counting):
+    values = {"pick_1": 0.5}
+
 NOBODY = 3
 """
 
@@ -87,7 +111,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     plugins.cache_clear()
 
 
-def config(name: str, *overrides: str, folder: Path | None = None) -> EvaluateConfig:
+def config(name: str, *overrides: str, folder: Path | None = None, learner: type = DQN) -> EvaluateConfig:
     """Return an evaluation under the top `name`; a learned one is written to `folder`."""
     words = [f"meta_controller={name}", "comfort=sort", "meta_controller.level_override=[10,3]", *overrides]
     if name == "learned":
@@ -97,10 +121,11 @@ def config(name: str, *overrides: str, folder: Path | None = None) -> EvaluateCo
     assert isinstance(found, EvaluateConfig)
     if name == "learned":
         names = executor(config("nearest", *overrides))[0].table.names
-        agent = compose("train_meta_controller", ["meta_controller_agent.hidden=[8]"]).meta_controller_agent
+        words = [f"meta_controller_agent={NAMES[learner]}", "meta_controller_agent.hidden=[8]"]
+        agent = compose("train_meta_controller", words).meta_controller_agent
         spec = {"names": names, "levels": 10, "objects": 3, "max_waits": None}
         width = observation_dim(agent.observation, 3)
-        save_controller(folder / "meta_controller.pt", DQN(agent, width, len(names)), agent, width, spec)
+        save_controller(folder / "meta_controller.pt", learner(agent, width, len(names)), agent, width, spec)
     return found
 
 
@@ -200,6 +225,32 @@ def test_a_page_and_onnx_files_say_that_they_carry_no_top(tmp_path: Path) -> Non
     files = compose("export", [f"policies.meta_controller='{tmp_path}'", *SKILLS, f"output='{tmp_path / 'out'}'"])
     with pytest.raises(ConfigError, match=r"^policies\.meta_controller: export writes skills, .*; leave it out$"):
         export(files)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("learner", "quantity"), [(DQN, "value"), (PPO, "probability"), (DiscreteSAC, "probability")])
+def test_a_learned_top_says_what_it_thinks_of_the_options_that_can_start(
+    learner: type, quantity: str, tmp_path: Path
+) -> None:
+    top, given = decisions(config("learned", folder=tmp_path, learner=learner))
+    assert top.quantity == quantity
+    for each in given:
+        values = top.values(each)
+        assert values is not None and torch.equal(values.argmax(dim=1), top(each))
+        assert (values[~each.mask] == (0.0 if quantity == "probability" else -torch.inf)).all()
+        assert quantity != "probability" or torch.allclose(values.sum(dim=1), torch.ones(ROWS, dtype=torch.float64))
+
+
+def test_a_top_of_a_user_may_say_what_it_thinks_of_the_options_and_a_rule_says_nothing() -> None:
+    top, (first, *_) = decisions(config("deciders:Counting"))
+    values = top.values(first)
+    assert top.quantity == "objects" and values is not None and torch.equal(values[0], first.table.object.double())
+    for name in ("nearest", "deciders:first", "deciders:Data"):
+        top, (first, *_) = decisions(config(name))
+        assert top.values(first) is None
+    for name, said in ("Short", r"shape \(1,\)"), ("Wordy", "str"):
+        top, (first, *_) = decisions(config(f"deciders:{name}"))
+        with pytest.raises(ConfigError, match=rf"'deciders:{name}': values returned {said}; it must return 6 x \d+ n"):
+            top.values(first)
 
 
 def test_what_is_chosen_where_no_option_has_ended_is_ignored() -> None:

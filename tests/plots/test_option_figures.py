@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
-from pandas import DataFrame
+from pandas import DataFrame, read_csv
 
 from hrl_comfort.analysis.episodes import chain_lengths
+from hrl_comfort.analysis.option_use import over_time, shares_by_kind, summarise, table, with_kinds
 from hrl_comfort.cli.main import main
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, FigureConfig
+from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.plots.figure import figure
 from hrl_comfort.plots.hierarchy import timeline
+from hrl_comfort.plots.option_use import CAUSES, option_use
+from hrl_comfort.plots.training import option_shares
 
 
 def run(episode: int, option: str, termination: str, start: int = 0, end: int = 10) -> dict[str, object]:
@@ -70,14 +76,14 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", ["timeline", "chain"])
+@pytest.mark.parametrize("kind", ["timeline", "chain", "options"])
 def test_figures_of_options_are_drawn_from_an_evaluation(kind: str, evaluation: Path, tmp_path: Path) -> None:
     output = tmp_path / f"{kind}.png"
     config = compose("figure", [f"kind={kind}", f"evaluations=[{evaluation}]", f"output={output}"])
     assert isinstance(config, FigureConfig)
     figure(config)
     assert output.stat().st_size > 5000
-    assert output.with_suffix(".json").exists() is (kind == "chain")
+    assert output.with_suffix(".json").exists() is (kind != "timeline")
 
 
 def test_an_evaluation_without_options_or_episode_is_refused(evaluation: Path, tmp_path: Path) -> None:
@@ -96,3 +102,58 @@ def test_what_an_option_does_has_its_colour_in_every_timeline_and_only_what_is_d
     few, many = named("pick_2", "return"), named("wait", "pick_1", "place", "return")
     assert list(few) == ["pick", "return"] and list(many) == ["pick", "place", "return", "wait"]
     assert few["return"] == many["return"] and len(set(many.values())) == 4
+
+
+USED = with_kinds(
+    DataFrame([
+        {**run(0, "pick_2_as_6", "success", 0, 50), "cause": "done", "regret": 0.5},
+        {**run(0, "hover", "preempted", 50, 100), "cause": "time limit", "regret": 0.0},
+        {**run(1, "pick_1", "failure", 0, 200), "cause": "contact", "regret": 1.0},
+    ])
+)  # fmt: skip
+"""Two episodes, of 2 s and of 4 s."""
+
+
+def test_the_use_of_options_is_told_over_time_and_one_that_is_over_is_in_none() -> None:
+    bounds, shares = over_time(USED)
+    assert bounds[0] == 0 and bounds[-1] == 4 and list(shares) == ["pick", "hover"]
+    assert np.allclose(shares["pick"], [1.0] * 10 + [0.5] * 30)
+    assert np.allclose(shares["hover"], [0.0] * 10 + [0.5] * 10 + [0.0] * 20)
+
+
+def test_the_use_of_options_has_shares_of_time_durations_causes_and_regrets() -> None:
+    found = summarise(DataFrame({"episode": [0, 1]}), USED)
+    pick = found["pick"]
+    assert pick["runs"] == 2 and pick["time_share"]["mean"] == 0.75 and pick["duration_s"]["median"] == 2.5
+    assert pick["causes"] == {"done": 1, "contact": 1} and pick["regret"] == 0.75
+    lines = table({"mine": found}).splitlines()
+    assert lines[0].endswith("| mean regret |") and lines[-1].endswith("| time limit 1 | 0.000 |")
+
+
+def test_causes_and_options_are_drawn_beside_their_names() -> None:
+    drawn = option_use({"mine": USED, "other": USED[:1]})
+    options, causes = ([text.get_text() for text in legend.get_texts()] for legend in drawn.legends)
+    assert options == ["pick", "hover"] and causes == ["done", "time limit", "contact"]
+    assert [axis.get_xlabel() for axis in drawn.axes[3:]] == [
+        "time (s)", "duration of a run (s)", "runs that end so (%)"
+    ]  # fmt: skip
+    assert [text.get_text() for text in drawn.axes[5].texts] == ["n = 1", "n = 0"]
+    assert set(CAUSES) == {cause.value for cause in Cause}
+
+
+def test_an_evaluation_of_before_causes_were_told_is_refused(evaluation: Path, tmp_path: Path) -> None:
+    old = tmp_path / "old"
+    shutil.copytree(evaluation, old)
+    read_csv(old / "options.csv").drop(columns="cause").to_csv(old / "options.csv", index=False)
+    with pytest.raises(ConfigError, match="old does not say why its options ended; evaluate again with --overwrite"):
+        figure(compose("figure", ["kind=options", f"evaluations=[{old}]", f"output={tmp_path}/o.png"]))
+
+
+def test_the_shares_of_options_over_a_training_are_drawn_by_kind() -> None:
+    shares = {"share/wait": [0.5, 0.0], "share/pick_1": [0.25, 0.5], "share/pick_2_as_6": [0.25, 0.5]}
+    log = DataFrame({"options": [100, 200], "episodes": [1, 1], **shares})
+    found = shares_by_kind(log)
+    assert {kind: share.tolist() for kind, share in found.items()} == {"pick": [0.5, 1.0], "wait": [0.5, 0.0]}
+    assert list(found) == ["pick", "wait"] and not shares_by_kind(log[["options", "episodes"]])
+    drawn = option_shares({"run": log})
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["pick", "wait"]

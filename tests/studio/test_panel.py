@@ -15,7 +15,8 @@ from hrl_comfort.config import ConfigError, StudioConfig
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.humans.motions.live import HELD
-from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, readout
+from hrl_comfort.studio import panel as module
+from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, option_values, readout
 from hrl_comfort.studio.server import LiveStudio
 from hrl_comfort.studio.text import mark
 
@@ -48,6 +49,44 @@ def test_the_panel_has_the_words_of_the_exported_page(make: Make) -> None:
     assert set(re.findall(r"<dt.*?>(.*?)</dt>", page)) == rows.keys() - {"person"}
     assert f"1: {LOWEST}" in page and NO_LEVEL in page
     assert f"levels}}: {HIGHEST}" in (PAGE.parent / "src" / "controls.js").read_text(encoding="utf-8")
+
+
+TOP = """
+import torch
+
+class Numbered:
+    def choose(self, decision):
+        return self.values(decision).masked_fill(~decision.mask, -1.0).argmax(dim=1)
+
+    def values(self, decision):
+        return torch.arange(len(decision.table)).expand(decision.mask.shape) / 10
+
+class Sure(Numbered):
+    quantity = "probability"
+"""
+SORTING = ("task=sort", "task.objects=3", *(f"policies.{name}=random" for name in ("pick", "place", "return")))
+
+
+def test_the_readout_lists_the_options_with_their_values_and_marks_the_one_in_force(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numbered.py").write_text(TOP, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    panel = make(*SORTING, "meta_controller=numbered:Numbered", "meta_controller.max_waits=0").panel
+    able = [("pick_3", ["0.20"]), ("pick_2", ["0.10"]), ("pick_1", ["0.00"])]
+    assert option_values(panel.session) == [("options", ["value"]), ("▸ pick_3", ["0.20"]), *able[1:]]
+    panel.session.force("pick_1")
+    assert option_values(panel.session) == [("options", ["value"]), *able[:2], ("▸ pick_1", ["0.00"])]
+    monkeypatch.setattr(module, "SHOWN_VALUES", 1)
+    assert [name for name, _ in option_values(panel.session)] == ["options", "pick_3", "▸ pick_1"]
+    assert "▸ pick_1" in "".join(panel._lines())
+    sure = make(*SORTING, "meta_controller=numbered:Sure", "meta_controller.max_waits=0").panel
+    assert option_values(sure.session) == [("options", ["probability"]), ("▸ pick_3", ["20%"])]
+
+
+def test_a_top_without_values_is_not_said_to_have_any(make: Make) -> None:
+    panel = make(*SORTING, "meta_controller=nearest").panel
+    assert not panel.session.values and "▸" not in "".join(panel._lines())
 
 
 def test_the_slider_leads_or_follows_and_the_source_says_which(make: Make) -> None:

@@ -115,6 +115,8 @@ def test_a_learner_of_tops_stops_goes_on_bit_for_bit_and_its_file_chooses(name: 
     assert tables[0] == tables[1]
     last = [*csv.DictReader(tables[1].decode().splitlines())][-1]
     assert int(last["updates"]) > 0 and math.isfinite(float(last["loss"]))
+    ran = [float(value) for column, value in last.items() if column.startswith("share/")]
+    assert len(ran) == len(files[1]["spec"]["names"]) and sum(ran) == pytest.approx(1.0)
     assert files[1]["spec"]["learner"] == name
     words = [*SHORT, f"policies.meta_controller='{whole}'", "meta_controller=learned", "comfort=sort", "episodes=2"]
     asked = compose("evaluate", ["task=sort", *words])
