@@ -71,7 +71,7 @@ class OptionLearner(ABC):
     Keys: ClassVar[type] = NoKeys
     """Dataclass of the keys `meta_controller_agent.own`."""
     quantity: ClassVar[str] = "value"
-    """What the scores are: the value of each option, or the logits of its probability."""
+    """Meaning of the scores: the value of each option, or the logits of its probability."""
     copies: ClassVar[int]
     """Number of numbers kept for each weight of the network."""
 
