@@ -7,6 +7,7 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +42,23 @@ def config(output: Path, address: str) -> DeployConfig:
     return found
 
 
+def undisturbed(output: Path, run: Callable[[], object]) -> None:
+    """Run until the machine lets the set-points keep their clock; a stop while they do is an error."""
+    for left in reversed(range(5)):
+        try:
+            run()
+        except StoppedError:
+            late_s = pd.read_parquet(output / LOG)["late_s"].max()
+            if late_s < ur.STALE_S / 2 or not left:
+                raise
+        else:
+            return
+
+
 def test_a_plan_runs_over_a_slow_network_that_loses_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("move\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("move\n" * 5))
     with fake_ur(host(1), scene().model, scene().home, Faults(0.02, 0.002, 0.01, 0.02)):
-        deploy(config(tmp_path / "out", host(1)))
+        undisturbed(tmp_path / "out", lambda: deploy(config(tmp_path / "out", host(1))))
     episodes = read_table(tmp_path / "out" / "episodes.csv")
     assert episodes is not None and list(episodes["success"]) == [True]
     log = pd.read_parquet(tmp_path / "out" / LOG)

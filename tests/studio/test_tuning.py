@@ -184,12 +184,17 @@ def test_a_sweep_has_a_curve_for_each_job_and_goes_on_when_it_is_given_again(
     assert started[-1] == ["task=reach", f"output={training.folder}"]
 
 
-def test_how_the_person_moves_takes_effect_at_once(shown: tuple[LiveStudio, Any, Any]) -> None:
+def test_how_the_person_moves_takes_effect_at_once(
+    shown: tuple[LiveStudio, Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     studio, page, wrong = shown
+    note, lines = studio.tuning._said, list[str]()  # the next reset takes it away again
+    show = note.show
+    monkeypatch.setattr(note, "show", lambda *said: (lines.extend(map(str, said)), show(*said)))
     field(page, "human").click()
     page.get_by_role("option", name="patrol", exact=True).last.click()
     until(lambda: studio.sessions[0].engine.episodes.config.human.motion == "patrol", "the person patrols")
-    page.get_by_text("In force: human").first.wait_for()
+    until(lambda: "In force: human" in lines, "it is said")
     assert wrong == []
 
 
