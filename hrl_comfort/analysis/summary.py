@@ -15,7 +15,7 @@ from hrl_comfort.files.tables import Floats, column
 
 KEYS = ("task", "policy", "human", "comfort_level", "precision_m", "split")
 """Columns that always tell one group of episodes from another."""
-LABELS = (*KEYS, "train_seed", "episode_seed", "episode", "object", "spawn_id", "motion_id", "seen")
+LABELS = (*KEYS, "train_seed", "episode_seed", "episode", "object", "spawn_id", "motion_id", "person_id", "seen")
 """Columns that say which episode it was; every other numeric column is a metric."""
 COLLISIONS = {"other_collision": ("table", "self"), "table_collision": ("table",), "self_collision": ("self",)}
 

@@ -45,6 +45,7 @@ class Level(TypedDict):
     arm_distance_mean_m: NotRequired[Estimate | None]
     tool_speed_beside_m_s: NotRequired[Estimate | None]
     person_level_mean: NotRequired[Estimate | None]
+    person_rating_mean: NotRequired[Estimate | None]
 
 
 @with_config(ConfigDict(extra="allow"))
@@ -74,6 +75,7 @@ QUANTITIES = {
     "excess_closeness_mean_m": Quantity("nearer than an idle arm, m", digits=2),
     "tool_speed_beside_m_s": Quantity("tool speed within 1 m, m/s", digits=2),
     "person_level_mean": Quantity("level of a frightened person", digits=2),
+    "person_rating_mean": Quantity("rating of a fitted person, 1 to 7", digits=2),
 }
 """Columns of the table."""
 HEADLINE = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def spread(rated: Ratings) -> float:
     person; the variance of the offsets less that of their error (method of moments).
     """
     own = np.eye(rated.person.max() + 1)[rated.person]
-    pieces = [np.clip(rated.distance_m - low, 0, high - low) for low, high in zip(KNOTS_M, KNOTS_M[1:], strict=False)]
+    pieces = [np.clip(rated.distance_m - low, 0, high - low) for low, high in pairwise(KNOTS_M)]
     known = np.column_stack([own, *pieces])
     found, people = np.linalg.lstsq(known, rated.share)[0], own.shape[1]
     error = rated.share - known @ found

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hrl_comfort.comfort.fitted import level_of, rating
 from hrl_comfort.comfort.frightened import level_rate
 from hrl_comfort.comfort.streams import Lsl, Recording, Signal, Stream, read_recording, udp
 from hrl_comfort.config import ComfortConfig
@@ -86,11 +87,12 @@ class Source:
     def __init__(self, config: ComfortConfig, rows: int) -> None:
         self.config = config
         self.draws: Floats = np.zeros((rows, DRAWS))
+        self.person: NDArray[np.int64] = np.zeros(rows, dtype=np.int64)
         self.level: Floats = np.full(rows, np.nan)
         self.levels = SOURCES[config.source](config)
 
     def begin(self, rows: NDArray[np.int64]) -> None:
-        """Start an episode in `rows`; their `draws` are set."""
+        """Start an episode in `rows`; their `draws` and `person` are set."""
         self.level[rows] = self.levels(np.zeros(len(self.level)), self.draws)[rows]
 
     def advance(self, now: SourceInput) -> Floats:
@@ -100,11 +102,11 @@ class Source:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a bit-identical continuation."""
-        return {name: torch.from_numpy(getattr(self, name).copy()) for name in ("draws", "level")}
+        return {name: torch.from_numpy(getattr(self, name).copy()) for name in ("draws", "person", "level")}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
-        self.draws, self.level = saved["draws"].numpy().copy(), saved["level"].numpy().copy()
+        self.draws, self.person, self.level = (saved[name].numpy().copy() for name in ("draws", "person", "level"))
 
 
 class Simulated(Source):
@@ -135,6 +137,24 @@ class Simulated(Source):
         self._exact = saved["exact"].numpy().copy()
 
 
+class Fitted(Source):
+    """The level that a person's rating of the latest decision stands for; at first that of an arm far away."""
+
+    def begin(self, rows: NDArray[np.int64]) -> None:
+        """See `Source`."""
+        self.level[rows] = self._levels(np.full(len(self.level), np.inf), np.zeros(len(self.level)))[rows]
+
+    def advance(self, now: SourceInput) -> Floats:
+        """See `Source`."""
+        self.level = self._levels(now.arm_distance_m, now.speed_m_s)
+        return self.level.copy()
+
+    def _levels(self, arm_distance_m: Floats, speed_m_s: Floats) -> Floats:
+        rated = rating(*map(torch.from_numpy, (arm_distance_m, speed_m_s, self.person)))
+        levels: Floats = level_of(rated, self.config.levels).numpy()
+        return levels
+
+
 def stressed(level: Floats, now: SourceInput, config: ComfortConfig) -> Floats:
     """Return d(level)/dt = (N_c - level) / recovery_s - 2 (N_c - 1) stress / stress_s, (N,) 1/s.
 
@@ -161,11 +181,12 @@ _SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "file": lambda config: recorded(read_recording(config)),
     "udp": lambda config: Live(config, udp(config)),
     "lsl": lambda config: Live(config, Lsl(config)),
-    **dict.fromkeys(RATES, lambda config: constant(config.levels)),
+    **dict.fromkeys((*RATES, "fitted"), lambda config: constant(config.levels)),
 }
 SOURCES = implemented(names.SOURCES, _SOURCES)
 
 
 def make_source(config: ComfortConfig, rows: int) -> Source:
     """Return the source `config.source` for N rows; raise ConfigError at a bad recording or stream."""
-    return (Simulated if config.source in RATES else Source)(config, rows)
+    kinds = {"fitted": Fitted, **dict.fromkeys(RATES, Simulated)}
+    return kinds.get(config.source, Source)(config, rows)

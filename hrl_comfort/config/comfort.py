@@ -8,7 +8,9 @@ from typing import Annotated
 
 from hrl_comfort.config.checks import ConfigError, between, choice, named, within
 
-SOURCES = ("none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated", "frightened")
+SOURCES = (
+    "none", "fixed", "random", "changing", "schedule", "file", "udp", "lsl", "simulated", "frightened", "fitted",
+)  # fmt: skip
 FORMS = (
     "paper",
     "reference",

@@ -21,6 +21,7 @@ class Episode:
     object: str
     spawn_id: int | None
     motion_id: int
+    person_id: int | None
     seen: bool | None
     comfort_level: int | None
     human: str
@@ -58,9 +59,9 @@ OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measu
 """Fields of an Episode that are a column each."""
 RATES = (
     "discomfort_per_min", "avoidable_discomfort_per_min", "idle_discomfort_per_min", "excess_closeness_mean_m",
-    "person_level_mean", "regret_per_min", "objects_lost", "objects_per_min", "contacts_per_h", "unsafe_contacts_per_h",
-    "other_collisions_per_h", "protective_stops_per_min",
+    "person_level_mean", "person_rating_mean", "regret_per_min", "objects_lost", "objects_per_min", "contacts_per_h",
+    "unsafe_contacts_per_h", "other_collisions_per_h", "protective_stops_per_min",
 )  # fmt: skip
-"""Measures of `evaluation.rates`; those after the first six are of a shift alone."""
+"""Measures of `evaluation.rates`; those after the first seven are of a shift alone."""
 COLUMNS = (*(name.rstrip("_") for name in OWN), *RATES, *MEASURES)
 """Of episodes.csv."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pandas import DataFrame
 
 from hrl_comfort.analysis.summary import summarise
+from hrl_comfort.comfort.fitted import mean_rating
 from hrl_comfort.comfort.frightened import mean_level
 from hrl_comfort.comfort.trajectory import metrics
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
@@ -198,7 +199,9 @@ class EpisodeRecorder:
             through = Course(tool=tool, people=people, **kept, protective_stops=stops)
             values = metrics(through)
             values |= discomforts(through, self.config)
-            values["person_level_mean"] = mean_level(through.arm_distance, tool, self.config.comfort) if here else None
+            arm, person = through.arm_distance, episode.person_id
+            values["person_level_mean"] = mean_level(arm, tool, self.config.comfort) if here else None
+            values["person_rating_mean"] = None if person is None else mean_rating(arm, tool, person)
             if self.config.regret:
                 lost = sum(run.regret or 0.0 for run in self._runs if run.row == row)
                 values["regret_per_min"] = lost * MINUTE_S / (episode.steps * CONTROL_STEP_S)
@@ -238,6 +241,7 @@ class EpisodeRecorder:
             object=kind,
             spawn_id=None if episodes.draw.spawn_id[row] < 0 else int(episodes.draw.spawn_id[row]),
             motion_id=int(episodes.draw.motion_id[row]),
+            person_id=None if config.human.motion == "none" else int(episodes.draw.person[row]),
             seen=None if entries.drawn else bool(entries.seen[row]),
             comfort_level=self._level(row, config),
             human=config.human.motions,

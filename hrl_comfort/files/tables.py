@@ -52,7 +52,7 @@ OF_CHECKPOINTS = {"task": "text?", "human": "text?", "split": "text?", "comfort_
 KNOWN: dict[str, dict[str, str]] = {
     "metrics": {"stage": "text?"},
     "episodes": dict.fromkeys(("task", "policy", "split", "object", "human", "other_collision"), "text?")
-    | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "comfort_level"), "int?")
+    | dict.fromkeys(("train_seed", "episode_seed", "spawn_id", "motion_id", "person_id", "comfort_level"), "int?")
     | dict.fromkeys(
         ("steps", "policy_steps", "objects_placed", "protective_stops", "human_beyond_bound", "drops"), "int?"
     )

@@ -15,6 +15,7 @@ from hrl_comfort.humans.evaluation import (
     EvaluationSet,
     drawn_set,
     load_evaluation_set,
+    persons_of,
     share_of,
     split_set,
 )
@@ -246,6 +247,6 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
     "Motions", "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait",
-    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "seen_position", "share_of",
-    "spawns_apart", "split_set", "training_spawn", "training_spawns",
+    "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "persons_of", "seen_position",
+    "share_of", "spawns_apart", "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -66,6 +66,11 @@ def share_of(split: str | None, partitioned: bool) -> tuple[float, float]:
     return SHARES[(split or "train") if parted else "all"]
 
 
+def persons_of(split: str | None) -> tuple[float, float]:
+    """Return the share of the persons who rate in a split; None is training. `paper` has those of `validation`."""
+    return SHARES["validation" if split == "paper" else split or "train"]
+
+
 def drawn_set(split: str, seed: int, episodes: int) -> EvaluationSet:
     """Return episodes drawn as in training, each from an episode seed of its own, the first from `seed`."""
     seeds = np.arange(seed, seed + episodes)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import longest_max_episode_steps
+from hrl_comfort.comfort.fitted import PERSONS
 from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import PREGRASP, RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
@@ -31,9 +32,9 @@ LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RAN
 KEY_STREAM = 7
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
-LAYOUT_STREAM, TURN_STREAM = 40, 41
+LAYOUT_STREAM, TURN_STREAM, PERSON_STREAM = 40, 41, 42
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
-randomisation, layouts and turns: with or without any of them, the rest of an episode is the same."""
+randomisation, layouts, turns and who rates: with or without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,8 @@ class Draw:
     """Of how the cell differs from the model: see `sim.variation.randomisation`."""
     key: NDArray[np.int64]
     """() of what policies and options draw: see `State.key`."""
+    person: NDArray[np.int64]
+    """() who rates the robot (`comfort.fitted`)."""
 
     def layout(self, rows: Any = slice(None)) -> Array:
         """Return the poses (r, F, 7) of places and obstacles, as `Scene.layout`, of `rows` of N cells."""
@@ -170,7 +173,8 @@ class EpisodeSampler:
         noise = np.stack([noise, *self._walks(row, episode, motion_id)], axis=1)
         levels = self.generator(row, episode, LEVEL_STREAM)
         level, kept = levels.random(DRAWS), levels.random() >= self._config.task.resample_start_probability
-        low, high = self._share(row)
+        split = None if self._evaluation is None else str(self._evaluation.split.take(row, mode="wrap"))
+        low, high = humans.share_of(split, self._config.human.partitioned)
         own = self.generator(row, episode, TRAIT_STREAM)
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
@@ -181,6 +185,8 @@ class EpisodeSampler:
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         key = np.array(self.generator(row, episode, KEY_STREAM).integers(2**63))
+        persons = (np.array(humans.persons_of(split)) * PERSONS).round().astype(int)
+        rater = np.array(self.generator(row, episode, PERSON_STREAM).integers(*persons))
         for attempt in range(ATTEMPTS):
             layout = own_layout if attempt < ATTEMPTS // 2 else self._layout(row, rng)
             bank = self._bank(kind, layout, row, attempt < ATTEMPTS // 2 and (kept or not self._layouts.varies))
@@ -207,7 +213,7 @@ class EpisodeSampler:
                 arriving[1], turns, *arriving[2:],
             )  # fmt: skip
             body = self._body(start, layout, rng)
-            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, key)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, key, rater)
 
     @property
     def _streams(self) -> range:
@@ -305,11 +311,6 @@ class EpisodeSampler:
         if self._evaluation is not None:
             key[0] = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
         return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
-
-    def _share(self, row: int) -> tuple[float, float]:
-        """Return the share, see `humans.share_of`, that the episodes of `row` draw from."""
-        split = None if self._evaluation is None else str(self._evaluation.split.take(row, mode="wrap"))
-        return humans.share_of(split, self._config.human.partitioned)
 
     def _spawn_and_points(self, row: int, rng: np.random.Generator, layout: Layout) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task

@@ -146,6 +146,7 @@ class Episodes:
                 if place is not None:
                     self.draw.spawn_id[row], self.draw.spawn[row, 0] = -1, place
             self.source.draws[pending] = self.draw.level[pending]
+            self.source.person[pending] = self.draw.person[pending]
             self.source.begin(pending)
             planned, control = self.plan.begin(pending, self.draw, self.values(pending))
             bodies[pending] = planned.bodies

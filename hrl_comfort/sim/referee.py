@@ -57,7 +57,7 @@ class Referee:
         self.weights = torch.tensor([weights[name] for name in subtask.rewards], dtype=torch.float64)
         self.subtask = subtask
         comfort = config.comfort
-        paid = comfort.source == "frightened" or (comfort.distance == "arm" and comfort.source != "none")
+        paid = comfort.source in ("frightened", "fitted") or (comfort.distance == "arm" and comfort.source != "none")
         self.sensors = Sensors(scene, separation, measure_arm or paid, measure_arm, pushing)
 
     @property

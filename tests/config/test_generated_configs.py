@@ -97,6 +97,7 @@ WORDS = sorted(
         "changing",
         "simulated",
         "frightened",
+        "fitted",
         "cartesian",
         "paper",
         "full",
