@@ -57,12 +57,12 @@ def fit(figures: dict[str, Any]) -> Constants:
     comfort = np.array(passing["comfort"])
 
     def missed(curve: Floats) -> Floats:
-        constants = Constants(*curve, exponent=exponent, spread=0.0)
+        constants = Constants(curve[0], curve[1], curve[2], curve[3], exponent, spread=0.0)
         return (expected(distance[:, None], speed, constants).numpy() - comfort).ravel()
 
-    curve = least_squares(missed, [6.0, 4.0, 3.0, 0.4]).x
+    top, at_rest, by_speed, width_m = least_squares(missed, [6.0, 4.0, 3.0, 0.4]).x.tolist()
     points = (HIGHEST - LOWEST) * spread(ratings(figures))
-    return Constants(*map(float, curve), exponent=exponent, spread=points)
+    return Constants(top, at_rest, by_speed, width_m, exponent, points)
 
 
 def arm_speed(figures: dict[str, Any]) -> tuple[float, Floats]:

@@ -62,6 +62,32 @@ def test_episodes_csv_has_the_contracts_columns_and_a_row_an_episode(tmp_path: P
     assert all(row["train_seed"] == "" for row in rows)
 
 
+def test_a_person_of_the_split_rates_whatever_gives_the_level(tmp_path: Path) -> None:
+    levels = {"none": [], "fixed": ["comfort.level=3"], "fitted": []}
+    found = {}
+    for source, extra in levels.items():
+        comfort = [] if source == "none" else ["comfort=conditioned", f"comfort.source={source}", *extra]
+        found[source] = table(run(tmp_path / source, *comfort) / "episodes.csv")
+    persons = {source: [int(row["person_id"]) for row in rows] for source, rows in found.items()}
+    assert persons["none"] == persons["fixed"] == persons["fitted"]
+    assert len(set(persons["none"])) > 3 and all(600 <= person < 800 for person in persons["none"])
+    for rows in found.values():
+        assert all(1 <= float(row["person_rating_mean"]) <= 7 for row in rows)
+
+
+def test_a_level_that_a_person_s_rating_gives_follows_it(tmp_path: Path) -> None:
+    rows = table(run(tmp_path, "comfort=conditioned", "comfort.source=fitted") / "episodes.csv")
+    for row in rows:
+        told = 1 + 9 * (float(row["person_rating_mean"]) - 1) / 6
+        assert float(row["comfort_level_mean"]) == pytest.approx(told, abs=1.0)
+
+
+def test_nobody_rates_where_nobody_is(tmp_path: Path) -> None:
+    rows = table(run(tmp_path, "human=none", "comfort=conditioned", "comfort.source=fitted") / "episodes.csv")
+    assert all(row["person_id"] == row["person_rating_mean"] == "" for row in rows)
+    assert all(1 <= float(row["comfort_level_mean"]) <= 10 for row in rows)
+
+
 def test_summary_has_one_group_a_seen_and_unseen(tmp_path: Path) -> None:
     summary = json.loads((run(tmp_path, "group_by=[seen]") / "summary.json").read_text(encoding="utf-8"))
     assert [(group["seen"], group["episodes"]) for group in summary["groups"]] == [(True, 3), (False, 3)]

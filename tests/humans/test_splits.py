@@ -13,6 +13,7 @@ import pytest
 
 import hrl_comfort
 from hrl_comfort import humans
+from hrl_comfort.comfort.fitted import PERSONS
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import SPLITS, ConfigError, EvaluateConfig
 from hrl_comfort.deploy.dataset import dataset
@@ -58,6 +59,15 @@ def test_the_parts_share_no_trait_start_or_seed() -> None:
     assert not starts["train"] & starts["test"] and not starts["validation"] & (starts["train"] | starts["test"])
     seeds = [set(humans.split_set(name, most).episode_seed.tolist()) for name, (*_, most) in SPLITS.items()]
     assert len(set.union(*seeds)) == sum(map(len, seeds))
+
+
+def test_the_parts_share_no_person_who_rates() -> None:
+    for whole in ("true", "false"):
+        seen = {name: {int(draw.person) for draw in draws(name, f"human.partitioned={whole}")} for name in PARTS}
+        assert all(len(found) > 50 for found in seen.values())
+        for name, (low, high) in ((name, SHARES[name]) for name in PARTS):
+            assert all(low * PERSONS <= person < high * PERSONS for person in seen[name])
+    assert max(int(draw.person) for draw in draws(None)) < SHARES["train"][1] * PERSONS
 
 
 def test_training_draws_from_the_part_of_train() -> None:
