@@ -15,6 +15,7 @@ from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, QValueAc
 from torchrl.modules.tensordict_module import SafeModule
 from torchrl.objectives import LossModule, SoftUpdate
 
+from hrl_comfort.agents.job_scores import JobScores
 from hrl_comfort.agents.memory import check_networks
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import MetaControllerAgentConfig
@@ -26,10 +27,21 @@ LARGEST_GRADIENT = 10.0
 """Norm to which gradients are cut."""
 
 
-def make_network(observation_dim: int, options: int, hidden: Sequence[int]) -> QValueActor:
-    """Return the network of scores, such as values or logits; masked options are never chosen."""
+def make_scores(kind: str, observation_dim: int, options: int, hidden: Sequence[int], layout: str) -> nn.Module:
+    """Return the network of scores that `meta_controller_agent.network` names, for observations of `layout`.
+
+    Raises:
+      ConfigError: it does not go with the observation and the options.
+    """
+    if kind == "shared":
+        return JobScores(observation_dim, options, hidden, layout)
+    return MLP(observation_dim, options, num_cells=list(hidden), activation_class=nn.ReLU)
+
+
+def make_network(scores: nn.Module, options: int) -> QValueActor:
+    """Return the actor of scores, such as values or logits; masked options are never chosen."""
     return QValueActor(
-        MLP(observation_dim, options, num_cells=list(hidden), activation_class=nn.ReLU),
+        scores,
         in_keys=["observation"],
         spec=Categorical(options),
         action_mask_key="action_mask",
@@ -82,7 +94,8 @@ class OptionLearner(ABC):
         check_networks(f"meta_controller_agent.hidden={list(config.hidden)}", self.copies, sizes)
         self.config, self.observation_dim, self.count = config, observation_dim, options
         self.own = self.Keys(**config.own) if own is None else own
-        self.network = make_network(observation_dim, options, config.hidden)
+        scores = make_scores(config.network, observation_dim, options, config.hidden, config.observation)
+        self.network = make_network(scores, options)
         self.loss = self.new_loss()
         self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(1 - config.ema_rate))
         weights = [each for each in self.loss.parameters() if each.requires_grad]

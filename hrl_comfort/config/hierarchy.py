@@ -14,6 +14,8 @@ TOPS = (*RULES, "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
 META_OBSERVATIONS = ("default", "proximity", "jobs")
+OBSERVED = {"default": (18, 9), "proximity": (15, 9), "jobs": (15, 12)}
+"""Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,9 @@ class MetaControllerAgentConfig:
     """Discount factor of a control step; an option of k steps has gamma**k."""
     hidden: Widths
     """Widths of the hidden layers."""
+    network: Annotated[str, choice("flat", "shared")]
+    """Network of the scores of the built-in learners: one of all observations (`flat`), or one that scores every object
+    alike, from what is observed of it and of all together (`shared`): what it learns of one object holds for all."""
     exploration_start: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option at the start."""
     exploration_end: Annotated[float, within(0.0, 1.0)]
