@@ -8,12 +8,12 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from hrl_comfort.agents.crossq import CrossQ
-from hrl_comfort.agents.discrete_sac import DiscreteSAC
-from hrl_comfort.agents.dqn import DQN
-from hrl_comfort.agents.options import OptionLearner
-from hrl_comfort.agents.ppo import PPO
 from hrl_comfort.agents.redq import REDQ
 from hrl_comfort.agents.sac import SAC
+from hrl_comfort.agents.tops.discrete_sac import DiscreteSAC
+from hrl_comfort.agents.tops.dqn import DQN
+from hrl_comfort.agents.tops.options import OptionLearner
+from hrl_comfort.agents.tops.ppo import PPO
 from hrl_comfort.agents.tqc import TQC
 from hrl_comfort.config import AgentConfig, ConfigError, MetaControllerAgentConfig
 from hrl_comfort.config.checks import implemented, own_keys, part

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.learners import TOPS, make_learner
-from hrl_comfort.agents.options import make_network, make_scores
+from hrl_comfort.agents.tops.options import make_network, make_scores
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import section
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS, TOP_LEARNERS, MetaControllerAgentConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hrl_comfort.agents.job_scores import JobScores
+from hrl_comfort.agents.tops.job_scores import JobScores
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.hierarchy import OBSERVED
 from hrl_comfort.hierarchy.observation import observation_dim

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.tops.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS

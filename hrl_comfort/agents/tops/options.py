@@ -15,9 +15,9 @@ from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, QValueAc
 from torchrl.modules.tensordict_module import SafeModule
 from torchrl.objectives import LossModule, SoftUpdate
 
-from hrl_comfort.agents.job_scores import JobScores
 from hrl_comfort.agents.memory import check_networks
 from hrl_comfort.agents.replay import load_replay, replay_state
+from hrl_comfort.agents.tops.job_scores import JobScores
 from hrl_comfort.config import MetaControllerAgentConfig
 from hrl_comfort.config.learning import NoKeys
 

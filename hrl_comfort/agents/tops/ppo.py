@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 
-from hrl_comfort.agents.options import OptionLearner, chances, policy_of
+from hrl_comfort.agents.tops.options import OptionLearner, chances, policy_of
 from hrl_comfort.config.hierarchy import PPOKeys
 
 

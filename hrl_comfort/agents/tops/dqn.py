@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.objectives import DQNLoss, ValueEstimators
 
-from hrl_comfort.agents.options import ReplayLearner, greedy
+from hrl_comfort.agents.tops.options import ReplayLearner, greedy
 
 
 class DQN(ReplayLearner):

@@ -9,7 +9,7 @@ from torchrl.modules import MLP
 from torchrl.modules.tensordict_module import SafeModule
 from torchrl.objectives import DiscreteSACLoss, ValueEstimators
 
-from hrl_comfort.agents.options import ReplayLearner, chances, policy_of
+from hrl_comfort.agents.tops.options import ReplayLearner, chances, policy_of
 from hrl_comfort.config.hierarchy import DiscreteSACKeys
 
 
