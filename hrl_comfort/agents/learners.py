@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
+from hrl_comfort.agents.baselines.end_to_end import EndToEnd
 from hrl_comfort.agents.baselines.held import Held
 from hrl_comfort.agents.baselines.hiro import HIRO
 from hrl_comfort.agents.baselines.option_critic import OptionCritic
@@ -54,7 +55,9 @@ SKILLS: dict[str, type[SAC]] = implemented(
     tuple(SKILL_LEARNERS), {"sac": SAC, "tqc": TQC, "crossq": CrossQ, "redq": REDQ, "held": Held}
 )
 """Built-in learners of skills."""
-HIERARCHICAL: dict[str, type[Learner]] = implemented(tuple(BASELINES), {"hiro": HIRO, "option_critic": OptionCritic})
+HIERARCHICAL: dict[str, type[Learner]] = implemented(
+    tuple(BASELINES), {"hiro": HIRO, "option_critic": OptionCritic, "end_to_end": EndToEnd}
+)
 """Built-in learners whose policy has a hierarchy of its own."""
 TOPS: dict[str, type[OptionLearner]] = implemented(
     tuple(TOP_LEARNERS), {"dqn": DQN, "discrete_sac": DiscreteSAC, "ppo": PPO}

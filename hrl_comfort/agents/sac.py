@@ -59,7 +59,9 @@ class SAC:
     Keys: ClassVar[type] = NoKeys
     """Dataclass of the keys `agent.own`."""
     losses: ClassVar[dict[str, str]] = TERMS
-    """Values that `update` returns."""
+    """Values that `update` returns, by column of metrics.csv."""
+    terms: ClassVar[tuple[str, ...]] = tuple(TERMS)
+    """These columns."""
     critics_type: ClassVar[type[Critics]] = Critics
     loss_type: ClassVar[type[ActorCriticLoss]] = ActorCriticLoss
     has_targets: ClassVar[bool] = True
@@ -98,11 +100,6 @@ class SAC:
         self.updates = 0
         self._stage_begin = 0
         """Number of updates at which the current stage began."""
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Columns of metrics.csv."""
-        return tuple(self.losses)
 
     @property
     def sizes(self) -> tuple[int, int, list[int]]:

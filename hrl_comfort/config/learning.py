@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, within
+from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
 
 
 @dataclass(frozen=True)
@@ -147,11 +147,21 @@ class OptionCriticKeys:
     """Probability, where an option ends, that the next is drawn at random."""
 
 
+@dataclass(frozen=True)
+class EndToEndKeys:
+    """Skills of a chain that learn together in the whole task."""
+
+    skills: Annotated[list[str], unique] = field(default_factory=lambda: ["pick", "place", "return"])
+    """Skills in the order of the stages; each begins with the policy in the folder of its name in `initial_policy`."""
+    stages: Annotated[list[Annotated[int, within(0, 1_000_000)]], unique] = field(default_factory=lambda: [36, 37, 38])
+    """Columns of the observation that tell which stage is in force; no skill sees them."""
+
+
 SKILL_LEARNERS: dict[str, type] = {
     "sac": NoKeys, "tqc": TQCKeys, "crossq": CrossQKeys, "redq": REDQKeys, "held": HeldKeys,
 }  # fmt: skip
 """Built-in learners of skills, each with the dataclass of its own keys."""
-BASELINES: dict[str, type] = {"hiro": HIROKeys, "option_critic": OptionCriticKeys}
+BASELINES: dict[str, type] = {"hiro": HIROKeys, "option_critic": OptionCriticKeys, "end_to_end": EndToEndKeys}
 """Built-in learners whose policy has a hierarchy of its own, likewise."""
 LEARNERS = {**SKILL_LEARNERS, **BASELINES}
 

@@ -199,12 +199,16 @@ def policy_file(path: Path) -> Path:
 
 
 def load_initial_policy(learner: Any, path: Path) -> None:
-    """Let `learner` begin with the networks of a policy file or run folder.
+    """Let `learner` begin with the networks of a policy file or run folder, or its `parts` with those in a folder.
 
     Raises:
         ConfigError: the file does not hold networks of the learner's kind and shape, or no critics, or the learner
             cannot begin with any.
     """
+    if parts := getattr(learner, "parts", None):
+        for name, part in parts.items():
+            load_initial_policy(part, path / name)
+        return
     if not hasattr(learner, "load_networks"):
         raise ConfigError(f"initial_policy={path}: this agent.name has no load_networks, so it begins from nothing")
     file = policy_file(path)

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from hrl_comfort.agents.baselines.end_to_end import EndToEnd
 from hrl_comfort.agents.baselines.held import Held
 from hrl_comfort.agents.baselines.hiro import HIRO
 from hrl_comfort.agents.baselines.option_critic import NONE, OptionCritic
@@ -215,3 +216,30 @@ def test_held_exploration_lasts_and_ends_with_the_episode() -> None:
     assert same[:, 0].tolist() == [True, False, True, True, True, False, True]
     uniform = torch.stack([learner.act(TensorDict({"observation": now}), 1.0) for _ in range(8)])
     assert uniform.abs().max() <= 1 and 2 <= len(uniform[:, 1].unique(dim=0)) <= 3
+
+
+def test_skills_learn_end_to_end_each_from_its_stage_and_from_what_the_next_one_expects() -> None:
+    learner = made("end_to_end", skills=["pick", "place"], stages=[3, 4])
+    assert isinstance(learner, EndToEnd)
+    stage = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    following = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    seen, after = torch.randn(N, D - 2), torch.randn(N, D - 2)
+    pick, place = learner.parts.values()
+    value = place.critics.value(after[1:2], place.actor.mode(after[1:2])).detach()
+    whole = torch.cat([seen, stage], dim=1)
+    step(learner, whole, torch.cat([after, following], dim=1), torch.tensor([False, False, True]), reward=1.0)
+    stored = pick.buffer.storage[:2]
+    torch.testing.assert_close(stored["observation"], seen[:2])
+    torch.testing.assert_close(stored["next", "reward"][1], 1 + learner.config.gamma**2 * value)
+    assert stored["next", "reward"][0] == 1 and stored["next", "terminated"][:, 0].tolist() == [False, True]
+    assert len(place.buffer) == 1 and place.buffer.storage[:1]["next", "terminated"].item()
+    wanted = torch.cat([pick.average.mode(seen[:2]), place.average.mode(seen[2:])])
+    torch.testing.assert_close(learner.policy(whole), wanted)
+    for _ in range(4):
+        learner.update()
+    assert [part.updates for part in learner.parts.values()] == [2, 2]
+
+
+def test_the_stages_have_a_column_for_each_skill() -> None:
+    with pytest.raises(ConfigError, match=r"^agent\.own\.stages=\[3, 5\] must be a column from 0 to 4 for each of "):
+        made("end_to_end", skills=["pick", "place"], stages=[3, 5])

@@ -26,13 +26,18 @@ from hrl_comfort.policies.graph import read_onnx
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
+from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import Stopped, make_points, small_config
 
 DOCS = Path(__file__).parents[2] / "docs"
 EVERY = [*SKILLS, *HIERARCHICAL, "td3:TD3", "entry"]
 SHORT = ("agent.policy_steps=640", "agent.checkpoint_every=160", "agent.learning_starts=160", "agent.batch_size=16")
-OF_POINTS = {"hiro": ("agent.own.goals=[0,1]",)}
+OF_POINTS = {
+    "hiro": ("agent.own.goals=[0,1]",),
+    "end_to_end": ("agent.own.skills=[near,far]", "agent.own.stages=[1,2]", "agent.critic_warmup_updates=0"),
+}
+SKILLS_OF_CYCLE = ("pick", "place", "return")
 MODULE = """
 from td3 import TD3
 
@@ -150,6 +155,22 @@ def test_a_built_in_learner_goes_through_stages_and_values_what_it_leads_to(name
     other = next(each for each in SKILLS if each != name)
     with pytest.raises(ConfigError, match=f"has learner={name}, this training {other}"):
         Training(config_of(tmp_path / "on", other, f"initial_policy='{run}'"), make_points, tmp_path / "on")
+
+
+def test_skills_go_on_from_the_policies_of_a_chain_each_in_its_stage(tmp_path: Path) -> None:
+    cell = ("human=none", "curriculum=off", "engine.num_envs=4", "agent.policy_steps=48", "agent.target_entropy=-6")
+    chain = {name: train(small_config(tmp_path / name, f"task={name}", *SHORT, *cell)) for name in SKILLS_OF_CYCLE}
+    words = ("agent=end_to_end", "task=cycle", f"initial_policy='{tmp_path}'", *SHORT, *cell)
+    training = Training(small_config(tmp_path / "cycle", *words), make_collector, tmp_path / "cycle")
+    whole = training.collector.observation_dim
+    for index, (name, run) in enumerate(chain.items()):
+        seen = torch.randn(5, whole)
+        seen[:, 36:] = torch.eye(3)[index]
+        torch.testing.assert_close(training.learner.policy(seen), load_policy(run)(seen[:, :36]), msg=name)
+    training.collector.close()
+    (tmp_path / "place").rename(tmp_path / "other")
+    with pytest.raises(ConfigError, match=r"place"):
+        Training(small_config(tmp_path / "cycle", *words), make_collector, tmp_path / "cycle")
 
 
 def test_the_learner_of_the_documentation_is_short_and_has_keys_of_its_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def test_a_discriminator_goes_on_from_its_state() -> None:
     starts = torch.randn(16, 3)
     one, other = StartDiscriminator(starts, 1.0, seed=1), StartDiscriminator(starts, 1.0, seed=2)
     one.judge(torch.zeros(4, 3))
-    other.load_state_dict(one.state_dict())
+    other.load_state_dict(deepcopy(one.state_dict()))
     for each in (one, other):
         each.judge(torch.ones(2, 3))
     assert torch.equal(one.rewards(starts), other.rewards(starts)) and len(other.ends) == 6

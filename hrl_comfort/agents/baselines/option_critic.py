@@ -111,6 +111,7 @@ class OptionCritic(SAC):
     losses: ClassVar[dict[str, str]] = {
         **TERMS, "termination_loss": "loss_termination", "termination": "termination",
     }  # fmt: skip
+    terms = tuple(losses)
     loss_type = OptionCriticLoss
 
     def __init__(self, *given: Any) -> None:
