@@ -38,6 +38,8 @@ class OptionCriticLoss(ActorCriticLoss):
     """Losses of the policies of options, of their critics and of their terminations."""
 
     terminations: nn.Module
+    size: int
+    """Numbers of an observation without the option."""
     count: int
     deliberation_cost: float
 
@@ -60,11 +62,6 @@ class OptionCriticLoss(ActorCriticLoss):
         seen, option = tensordict.get("next").get("observation").split([self.size, self.count], dim=-1)
         ends = (self.terminations(seen).sigmoid() * option).sum(1)
         return ends, (self._values * option).sum(1), self._values.amax(1)
-
-    @property
-    def size(self) -> int:
-        """Numbers of an observation without the option."""
-        return self.actor_network.body[0].in_features - self.count
 
     def option_values(self, tensordict: TensorDictBase) -> Tensor:
         """Return the soft values (B, K) of the options in the next observations, by the targets."""
@@ -133,7 +130,8 @@ class OptionCritic(SAC):
         ).to(self.device)  # fmt: skip
         loss = super().new_loss()
         assert isinstance(loss, OptionCriticLoss)
-        loss.terminations, loss.count, loss.deliberation_cost = self.terminations, count, self.own.deliberation_cost
+        loss.terminations, loss.size, loss.count = self.terminations, self.observation_dim, count
+        loss.deliberation_cost = self.own.deliberation_cost
         return loss
 
     def weights(self) -> list[nn.Parameter]:
