@@ -23,14 +23,14 @@ class StagePolicy(nn.Module):
 
     def __init__(self, parts: list[SAC], stages: list[int], observation_dim: int) -> None:
         super().__init__()
-        self._parts = [(part.average, part.normaliser) for part in parts]
-        self.modules_of = nn.ModuleList(nn.ModuleList(part) for part in self._parts)
+        self._pairs = [(part.average, part.normaliser) for part in parts]
+        self.pairs = nn.ModuleList(nn.ModuleList(part) for part in self._pairs)
         self._stages, self._others = stages, [each for each in range(observation_dim) if each not in stages]
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return actions (N, A) for raw observations (N, D)."""
         stage, seen = self.split(observation)
-        actions = torch.stack([actor.mode(normaliser(seen)) for actor, normaliser in self._parts], dim=1)
+        actions = torch.stack([actor.mode(normaliser(seen)) for actor, normaliser in self._pairs], dim=1)
         return actions.gather(1, stage[:, None, None].expand(-1, 1, actions.shape[2])).squeeze(1)
 
     def split(self, observation: Tensor) -> tuple[Tensor, Tensor]:
