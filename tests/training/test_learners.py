@@ -157,6 +157,13 @@ def test_a_built_in_learner_goes_through_stages_and_values_what_it_leads_to(name
         Training(config_of(tmp_path / "on", other, f"initial_policy='{run}'"), make_points, tmp_path / "on")
 
 
+@pytest.mark.parametrize("name", HIERARCHICAL)
+def test_a_learner_with_a_hierarchy_of_its_own_goes_through_stages(name: str, tmp_path: Path) -> None:
+    stages = "curriculum.stages=[{name:a,policy_steps:320},{name:b,policy_steps:320}]"
+    run = train(config_of(tmp_path / "run", name, stages), make_points)
+    assert {row["stage"] for row in rows(run)} == {"a", "b"}
+
+
 def test_skills_go_on_from_the_policies_of_a_chain_each_in_its_stage(tmp_path: Path) -> None:
     cell = ("human=none", "curriculum=off", "engine.num_envs=4", "agent.policy_steps=48", "agent.target_entropy=-6")
     chain = {name: train(small_config(tmp_path / name, f"task={name}", *SHORT, *cell)) for name in SKILLS_OF_CYCLE}
