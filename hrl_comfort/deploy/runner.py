@@ -87,8 +87,11 @@ def refuse(config: DeployConfig) -> None:
     if config.task.name in ("shift", "kitting"):
         repeated = config.task.name
         raise ConfigError(f"task.name={repeated} goes on after failures, which deploy does not; choose task=cycle")
-    if config.robot.gripper.holds and config.task.name == "place":
-        raise ConfigError("task.name=place begins with an object in the hand, which deploy does not; choose task=cycle")
+    if config.robot.gripper.holds and config.task.name in ("place", "place_fine"):
+        begins = config.task.name
+        raise ConfigError(
+            f"task.name={begins} begins with an object in the hand, which deploy does not; choose task=cycle"
+        )
     if config.robot.gripper.holds and name == "ur" and config.episodes > 1:
         raise ConfigError(
             f"episodes={config.episodes} would need somebody who lays the objects for each one; choose episodes=1"
