@@ -119,7 +119,7 @@ def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:
         return simulated(scene)
     if config.connection.gripper == "robotiq":
         return partial(ur_with_robotiq, host, braking, config.robot.gripper.force_n)
-    return partial(UrArm, host, braking)
+    return partial(UrArm, host, braking, config.connection.gripper == "tool_output")
 
 
 def simulated(scene: Scene) -> OpenArm:
