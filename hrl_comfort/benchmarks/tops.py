@@ -144,6 +144,7 @@ def table(rows: DataFrame) -> str:
     Intervals are over the shifts, of learned tops over their training seeds. Of the fixed orders the best is shown, in
     hindsight.
     """
+    rows = rows.reindex(columns=["top", "shift", "seed", "return", *(term for term in TERMS if term != "return")])
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
