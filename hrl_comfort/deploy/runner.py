@@ -23,9 +23,9 @@ from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.deploy.arms import Arm, Equipped, Fingers, SimulatedArm, SimulatedHand
 from hrl_comfort.deploy.frame import Frame
+from hrl_comfort.deploy.hands.robotiq import RobotiqHand
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine, sources_of
-from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.stops import INTERRUPTED, GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, HAND_COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm

@@ -19,7 +19,7 @@ import numpy as np
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.deploy.arms import PERIOD_S, Array, Reading
-from hrl_comfort.deploy.tool_output import OUTPUT, SHUT, ToolHand
+from hrl_comfort.deploy.hands.tool_output import OUTPUT, SHUT, ToolHand
 
 RTDE_PORT, SCRIPT_PORT = 30004, 30002
 ANSWER_S = 5.0

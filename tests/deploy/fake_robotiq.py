@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.deploy.arms import Fingers, HandReading, Reading, SimulatedHand
-from hrl_comfort.deploy.robotiq import PORT
+from hrl_comfort.deploy.hands.robotiq import PORT
 
 
 class FakeRobotiq:

@@ -22,8 +22,8 @@ from pandas import DataFrame
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
 from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped
+from hrl_comfort.deploy.hands.robotiq import RobotiqHand
 from hrl_comfort.deploy.links import Lockstep
-from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.runner import Run
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, HAND_COLUMNS, Limits
@@ -35,6 +35,8 @@ from tests.deploy.late import Late, LateLoopback, PulledHand
 HAND = ["cell=grasp", "gripper=robotiq_2f85", "policy=expert", "human=none", "confirm=yes", "output=none"]
 NOTICED_S = 0.3
 """Longest time until a lost grip is noticed."""
+WEAK_N = 20.0
+"""Force of the grip of an object that is pulled out, the least of a 2F-85, so that the arm holds against the pull."""
 FIRST, LAST = 50, 600
 """Set-points for which an object is held before it is pulled out."""
 
@@ -46,6 +48,7 @@ def cycle(index: int, pull_after: int = 0) -> dict[str, Any]:
         f"episode_seed={VALIDATION_SEED + index}",
         "task.object_jitter_m=0.05",
     ]
+    words += [f"robot.gripper.force_n={WEAK_N}"] if pull_after else []
     asked = compose("deploy", [*HAND, "task=cycle", *words])
     assert isinstance(asked, DeployConfig)
     scene = scene_of(asked)
@@ -61,7 +64,7 @@ def cycle(index: int, pull_after: int = 0) -> dict[str, Any]:
 
     log = Path(tempfile.mkdtemp()) / "log.bin"
     clock = SimpleNamespace(monotonic=lambda: hand.ticks * PERIOD_S)
-    with patch.object(socket, "create_connection", connect), patch("hrl_comfort.deploy.robotiq.time", clock):
+    with patch.object(socket, "create_connection", connect), patch("hrl_comfort.deploy.hands.robotiq.time", clock):
         run = Run(asked, Lockstep(arm, Limits.of(asked, scene), log), lambda: False)
         try:
             run.all()

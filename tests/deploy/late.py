@@ -12,8 +12,9 @@ from hrl_comfort.scene.workcell import Scene
 from tests.deploy.fake_robotiq import FakeRobotiq
 
 Array = NDArray[np.float64]
-PULL_N, OUT_M = 150.0, 0.1
-"""Force that pulls at an object, and its distance from the tool at which it is out of the hand."""
+PULL_N, OUT_M = 1.0, 0.1
+"""Growth, in a set-point, of the force that pulls at an object, and its distance from the tool at which it is out of
+the hand."""
 
 
 class Late:
@@ -77,7 +78,7 @@ class PulledHand(SimulatedHand):
         self._scene, self._left = scene, pull_after
         self.ticks = self.lost_at = 0
         way = np.random.default_rng(seed).normal(size=3)
-        self._pull = PULL_N * way / np.linalg.norm(way)
+        self._pull, self._force = way / np.linalg.norm(way), 0.0
         self._pulled: int | None = None
 
     def send(self, angles: Array) -> None:
@@ -95,6 +96,8 @@ class PulledHand(SimulatedHand):
             self.lost_at = self.ticks
         away = self.objects[self._pulled, :3] - self._data.site("robot/tcp").xpos
         body = self._model.body(self._scene.loose[self._pulled]).id
+        self._force += PULL_N
         across = self._data.site("robot/tcp").xmat.reshape(3, 3)[:, 0]  # pads would stop it
         out = self._pull - (self._pull @ across) * across
+        out *= self._force / np.linalg.norm(out)
         self._data.xfrc_applied[body, :3] = out if np.linalg.norm(away) < OUT_M else 0.0

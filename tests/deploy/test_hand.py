@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped, Fingers, HandReading, Reading, SimulatedHand
+from hrl_comfort.deploy.hands.robotiq import RobotiqHand
+from hrl_comfort.deploy.hands.tool_output import SHUT, ToolHand
 from hrl_comfort.deploy.held import Objects
 from hrl_comfort.deploy.links import Lockstep
-from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.runner import LOG, Run, deploy, ur_with_robotiq
 from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
-from hrl_comfort.deploy.tool_output import SHUT, ToolHand
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
 from tests.deploy.hand_campaign import cycle, noticed
@@ -150,7 +150,8 @@ def test_an_arm_and_its_hand_on_one_controller_grip_what_lies_between_the_finger
 ) -> None:
     """What they hold is not carried through the cell by the next run: it is refused."""
     pytest.importorskip("rtde_receive")
-    from hrl_comfort.deploy import robotiq, ur
+    from hrl_comfort.deploy import ur
+    from hrl_comfort.deploy.hands import robotiq
     from tests.deploy.fake_ur import fake_ur
 
     for module in (robotiq, ur):  # on a busy machine nothing is lost
