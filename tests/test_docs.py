@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.agents.sac import SAC
+from hrl_comfort.agents.baselines.option_critic import OptionCritic
 from hrl_comfort.comfort import sources, terms
 from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation import handover
@@ -52,7 +52,7 @@ def test_generated_pages_are_those_of_the_code() -> None:
     ("file", "header"),
     [
         ("eval/episodes.csv", EPISODES),
-        ("metrics.csv", MetricsLog(Path(), ("NAME",), SAC.terms, config=None).columns),
+        ("metrics.csv", MetricsLog(Path(), ("NAME",), (*OptionCritic.terms, "upper_NAME"), config=None).columns),
         ("timing.csv", TIMING),
         ("meta_controller_metrics.csv", OptionsLog(Path(), ["NAME"]).columns),
         ("handover.csv", handover.HANDOVER),

@@ -7,18 +7,22 @@ from typing import Any, Protocol
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
+from hrl_comfort.agents.baselines.end_to_end import EndToEnd
+from hrl_comfort.agents.baselines.held import Held
+from hrl_comfort.agents.baselines.hiro import HIRO
+from hrl_comfort.agents.baselines.option_critic import OptionCritic
 from hrl_comfort.agents.crossq import CrossQ
-from hrl_comfort.agents.discrete_sac import DiscreteSAC
-from hrl_comfort.agents.dqn import DQN
-from hrl_comfort.agents.options import OptionLearner
-from hrl_comfort.agents.ppo import PPO
 from hrl_comfort.agents.redq import REDQ
 from hrl_comfort.agents.sac import SAC
+from hrl_comfort.agents.tops.discrete_sac import DiscreteSAC
+from hrl_comfort.agents.tops.dqn import DQN
+from hrl_comfort.agents.tops.options import OptionLearner
+from hrl_comfort.agents.tops.ppo import PPO
 from hrl_comfort.agents.tqc import TQC
 from hrl_comfort.config import AgentConfig, ConfigError, MetaControllerAgentConfig
 from hrl_comfort.config.checks import implemented, own_keys, part
 from hrl_comfort.config.hierarchy import TOP_LEARNERS
-from hrl_comfort.config.learning import SKILL_LEARNERS, NoKeys
+from hrl_comfort.config.learning import BASELINES, SKILL_LEARNERS, NoKeys
 
 METHODS = ("act", "observe", "update", "state_dict", "load_state_dict")
 
@@ -29,7 +33,9 @@ class Learner(Protocol):
     The class is called with its configuration, the sizes of observations and actions, and its own keys: a `Keys` of
     this class, a dataclass with defaults. `policy` is a module that the run keeps: for a skill from raw observations
     (N, D) to actions (N, A) in [-1, 1], for a top from observations to scores (N, K) of the options, of which the
-    greatest is chosen. `terms`, if any, names the columns of metrics.csv that `update` fills; of a top, it is `loss`.
+    greatest is chosen. That of a skill with memory has `memory_dim`, and takes and returns a memory (N, M) too, zeros
+    at the beginning of an episode. `terms`, if any, names the columns of metrics.csv that `update` fills; of a top, it
+    is `loss`.
     """
 
     def act(self, now: TensorDictBase, exploration: float) -> Tensor:
@@ -46,14 +52,18 @@ class Learner(Protocol):
 
 
 SKILLS: dict[str, type[SAC]] = implemented(
-    tuple(SKILL_LEARNERS), {"sac": SAC, "tqc": TQC, "crossq": CrossQ, "redq": REDQ}
+    tuple(SKILL_LEARNERS), {"sac": SAC, "tqc": TQC, "crossq": CrossQ, "redq": REDQ, "held": Held}
 )
 """Built-in learners of skills."""
+HIERARCHICAL: dict[str, type[Learner]] = implemented(
+    tuple(BASELINES), {"hiro": HIRO, "option_critic": OptionCritic, "end_to_end": EndToEnd}
+)
+"""Built-in learners whose policy has a hierarchy of its own."""
 TOPS: dict[str, type[OptionLearner]] = implemented(
     tuple(TOP_LEARNERS), {"dqn": DQN, "discrete_sac": DiscreteSAC, "ppo": PPO}
 )
 """Built-in learners of tops."""
-KNOWN: dict[str, dict[str, Any]] = {"agent": {**SKILLS}, "meta_controller_agent": {**TOPS}}
+KNOWN: dict[str, dict[str, Any]] = {"agent": {**SKILLS, **HIERARCHICAL}, "meta_controller_agent": {**TOPS}}
 """Built-in learners by the section of their configuration."""
 
 

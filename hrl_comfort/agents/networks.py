@@ -67,11 +67,10 @@ class Normaliser(nn.Module):
         scaled = (observation - self._shift) * self._scale
         return scaled.clamp_(-NORMALISED_LIMIT, NORMALISED_LIMIT)
 
-    def load_state_dict(self, *args: Any, **kwargs: Any) -> Any:
-        """Load the statistics (see nn.Module)."""
-        result = super().load_state_dict(*args, **kwargs)
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        """Load the statistics, as part of a larger module too (see nn.Module)."""
+        super()._load_from_state_dict(*args, **kwargs)
         self._refresh()
-        return result
 
 
 def tanh_gaussian(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.loss import ActorCriticLoss, bc_loss
@@ -58,8 +58,10 @@ class SAC:
 
     Keys: ClassVar[type] = NoKeys
     """Dataclass of the keys `agent.own`."""
+    losses: ClassVar[dict[str, str]] = TERMS
+    """Values that `update` returns, by column of metrics.csv."""
     terms: ClassVar[tuple[str, ...]] = tuple(TERMS)
-    """Values that `update` returns, columns of metrics.csv."""
+    """These columns."""
     critics_type: ClassVar[type[Critics]] = Critics
     loss_type: ClassVar[type[ActorCriticLoss]] = ActorCriticLoss
     has_targets: ClassVar[bool] = True
@@ -115,8 +117,11 @@ class SAC:
         return self.loss_type(self.actor, self.critics, self.targets, *coefficients)
 
     def _new_optimiser(self) -> torch.optim.Optimizer:
-        parameters = [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
-        return torch.optim.Adam(parameters, lr=self.config.learning_rate, betas=self.betas, fused=True)
+        return torch.optim.Adam(self.weights(), lr=self.config.learning_rate, betas=self.betas, fused=True)
+
+    def weights(self) -> list[nn.Parameter]:
+        """Return all that is learned."""
+        return [*self.actor.parameters(), *self.critics.parameters(), self.log_alpha]
 
     def _new_buffer(self) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(storage=LazyTensorStorage(self.config.buffer_size, device=self.device))
@@ -151,7 +156,7 @@ class SAC:
         self.buffer.extend(transitions)
 
     def update(self) -> dict[str, float]:
-        """Do one gradient step on everything; return `TERMS` by name.
+        """Do one gradient step on everything; return `terms` by name.
 
         Raises:
             TrainingDiverged: a term is not finite; the parameters are left as they were.
@@ -162,14 +167,14 @@ class SAC:
     def _update(self) -> dict[str, float]:
         batch = self.sample()
         losses = self.loss(batch)
-        values = torch.stack([losses[name].detach() for name in TERMS.values()]).tolist()
-        terms = dict(zip(TERMS, values, strict=True))
+        values = torch.stack([losses[name].detach() for name in self.losses.values()]).tolist()
+        terms = dict(zip(self.losses, values, strict=True))
         for name, value in terms.items():
             if not math.isfinite(value):
                 raise TrainingDiverged(f"training diverged at update {self.updates}: {name} is {value}")
         loss = losses["loss_qvalue"]
         if self.actor_learns():
-            loss = loss + losses["loss_actor"] + losses["loss_alpha"] + self._bc_loss(batch)
+            loss = loss + self.actor_loss(losses, batch)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         if self.config.learning_rate_end is not None:
@@ -181,6 +186,11 @@ class SAC:
             torch._foreach_lerp_(*self._averaged, self.config.ema_rate)
         self.updates += 1
         return terms
+
+    def actor_loss(self, losses: TensorDictBase, batch: TensorDict) -> Tensor:
+        """Return what the actor and the entropy coefficient learn from."""
+        loss: Tensor = losses["loss_actor"] + losses["loss_alpha"] + self._bc_loss(batch)
+        return loss
 
     def actor_learns(self) -> bool:
         """Return whether the next update changes the actor too."""

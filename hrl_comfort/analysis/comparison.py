@@ -193,9 +193,18 @@ def training_cost(run: Run) -> dict[str, float]:
         if not isinstance(config, TrainConfig) or not provenance.finished:
             raise ConfigError(f"{folder} is not finished, or no training, so its training cost is unknown")
         spent[folder.resolve()] = provenance.policy_steps, provenance.wall_seconds / 60
-        left += [config.initial_policy] if config.initial_policy else []
+        left += begun_from(config)
     policy_steps, minutes = map(sum, zip(*spent.values(), strict=True))
     return {"networks": len(policies), "policy_steps": policy_steps, "minutes": minutes}
+
+
+def begun_from(config: TrainConfig) -> list[str]:
+    """Return the policies that a training began from: one, one for each skill of a chain, or none."""
+    if config.initial_policy is None:
+        return []
+    if config.agent.name == "end_to_end":
+        return [str(Path(config.initial_policy) / name) for name in config.agent.own["skills"]]
+    return [config.initial_policy]
 
 
 def _pooled(runs: Sequence[Run]) -> DataFrame:

@@ -2,8 +2,8 @@
 
 The choices of all but fixed orders that are not the best are judged by the oracle, and so are those of an idle arm.
 
-`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS WORDS…` measures them on `split=validation`; the words, those of
-`hrl-comfort evaluate`, come after WORDS.
+`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN] WORDS…` measures them, and the learned tops
+whose run folders match the pattern; the words, those of `hrl-comfort evaluate`, come after WORDS.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import CellConfig, EvaluateConfig
+from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig
 from hrl_comfort.config.hierarchy import ORACLE
 from hrl_comfort.evaluation.ledger import open_split
-from hrl_comfort.files.run_config import environment
+from hrl_comfort.files.run_config import environment, load_config
 from hrl_comfort.files.tables import write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Choose, Decision, Top
@@ -40,13 +40,13 @@ from hrl_comfort.sim.processes.engine import make_engine
 WORDS = (
     "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
     "task.terminate_on=unsafe_contact", "meta_controller=nearest", "policies.pick=direct", "policies.place=direct",
-    "policies.return=direct",
+    "policies.return=direct", "split=validation",
 )  # fmt: skip
 """The world and skills that are measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
 IDLE = "idle"
 """The arm that waits at home."""
 RULES = ("random", "nearest", "free", "patient", "due")
-FIXED = "fixed"
+FIXED, LEARNED = "fixed", "learned"
 TERMS = {
     "return": "return",
     "place": "orders filled",
@@ -58,16 +58,22 @@ TERMS = {
 The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
 
 
-def measure(config: EvaluateConfig, shifts: int) -> DataFrame:
-    """Return a row for each top and shift; fixed orders, and then all others that are shown, work side by side."""
-    entries = open_split(replace(config, split="validation", episodes=shifts)).entries
+def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -> DataFrame:
+    """Return a row for each top and shift, of a learned one with its training seed.
+
+    Fixed orders, and then all others that are shown, work side by side.
+    """
+    entries = open_split(replace(config, episodes=shifts)).entries
     tried = _side_by_side(
         config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)], judged=False
     )
     best = str(tried.groupby("top")["return"].mean().idxmax())
-    shown = _side_by_side(config, entries, [IDLE, *RULES, best], judged=True)
+    names = {f"{LEARNED} {folder}": seed_of(folder) for folder in learned}
+    shown = _side_by_side(config, entries, [IDLE, *RULES, best, *names], judged=True)
     oracle = _side_by_side(config, entries, [ORACLE], judged=False).assign(regret=0.0)
-    return pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
+    rows = pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
+    seeds = rows["top"].map(names)
+    return rows.assign(top=rows["top"].where(seeds.isna(), LEARNED), seed=seeds.astype("Int64"))
 
 
 def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool) -> DataFrame:
@@ -116,11 +122,13 @@ def orders(cell: CellConfig) -> list[list[str]]:
 
 
 def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
-    """Return a top by its name; that of a fixed order is followed by the areas."""
+    """Return a top by its name; that of a fixed order is followed by the areas, `learned` by a run folder."""
     if name == IDLE:
         wait = table.position("wait")
         return lambda decision: torch.full((len(decision.mask),), wait)
     kind, *areas = name.split()
+    if kind == LEARNED:
+        return TOPS[kind](replace(config, policies={**config.policies, "meta_controller": areas[0]}), table, 0)
     picks = [
         f"pick_{index}"
         for area in areas
@@ -131,33 +139,51 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
 
 
 def table(rows: DataFrame) -> str:
-    """Return the means of the rows of each top with intervals over shifts, and the oracle less the top in %.
+    """Return the means of the rows of each top with intervals, and the oracle less the top in %.
 
-    Rows measured without regrets have no column of them.
-
-    Of the fixed orders the best is shown, in hindsight.
+    Intervals are over the shifts, of learned tops over their training seeds. Of the fixed orders the best is shown, in
+    hindsight.
     """
-    of = {str(name): group.sort_values("shift") for name, group in rows.groupby("top", sort=False)}
+    rows = rows.reindex(columns=["top", "shift", "seed", "return", *(term for term in TERMS if term != "return")])
+    of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
-    runs, told = Clusters.of_runs(int(rows["shift"].nunique())), [term for term in TERMS if term in rows]
+    best_possible = of[ORACLE].set_index("shift")["return"]
     lines = []
     for name in shown:
-        mine, oracle = (of[each]["return"].to_numpy() for each in (name, ORACLE))
+        mine, oracle = of[name]["return"].to_numpy(), best_possible[of[name]["shift"]].to_numpy()
+        runs = Clusters.of_runs(len(mine)) if of[name]["seed"].isna().all() else Clusters.of(clustered(of[name]))
         more = None if name == ORACLE else runs.estimate(oracle - mine)
-        values = (runs.estimate(of[name][term].to_numpy()) for term in told)
+        values = (runs.estimate(of[name][term].to_numpy()) for term in TERMS)
         share = "–" if more is None or mine.mean() <= 0 else f"{100 * more['mean'] / mine.mean():.0f}"
         lines.append([f"`{name}`", *(cell(value, digits=2) for value in values), cell(more, digits=2), share])
-    return markdown(["choice", *(TERMS[term] for term in told), "oracle above it", "the same, %"], lines)
+    return markdown(["choice", *TERMS.values(), "oracle above it", "the same, %"], lines)
+
+
+def seed_of(folder: Path) -> int:
+    """Return the seed of the training of a top in its run folder."""
+    config = load_config(folder)
+    if not isinstance(config, MetaControllerTrainConfig):
+        raise ConfigError(
+            f"learned={folder} is no training of a top; give folders of hrl-comfort train meta_controller"
+        )
+    return config.train_seed
+
+
+def clustered(rows: DataFrame) -> DataFrame:
+    """Return the rows of a learned top with the columns that say what they share."""
+    return rows.rename(columns={"seed": "train_seed", "shift": "spawn_id"})
 
 
 def main(words: Sequence[str]) -> None:
     """Measure, and write the CSV."""
     torch.set_num_threads(1)
     path, shifts, *asked = words
-    config = compose("evaluate", [*WORDS, *asked])
+    patterns = [word.removeprefix("learned=") for word in asked if word.startswith("learned=")]
+    learned = [folder for pattern in patterns for folder in sorted(Path().glob(pattern))]
+    config = compose("evaluate", [*WORDS, *(word for word in asked if not word.startswith("learned="))])
     assert isinstance(config, EvaluateConfig)
-    rows = measure(config, int(shifts))
+    rows = measure(config, int(shifts), learned)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     write_table(Path(path), list(rows), rows.itertuples(index=False, name=None))
     print(table(pd.read_csv(path)))

@@ -15,12 +15,12 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from hrl_comfort.config import checks
 from hrl_comfort.config.hierarchy import TOP_LEARNERS
 from hrl_comfort.config.hydra_conf import values_of
-from hrl_comfort.config.learning import SKILL_LEARNERS
+from hrl_comfort.config.learning import LEARNERS
 from hrl_comfort.config.overrides import ROOTS
 
 MOST = 40
 """Longest default, characters, that is shown."""
-OWN: dict[str, dict[str, type]] = {"agent.own": SKILL_LEARNERS, "meta_controller_agent.own": TOP_LEARNERS}
+OWN: dict[str, dict[str, type]] = {"agent.own": LEARNERS, "meta_controller_agent.own": TOP_LEARNERS}
 """Dataclasses of the keys that some parts alone have, by key and name of the part."""
 
 

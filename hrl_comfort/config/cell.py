@@ -268,9 +268,10 @@ class ConnectionConfig:
     """`simulated`: an arm in MuJoCo that runs in real time. `ur`: a robot of Universal Robots, by RTDE."""
     host: str
     """`ur`: address of the robot's controller."""
-    gripper: Annotated[str, choice("none", "robotiq")]
+    gripper: Annotated[str, choice("none", "robotiq", "tool_output")]
     """`ur`: connection of the hand that `robot.gripper` describes. `robotiq`: a 2F-85, by the server of Robotiq's URCap
-    on port 63352 of `host`. The simulated arm has the fingers of its model, and takes `none`."""
+    on port 63352 of `host`. `tool_output`: a hand of two states on the tool connector: digital output 0 closes it,
+    digital input 0 is on while it grips. The simulated arm has the fingers of its model, and takes `none`."""
     frame_m: Annotated[list[XYZ], Field(min_length=3, max_length=3)] | None
     """Frame in which places and obstacles of `cell`, `task.*point_m` and live positions of people are given; null:
     that of the robot's base. For another frame give three tool positions, measured in the frame of the base, m: the new
@@ -278,12 +279,14 @@ class ConnectionConfig:
 
     def check_moves(self, hand: GripperConfig) -> None:
         """Raise ConfigError if the connection does not move this hand."""
-        wanted = "robotiq" if hand.holds and self.name == "ur" else "none"
-        if self.gripper != wanted or (wanted == "robotiq" and hand.name != "robotiq_2f85"):
+        wired = hand.holds and self.name == "ur"
+        allowed = (
+            ("none",) if not wired else ("robotiq", "tool_output") if hand.name == "robotiq_2f85" else ("tool_output",)
+        )
+        if self.gripper not in allowed:
             raise ConfigError(
                 f"connection.gripper={self.gripper} does not go with connection={self.name} and robot.gripper.name="
-                f"{hand.name}; choose connection.gripper=robotiq with connection=ur and gripper=robotiq_2f85, or "
-                "connection.gripper=none with connection=simulated or gripper=none"
+                f"{hand.name}; choose connection.gripper={' or '.join(allowed)}"
             )
 
 

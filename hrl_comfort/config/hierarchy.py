@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from hrl_comfort.config.checks import Widths, between, choice, named, own_keys, unique, within
+from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
 from hrl_comfort.config.learning import NoKeys
 
-TOPS = ("nearest", "free", "due", "cautious", "patient", "fixed", "random", "learned")
+RULES = ("nearest", "free", "due", "cautious", "patient")
+"""Built-in meta-controllers that are functions of a decision."""
+TOPS = (*RULES, "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
 META_OBSERVATIONS = ("default", "proximity", "jobs")
+OBSERVED = {"default": (18, 9), "proximity": (15, 9), "jobs": (15, 12)}
+"""Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
 
 
 @dataclass(frozen=True)
@@ -107,16 +111,35 @@ class MetaControllerAgentConfig:
     """Discount factor of a control step; an option of k steps has gamma**k."""
     hidden: Widths
     """Widths of the hidden layers."""
+    network: Annotated[str, choice("flat", "shared")]
+    """Network of the scores of the built-in learners: one of all observations (`flat`), or one that scores every object
+    alike, from what is observed of it and of all together (`shared`): what it learns of one object holds for all."""
     exploration_start: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option at the start."""
     exploration_end: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option in the second half of the training; in the first half, after `warmup_options`, it
     goes linearly from `exploration_start` to this."""
+    rule: Annotated[str, choice(*RULES)] | None
+    """Rule that chooses in the first `rule_envs` environments; the learner learns from what comes of it, too;
+    null is none. `ppo` takes none: it learns from its own choices alone."""
+    rule_envs: Annotated[int, within(0, 65535)]
+    """Number of environments, of `engine.num_envs`, in which the rule chooses; meta_controller_metrics.csv
+    leaves them out."""
     log_every: Annotated[int, within(1, 1e9)]
     """Options between two rows of meta_controller_metrics.csv, and between two checkpoints."""
 
     def __post_init__(self) -> None:
         between("meta_controller_agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
+        if (self.rule is None) != (self.rule_envs == 0):
+            raise ConfigError(
+                f"meta_controller_agent.rule={self.rule} does not go with "
+                f"meta_controller_agent.rule_envs={self.rule_envs}; give both or neither"
+            )
+        if self.rule is not None and self.name == "ppo":
+            raise ConfigError(
+                f"meta_controller_agent.rule={self.rule} does not go with meta_controller_agent=ppo, "
+                "which learns from its own choices alone; choose null, or dqn or discrete_sac"
+            )
         if self.name in TOP_LEARNERS:
             own: Any = own_keys("meta_controller_agent", self.name, TOP_LEARNERS[self.name], self.own)
             object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all

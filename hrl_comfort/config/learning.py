@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, within
+from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
 
 
 @dataclass(frozen=True)
@@ -112,15 +112,65 @@ class REDQKeys:
         between("subset", self.subset, 1, self.critics)
 
 
-SKILL_LEARNERS: dict[str, type] = {"sac": NoKeys, "tqc": TQCKeys, "crossq": CrossQKeys, "redq": REDQKeys}
+@dataclass(frozen=True)
+class HeldKeys:
+    """Soft actor-critic whose exploration lasts (Nachum et al. 2019, arXiv:1909.10618)."""
+
+    hold: Annotated[int, within(1, 10_000)] = 10
+    """Number of decisions for which the noise of exploration, or a random action, stays the same."""
+
+
+@dataclass(frozen=True)
+class HIROKeys:
+    """Goals from an upper policy (Nachum et al. 2018, arXiv:1805.08296)."""
+
+    goals: list[Annotated[int, within(0, 1_000_000)]] = field(default_factory=list)
+    """Columns of the observation that goals are set in; []: all."""
+    reach: Annotated[float, within(1e-6, 1e6)] = 0.25
+    """Farthest goal in a column, from its value at the time, in its unit."""
+    every: Annotated[int, within(1, 1000)] = 10
+    """Number of decisions after which the upper policy sets the next goal, and of updates of the lower policy for each
+    of the upper."""
+    candidates: Annotated[int, within(2, 100)] = 10
+    """Number of goals from which a past one is replaced by that which best explains the actions taken."""
+
+
+@dataclass(frozen=True)
+class OptionCriticKeys:
+    """Options with learned policies and terminations (Bacon et al. 2017, arXiv:1609.05140), here on soft critics."""
+
+    options: Annotated[int, within(1, 64)] = 4
+    """Number of options."""
+    deliberation_cost: Annotated[float, within(0.0, 1000.0)] = 0.01
+    """Advantage that a termination must bring (Harb et al. 2018, arXiv:1709.04571)."""
+    exploration: Annotated[float, within(0.0, 1.0)] = 0.1
+    """Probability, where an option ends, that the next is drawn at random."""
+
+
+@dataclass(frozen=True)
+class EndToEndKeys:
+    """Skills of a chain that learn together in the whole task."""
+
+    skills: Annotated[list[str], unique] = field(default_factory=lambda: ["pick", "place", "return"])
+    """Skills in the order of the stages; each begins with the policy in the folder of its name in `initial_policy`."""
+    stages: Annotated[list[Annotated[int, within(0, 1_000_000)]], unique] = field(default_factory=lambda: [36, 37, 38])
+    """Columns of the observation that tell which stage is in force; no skill sees them."""
+
+
+SKILL_LEARNERS: dict[str, type] = {
+    "sac": NoKeys, "tqc": TQCKeys, "crossq": CrossQKeys, "redq": REDQKeys, "held": HeldKeys,
+}  # fmt: skip
 """Built-in learners of skills, each with the dataclass of its own keys."""
+BASELINES: dict[str, type] = {"hiro": HIROKeys, "option_critic": OptionCriticKeys, "end_to_end": EndToEndKeys}
+"""Built-in learners whose policy has a hierarchy of its own, likewise."""
+LEARNERS = {**SKILL_LEARNERS, **BASELINES}
 
 
 @dataclass(frozen=True)
 class AgentConfig:
     """The learner of a skill, by default soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
-    name: Annotated[str, named("agent.name", *SKILL_LEARNERS)]
+    name: Annotated[str, named("agent.name", *LEARNERS)]
     """A built-in learner, one that an installed package offers as an entry point (both by name), or
     `package.module:Class`."""
     own: dict[str, Any]
@@ -177,6 +227,10 @@ class AgentConfig:
     next_skill: str | None
     """Run folder of the policy that acts after a success. The value that its critics give to the state at the
     success is discounted and added to the target of the critics being trained."""
+    next_skill_reward: Annotated[float, within(0.0, 1e6)]
+    """Reward for a success that ends in a state from which `next_skill` has succeeded, as a discriminator tells them,
+    in place of the value that its critics give (Lee et al. 2021, arXiv:2111.07999); less for other states. 0: that
+    value."""
     log_every: Annotated[int, within(1, 1e9)]
     """Policy steps between two rows of metrics.csv."""
     checkpoint_every: Annotated[int, within(1, 1e9)]
@@ -186,8 +240,8 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         between("agent.buffer_size", self.buffer_size, self.batch_size, 1e8)
-        if self.name in SKILL_LEARNERS:
-            own: Any = own_keys("agent", self.name, SKILL_LEARNERS[self.name], self.own)
+        if self.name in LEARNERS:
+            own: Any = own_keys("agent", self.name, LEARNERS[self.name], self.own)
             object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all
         if (self.demonstrator is None) != (self.demonstrator_envs == 0):
             raise ConfigError(

@@ -48,6 +48,8 @@ def export(config: ExportConfig) -> Path:
                 raise ConfigError(f"policy={source!r}: export takes a run folder, a checkpoint or a policy.pt")
             env = environment(replace(config, task=replace(config.task, name=name)))
             policy = load_policy(source)
+            if policy.memory_dim is not None:
+                raise ConfigError(f"policy={source!r} has a memory; export takes those that act by what they see now")
             engine = Engine(env, 2, 0)
             task = observed_by(policy, source, engine.episodes.subtask, env)
             state, scene = engine.reset(), engine.scene

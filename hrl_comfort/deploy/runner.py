@@ -23,9 +23,9 @@ from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.config import ConfigError, DeployConfig
 from hrl_comfort.deploy.arms import Arm, Equipped, Fingers, SimulatedArm, SimulatedHand
 from hrl_comfort.deploy.frame import Frame
+from hrl_comfort.deploy.hands.robotiq import RobotiqHand
 from hrl_comfort.deploy.links import Link, Lockstep, Paced
 from hrl_comfort.deploy.robot import RobotEngine, sources_of
-from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.stops import INTERRUPTED, GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS, HAND_COLUMNS, Limits
 from hrl_comfort.deploy.ur import UrArm
@@ -87,8 +87,11 @@ def refuse(config: DeployConfig) -> None:
     if config.task.name in ("shift", "kitting"):
         repeated = config.task.name
         raise ConfigError(f"task.name={repeated} goes on after failures, which deploy does not; choose task=cycle")
-    if config.robot.gripper.holds and config.task.name == "place":
-        raise ConfigError("task.name=place begins with an object in the hand, which deploy does not; choose task=cycle")
+    if config.robot.gripper.holds and config.task.name in ("place", "place_fine"):
+        begins = config.task.name
+        raise ConfigError(
+            f"task.name={begins} begins with an object in the hand, which deploy does not; choose task=cycle"
+        )
     if config.robot.gripper.holds and name == "ur" and config.episodes > 1:
         raise ConfigError(
             f"episodes={config.episodes} would need somebody who lays the objects for each one; choose episodes=1"
@@ -116,7 +119,7 @@ def arm_of(config: DeployConfig, scene: Scene) -> OpenArm:
         return simulated(scene)
     if config.connection.gripper == "robotiq":
         return partial(ur_with_robotiq, host, braking, config.robot.gripper.force_n)
-    return partial(UrArm, host, braking)
+    return partial(UrArm, host, braking, config.connection.gripper == "tool_output")
 
 
 def simulated(scene: Scene) -> OpenArm:

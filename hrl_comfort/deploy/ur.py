@@ -1,5 +1,7 @@
 """Arms of Universal Robots: state by RTDE, set-points by RTDE input registers that a short URScript follows.
 
+A hand on the tool connector is one of the set-points: the script switches the tool's output.
+
 The controller runs the script, so nothing has to be installed on it; it must be in remote control. Two guards stop an
 arm whose runner is dead: the script brakes once the counter has not changed for STALE_S, and the controller's own
 watchdog ends the program after 100 ms. RTDE guide and URScript manual: Universal Robots.
@@ -17,6 +19,7 @@ import numpy as np
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.deploy.arms import PERIOD_S, Array, Reading
+from hrl_comfort.deploy.hands.tool_output import OUTPUT, SHUT, ToolHand
 
 RTDE_PORT, SCRIPT_PORT = 30004, 30002
 ANSWER_S = 5.0
@@ -24,9 +27,11 @@ ANSWER_S = 5.0
 STALE_S = 0.05
 """Age of the newest state, or of the newest set-point, at which the connection counts as lost."""
 FIRST = 24
-"""First of the registers: two integers, the counter, negative at the end, and the number of the program that the
-set-points are for, and six floats, the set-point, rad."""
+"""First of the registers: three integers, the counter, negative at the end, the number of the program that the
+set-points are for, and 1 to close a hand on the tool connector; and six floats, the set-point, rad."""
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state"]
+BITS = ["actual_digital_output_bits", "actual_digital_input_bits"]
+"""Further variables with a hand on the tool connector."""
 RUNNING, PLAYING = 7, 2
 """Robot mode and runtime state."""
 SAFE = (1, 2)
@@ -39,23 +44,30 @@ SAFETY_MODES = {
 """Name of each safety mode in which the arm stands."""
 
 
-def script(number: int, acceleration_rad_s2: float) -> str:
+def script(number: int, acceleration_rad_s2: float, hand: bool = False) -> str:
     """Return the program `number` of the controller; it brakes with the acceleration when set-points cease.
 
-    Registers keep what an earlier program was told, so it waits until they hold set-points for its own number.
+    Registers keep what an earlier program was told, so it waits until they hold set-points for its own number. `hand`:
+    it switches the output of the tool, when that is to change.
     """
+    switch = f"""    if read_input_integer_register({FIRST + 2}) != shut:
+      shut = read_input_integer_register({FIRST + 2})
+      set_tool_digital_out({OUTPUT}, shut == 1)
+    end
+"""
     joints = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
     return f"""def hrl_comfort():
   rtde_set_watchdog("input_int_register_{FIRST}", 10, "stop")
   while read_input_integer_register({FIRST + 1}) != {number}:
     sync()
   end
+  shut = -1
   stale = 0
   count = read_input_integer_register({FIRST})
   last = count
   while (count >= 0) and (stale < {round(STALE_S / PERIOD_S)}):
     servoj([{joints}], 0, 0, {PERIOD_S}, 0.03, 500)
-    last = count
+{switch if hand else ""}    last = count
     count = read_input_integer_register({FIRST})
     if count == last:
       stale = stale + 1
@@ -69,7 +81,7 @@ end
 
 
 class Registers:
-    """Input registers of a controller, written at once: two integers and six floats (RTDE, protocol version 2).
+    """Input registers of a controller, written at once: three integers and six floats (RTDE, protocol version 2).
 
     Args:
       host: address of the controller.
@@ -83,7 +95,7 @@ class Registers:
         self._number = number
         self._socket = _rtde(host)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sizes = {"int": 2, "double": 6}
+        sizes = {"int": 3, "double": 6}
         names = [f"input_{kind}_register_{FIRST + k}" for kind, size in sizes.items() for k in range(size)]
         granted = _ask(self._socket, b"I", ",".join(names).encode())
         if granted[0] == 0 or b"IN_USE" in granted or b"NOT_FOUND" in granted:
@@ -93,10 +105,11 @@ class Registers:
             raise ConnectionError(f"{host} does not start RTDE")
         self._socket.settimeout(STALE_S)
 
-    def write(self, count: int, angles: Array) -> None:
-        """Write the counter and the set-point (6,) rad."""
+    def write(self, count: int, angles: Array, shut: bool) -> None:
+        """Write the counter and the set-point: (6,) rad, and whether the hand closes."""
+        values = struct.pack(">3i6d", count, self._number, shut, *angles)
         try:
-            self._socket.sendall(_package(b"U", self._recipe + struct.pack(">2i6d", count, self._number, *angles)))
+            self._socket.sendall(_package(b"U", self._recipe + values))
         except OSError as error:
             raise ConnectionError(f"set-points cannot be sent ({error.strerror or error})") from error
 
@@ -111,35 +124,38 @@ class UrArm:
     Args:
       host: address of the controller.
       acceleration_rad_s2: with which its script brakes when set-points cease.
+      hand: there is a hand on its tool connector.
 
     Raises:
       ConfigError: ur_rtde is not installed.
       ConnectionError: there is no controller, or it is not ready to move.
     """
 
-    def __init__(self, host: str, acceleration_rad_s2: float) -> None:
+    def __init__(self, host: str, acceleration_rad_s2: float, hand: bool = False) -> None:
         try:
             from rtde_receive import RTDEReceiveInterface
         except ImportError as error:
             raise ConfigError("connection=ur needs ur_rtde: pip install 'hrl-comfort[ur]'") from error
         _rtde(host).close()  # ur_rtde would wait for ever where nobody answers
         try:
-            self._receiver = RTDEReceiveInterface(host, 1 / PERIOD_S, VARIABLES)
+            self._receiver = RTDEReceiveInterface(host, 1 / PERIOD_S, VARIABLES + BITS * hand)
         except RuntimeError as error:
             raise ConnectionError(f"{host} does not send its state: {' '.join(str(error).split())}") from error
         self._stamp, self._since_s, self._playing = -1.0, time.monotonic(), False
+        self._hand = ToolHand(*self._told_of_hand()[:2]) if hand else None
         reading = self.read()
         if reading.trouble:
             raise ConnectionError(f"{host} is not ready: {reading.trouble}")
         if self._receiver.getRuntimeState() == PLAYING:
             raise ConnectionError(f"a program runs on {host}: stop it first")
-        number, self._count = secrets.randbelow(2**31 - 1) + 1, 0
+        here = reading.angles if reading.hand is None else np.append(reading.angles, reading.hand.closed)
+        number, self._count, self._shut = secrets.randbelow(2**31 - 1) + 1, 0, False
         self._registers = Registers(host, number)
         with _connect(host, SCRIPT_PORT) as sender:
-            sender.sendall(script(number, acceleration_rad_s2).encode())
+            sender.sendall(script(number, acceleration_rad_s2, hand).encode())
             deadline = time.monotonic() + ANSWER_S
             while not self._playing:  # the arm stands until then: its state may be late
-                self.send(reading.angles)
+                self.send(here)
                 self._playing = self._receiver.getRuntimeState() == PLAYING
                 if not self._playing and time.monotonic() > deadline:
                     self.read()  # says so if it is the robot's state that is missing
@@ -159,12 +175,21 @@ class UrArm:
             trouble = f"robot mode {mode}, not {RUNNING} (running)"
         if not trouble and self._playing and receiver.getRuntimeState() != PLAYING:
             trouble = "the program on the robot has ended"
-        return Reading(np.array(receiver.getActualQ()), np.array(receiver.getActualQd()), trouble)
+        there = None if self._hand is None else self._hand.follow(*self._told_of_hand())
+        return Reading(np.array(receiver.getActualQ()), np.array(receiver.getActualQd()), trouble, there)
+
+    def _told_of_hand(self) -> tuple[float, int, int]:
+        """Return the robot's time, s, and the bits of its digital outputs and inputs."""
+        receiver = self._receiver
+        return (
+            receiver.getTimestamp(), receiver.getActualDigitalOutputBits(), receiver.getActualDigitalInputBits()
+        )  # fmt: skip
 
     def send(self, angles: Array) -> None:
         """See `Arm`."""
         self._count += 1
-        self._registers.write(self._count, angles)
+        self._shut = self._hand is not None and bool(angles[6] > SHUT)
+        self._registers.write(self._count, angles[:6], self._shut)
 
     def lay(self, objects: Array) -> None:
         """See `Arm`."""
@@ -172,7 +197,7 @@ class UrArm:
     def close(self) -> None:
         """See `Arm`; the script ends, and the controller holds the arm."""
         with suppress(ConnectionError):
-            self._registers.write(-1, np.array(self._receiver.getActualQ()))
+            self._registers.write(-1, np.array(self._receiver.getActualQ()), self._shut)
         self._registers.close()
         self._receiver.disconnect()
 

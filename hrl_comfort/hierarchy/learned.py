@@ -11,13 +11,13 @@ from torch import Tensor, nn
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.learners import TOPS, make_learner
-from hrl_comfort.agents.options import make_network
+from hrl_comfort.agents.tops.options import make_network, make_scores
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import section
-from hrl_comfort.config.hierarchy import TOP_LEARNERS, MetaControllerAgentConfig
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS, TOP_LEARNERS, MetaControllerAgentConfig
 from hrl_comfort.files.versions import CONTROLLER, renamed
 from hrl_comfort.hierarchy.decision import PROBABILITY, Decision
-from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
+from hrl_comfort.hierarchy.observation import meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
 SPEC: dict[str, tuple[type, ...]] = {
@@ -37,6 +37,7 @@ def save_controller(
         "observation": config.observation,
         "observation_dim": observation_dim,
         "hidden": list(config.hidden),
+        "network": config.network,
         "learner": config.name,
         **({} if built_in else {"agent": asdict(config)}),
     }
@@ -99,8 +100,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
         trained, here = ("null" if each is None else each for each in (spec["max_waits"], max_waits))
         raise ConfigError(f"{key} was trained with meta_controller.max_waits={trained}; here it is {here}")
     layout = spec["observation"]
-    if layout not in PERSON:
-        raise ConfigError(f"{key} is damaged: its observation is {layout!r}, not {' or '.join(PERSON)}")
+    if layout not in META_OBSERVATIONS:
+        raise ConfigError(f"{key} is damaged: its observation is {layout!r}, not {' or '.join(META_OBSERVATIONS)}")
     seen = observation_dim(layout, spec["objects"])
     if spec["observation_dim"] != seen:
         raise ConfigError(
@@ -122,9 +123,10 @@ def _network(key: str, spec: dict[str, Any], weights: dict[str, Tensor], options
     try:
         if learner in TOP_LEARNERS:
             with torch.device("meta"):  # the sizes are what the file says: nothing is allocated before they fit
-                network = make_network(spec["observation_dim"], options, spec["hidden"])
+                width, hidden = spec["observation_dim"], spec["hidden"]
+                scores = make_scores(spec.get("network", "flat"), width, options, hidden, spec["observation"])
+                network = make_network(scores, options)
             network.load_state_dict(weights, assign=True)
-            scores: nn.Module = network.module[0].module
             return scores
         agent = section(MetaControllerAgentConfig, spec["agent"])
         made = make_learner("meta_controller_agent", agent, spec["observation_dim"], options).policy

@@ -8,7 +8,7 @@ from torch import Tensor
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import SORTING, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, one_of
-from hrl_comfort.config.hierarchy import META_OBSERVATIONS
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS, OBSERVED
 from hrl_comfort.hierarchy.jobs import jobs_of
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
@@ -17,11 +17,6 @@ from hrl_comfort.tasks.subtask import StateFunction
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""
-OTHERS = 14
-"""Size of the part of neither an object nor the person."""
-PERSON = implemented(META_OBSERVATIONS, {"default": 4, "proximity": 1, "jobs": 1})
-OBJECT = implemented(META_OBSERVATIONS, {"default": 9, "proximity": 9, "jobs": 12})
-"""Sizes of the parts of the person and of each object, by `meta_controller_agent.observation`."""
 OF_TASK = implemented(SORTING, {"sort": "default", "shift": "proximity", "kitting": "jobs"})
 """Layout of the observation that `observer` takes by default, by task."""
 SOON_S = 20.0
@@ -30,7 +25,8 @@ SOON_S = 20.0
 
 def observation_dim(layout: str, objects: int) -> int:
     """Return the size of `meta_observation`."""
-    return PERSON[layout] + OTHERS + OBJECT[layout] * objects
+    common, each = OBSERVED[layout]
+    return common + each * objects
 
 
 def meta_observation(state: State, levels: int, layout: str = "default") -> Tensor:

@@ -19,6 +19,7 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.config.checks import between
 from hrl_comfort.envs.inputs import episode_seed
+from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.observation import observer
 from hrl_comfort.hierarchy.semi_mdp import FLAGS, MakeOptions, SemiMDP, options_of
@@ -93,6 +94,11 @@ class OptionEnv(EnvBase):
     def earned(self) -> Tensor:
         """(N,) rewards of the last step, undiscounted, of every row."""
         return self._process.earned
+
+    @property
+    def decision(self) -> Decision:
+        """What a top would decide on now, in the rows whose option has ended."""
+        return self.executor.decision(self._process.state, self._begin_rows)
 
     def _make_specs(self) -> None:
         n, count = self.batch_size[0], len(self.executor.table)

@@ -11,6 +11,7 @@ from torch import Tensor
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import implemented, one_of, part
+from hrl_comfort.config.hierarchy import RULES as RULE_NAMES
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, VALUE, Choose, Decision, Top
 from hrl_comfort.hierarchy.options import NONE, OptionTable
@@ -179,6 +180,10 @@ def with_waits(rule: Choose) -> MakeTop:
     return make
 
 
+RULES: dict[str, Choose] = implemented(
+    RULE_NAMES, {"nearest": nearest, "free": free, "due": due, "cautious": cautious, "patient": patient}
+)
+"""Tops that are functions of a decision."""
 TOPS: dict[str, MakeTop] = implemented(
     NAMES,
     {

@@ -37,16 +37,25 @@ class Policy:
 
     def __init__(self, module: nn.Module, spec: dict[str, Any]) -> None:
         self.module, self.spec = module, spec
+        self.memory_dim: int | None = getattr(module, "memory_dim", None)
+        """M, the numbers that it remembers from one decision to the next; None: it has no memory."""
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return deterministic actions (N, A) in [-1, 1] for raw observations (N, D), the first of an episode each."""
+        memory = torch.zeros(len(observation), self.memory_dim or 0)
+        return self.remembering(observation, memory)[0]
 
     @torch.no_grad()
-    def __call__(self, observation: Tensor) -> Tensor:
-        """Return deterministic actions (N, A) in [-1, 1] for raw observations (N, D)."""
+    def remembering(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (N, A) and what to remember (N, M) after observations (N, D) and what was remembered."""
         expected = self.spec["observation_dim"]
         if observation.shape[-1] != expected:
             task, given = self.spec["task"], observation.shape[-1]
             raise ConfigError(f"the policy for {task} was trained on {expected} observations, got {given}")
-        actions: Tensor = self.module(observation.float())
-        return actions
+        if self.memory_dim is None:
+            return self.module(observation.float()), memory
+        actions, after = self.module(observation.float(), memory)
+        return actions, after
 
 
 class Deterministic(nn.Module):
@@ -73,8 +82,13 @@ class ActorPolicy(Policy):
     @torch.no_grad()
     def value(self, observation: Tensor) -> Tensor:
         """Return the critics' values (N,) of raw observations (N, D) at the actions taken there."""
+        return self.value_of(self.normaliser(observation.float()))
+
+    @torch.no_grad()
+    def value_of(self, seen: Tensor) -> Tensor:
+        """Return the critics' values (N,) of normalised observations (N, D) at the actions taken there."""
         assert self.critics is not None
-        return self.critics.value(self.normaliser(observation.float()), self(observation))
+        return self.critics.value(seen, self.actor.mode(seen))
 
 
 def save_policy(
@@ -185,12 +199,16 @@ def policy_file(path: Path) -> Path:
 
 
 def load_initial_policy(learner: Any, path: Path) -> None:
-    """Let `learner` begin with the networks of a policy file or run folder.
+    """Let `learner` begin with the networks of a policy file or run folder, or its `parts` with those in a folder.
 
     Raises:
         ConfigError: the file does not hold networks of the learner's kind and shape, or no critics, or the learner
             cannot begin with any.
     """
+    if parts := getattr(learner, "parts", None):
+        for name, part in parts.items():
+            load_initial_policy(part, path / name)
+        return
     if not hasattr(learner, "load_networks"):
         raise ConfigError(f"initial_policy={path}: this agent.name has no load_networks, so it begins from nothing")
     file = policy_file(path)

@@ -15,8 +15,9 @@ from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.expert import NEAREST, Expert, Goal
+from hrl_comfort.policies.fitting import FIT_M, FIT_RAD, HOVER_M, SQUARE_M, Slot, angle_of, level_turns, slots
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m, turn_of
+from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -26,8 +27,6 @@ ROUND = ("sphere", "cylinder", "capsule")
 """Shapes that a hand grasps from any side."""
 PICK, PLACE = 0.0, 1.0
 """First number of a goal: a posture in front of an object, or above its place."""
-SQUARE_M = 0.002
-"""Difference of half its sides up to which an object is taken by any."""
 ROUND_M, ROUND_RAD = 0.005, 0.05
 """Objects that are nearer to each other than this have the same postures."""
 LATERAL_M, AHEAD_M = 0.02, 0.03
@@ -73,6 +72,7 @@ class GraspingExpert(Expert):
         self._grasps, self._scene = Grasps(scene), scene
         shapes = [each.shape for each in config.cell.objects.values()]
         self._round, self._ball = ([each in kind for each in shapes] for kind in (ROUND, BALL))
+        self._slots = slots(config.cell)
         stages = [*subtask.stages, subtask.stages[-1]]
         self._grasping = np.array([stage.grasps for stage in stages])
         self._releasing = np.array([stage.releases for stage in stages])
@@ -195,12 +195,26 @@ class GraspingExpert(Expert):
         if over:
             if -way[2] < DOWN_M:
                 return Step(OPEN, np.zeros(len(self._range)))
-            _, turn = self._grasps.pose(state.joint_target[row].numpy())
-            way[2] = -self._advance(-way[2])
-            place = state.tcp_pos[row].numpy() + way
-            return Step(CLOSED, self._move(state, row, place, turn))
+            return self._lower(state, row, obj, way)
         low = float(obj[2] - state.ground[row, target]) < HIGH * ABOVE_M and -way[2] < HIGH * ABOVE_M
         return self._lift(state, row) if low else Step(CLOSED)
+
+    def _lower(self, state: State, row: int, obj: Array, way: Array) -> Step:
+        """Return the next step that lowers the target at `obj` (3,) m, `way` (3,) m from its place."""
+        _, turn = self._grasps.pose(state.joint_target[row].numpy())
+        fit, down = np.eye(3), self._advance(-way[2])
+        if (slot := self._slots[int(state.target_kind[row])]) is not None:
+            fit = slot.fit(_axes(state.objects_quat[row, int(state.target[row])].numpy()), self._yaw(slot))
+            if np.hypot(*way[:2]) > FIT_M or angle_of(fit) > FIT_RAD:
+                down = min(down, -way[2] - HOVER_M)
+        way[2] = -down
+        place = obj + way + fit @ (state.tcp_pos[row].numpy() - obj)
+        return Step(CLOSED, self._move(state, row, place, fit @ turn))
+
+    def _yaw(self, slot: Slot) -> float:
+        """Return the bearing of a slot, rad."""
+        w, _, _, z = self._layout[slot.index, 3:]
+        return 2 * float(np.arctan2(z, w))
 
     def _retreat(self, state: State, row: int) -> Step:
         at, turn = self._grasps.pose(state.joint_target[row].numpy())
@@ -221,8 +235,8 @@ class GraspingExpert(Expert):
             kind, obj = int(state.target_kind[row]), state.objects[row, target].numpy()
             held = self._releasing[stage] and bool(state.pads[row, target].any())
             if held:
-                up = self._upright(state, row)
-                goals.append((PLACE, kind, *_rounded(state.target_place[row].numpy(), ROUND_M), *_rounded(up, 0.1)))
+                up, side = _rounded(self._upright(state, row), 0.1), self._fitted_side(state, row)
+                goals.append((PLACE, kind, *_rounded(state.target_place[row].numpy(), ROUND_M), *up, *side))
             elif self._grasping[stage] or self._releasing[stage]:
                 goals.append((PICK, kind, *_rounded(obj, ROUND_M), *self._rounded_side(state, row)))
             else:
@@ -247,12 +261,22 @@ class GraspingExpert(Expert):
         index = int(np.abs(axes[2]).argmax())
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
+    def _fitted_side(self, state: State, row: int) -> tuple[float, ...]:
+        """Return a level side (3,), to ROUND_RAD, in the tool's frame, of a target for a slot; empty where any fits."""
+        target, slot = int(state.target[row]), self._slots[int(state.target_kind[row])]
+        if slot is None or slot.between is None:
+            return ()
+        axes = _axes(state.objects_quat[row, target].numpy())
+        side = axes[:, 0 if np.abs(axes[2]).argmax() != 0 else 1]
+        return tuple(_rounded(_axes(state.tcp_quat[row].numpy()).T @ side, ROUND_RAD))
+
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
         """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
 
         Above a place, where many of them are out of reach, it is one unless there are to be `more`.
         """
         kind, at = int(goal[1]), np.array(goal[2:5])
+        slot = self._slots[kind]
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
         home = self._here.home
@@ -262,7 +286,7 @@ class GraspingExpert(Expert):
                 turns = list(approaches(place, *goal[5:]))
                 found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
             else:
-                turns = level_turns(place, np.array(goal[5:8]))
+                turns = level_turns(place, np.array(goal[5:]), slot, self._yaw(slot) if slot else 0.0)
                 found = self._grasps.found(place, turns, home, GOALS if more else 1, up_m=part * ABOVE_M)
             if found:
                 break
@@ -270,21 +294,6 @@ class GraspingExpert(Expert):
             return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
         found.sort(key=lambda posture: float(np.abs(posture - home).max()))
         return np.array(found)[np.arange(NEAREST) % len(found)]
-
-
-def level_turns(place: Array, up: Array) -> list[Array]:
-    """Return axes (3, 3) of tools at (3,) m for which `up` (3,), in the tool's frame, is vertical; outwards first."""
-    up = up / np.linalg.norm(up)
-    down = turn_of(0.0, float(np.arctan2(place[1], place[0])), 1.0)
-    have = down @ up  # turned to the vertical about the axis between
-    axis, cos = np.cross(have, [0.0, 0.0, 1.0]), float(have[2])
-    cross = np.cross(np.eye(3), axis)
-    fix = np.eye(3) + cross + cross @ cross / max(1 + cos, 1e-6)
-    turns = []
-    for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6):
-        c, s = np.cos(step * np.pi / 6), np.sin(step * np.pi / 6)
-        turns.append(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ fix @ down)
-    return turns
 
 
 def _axes(quaternion: Array) -> Array:

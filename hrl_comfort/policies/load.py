@@ -22,6 +22,7 @@ from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
 from hrl_comfort.policies.grasping import GraspingExpert
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.predictive_sampling import PredictiveSampling
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 from hrl_comfort.tasks import State, Subtask, subtask
@@ -44,6 +45,8 @@ def make_policy(source: Source, task: Subtask, scene: Scene, config: EnvConfig, 
     if isinstance(source, str) and Path(source).exists():
         actor = load_policy(source)
         seen = observed_by(actor, source, task, config)
+        if actor.memory_dim is not None:
+            return Remembering(actor, seen.observe, config.task.action_repeat)
         return lambda state: actor(seen.observe(state).float()).double()
     if isinstance(source, str) and source.startswith(ONNX):
         graph = read_onnx(source)
@@ -84,6 +87,8 @@ def observation_policy(source: str) -> ObservationPolicy:
     if not Path(source).exists():
         return external(source)
     actor = load_policy(source)
+    if actor.memory_dim is not None:
+        raise ConfigError(f"policy={source!r} has a memory, and acts by more than one observation; evaluate it by name")
     sizes = actor.spec["observation_dim"], actor.spec["action_dim"]
     return ObservationPolicy(source, lambda each: actor(torch.from_numpy(each)).numpy(), *sizes)
 

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 ENDS = {
     "pick": ("arrives_at",),
     "place": ("belongs_at",),
+    "place_fine": ("belongs_at",),
     "return": (),
     **dict.fromkeys(PICK_AND_PLACE, ("arrives_at", "belongs_at")),
 }

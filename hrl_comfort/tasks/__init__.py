@@ -11,7 +11,7 @@ from hrl_comfort.tasks.hand import with_hand
 from hrl_comfort.tasks.kitting import KITTING
 from hrl_comfort.tasks.observations import LAYOUTS
 from hrl_comfort.tasks.pick import PICK
-from hrl_comfort.tasks.place import PLACE
+from hrl_comfort.tasks.place import PLACE, PLACE_FINE
 from hrl_comfort.tasks.point_to_point import POINT_TO_POINT
 from hrl_comfort.tasks.reach import REACH
 from hrl_comfort.tasks.return_home import RETURN
@@ -21,7 +21,8 @@ from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import ObjectAt, Stage, Start, Subtask
 
 SUBTASKS: dict[str, Subtask] = {
-    task.name: task for task in (REACH, POINT_TO_POINT, PICK, PLACE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT, KITTING)
+    task.name: task
+    for task in (REACH, POINT_TO_POINT, PICK, PLACE, PLACE_FINE, RETURN, PICK_PLACE, CYCLE, sort(1), SHIFT, KITTING)
 }
 
 

@@ -33,3 +33,5 @@ PLACE_STAGE = Stage(
     next_start=Start.AT_PLACE,
 )
 PLACE = standard_subtask("place", (PLACE_STAGE,), Start.AT_OBJECT)
+PLACE_FINE = standard_subtask("place_fine", (PLACE_STAGE,), Start.AT_OBJECT)
+"""Within millimetres, as into a slot that leaves the object some play."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,16 +13,13 @@ from torchrl.envs import EnvBase
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.policies.actor import ActorPolicy, load_policy
-from hrl_comfort.policies.load import make_policy, observed_by
-from hrl_comfort.tasks import subtask
+from hrl_comfort.policies.load import make_policy
 from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
+from hrl_comfort.training.next_skill import NextSkill, NextSkillValue, make_next_skill_value
 
 Demonstrator = Callable[[Tensor], Tensor]
 """Indices of environments (D,) -> actions (D, A) in [-1, 1] for them."""
-NextSkillValue = Callable[[Tensor], Tensor]
-"""success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
 
 
 class SkillCollector:
@@ -97,7 +93,11 @@ class SkillCollector:
             "action": action,
             "steps_to_next_obs": after["decision_steps"],
             "demonstrated": self.demonstrated.clone(),
-            "next": {"observation": after["observation"], "reward": reward.float(), "terminated": after["terminated"]},
+            "next": {
+                "observation": after["observation"],
+                "reward": reward.float(),
+                **{name: after[name] for name in ("terminated", "done")},
+            },
         }
         collected = TensorDict(transitions, batch_size=[self.num_envs])
         self.demonstrated &= ~after["done"][:, 0]
@@ -143,6 +143,7 @@ class SkillCollector:
             "reach": self.reach,
             "demonstrated": self.demonstrated.clone(),
             "takeovers": self._takeovers.get_state(),
+            "next_skill": getattr(self._next_skill, "state_dict", dict)(),
             "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
         }
 
@@ -153,6 +154,8 @@ class SkillCollector:
         self.precision_m, episodes = state["precision_m"], state["episodes"]
         self.reach, self.demonstrated = state["reach"], state["demonstrated"].clone()
         self._takeovers.set_state(state["takeovers"])
+        if state["next_skill"]:
+            cast(NextSkill, self._next_skill).load_state_dict(state["next_skill"])
         self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 
 
@@ -190,37 +193,3 @@ def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
         return act(episodes.observed(episodes.state).rows(rows))
 
     return demonstrator
-
-
-def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
-    """Return the value of the states that `env` ends in to the policy `agent.next_skill`.
-
-    The target of a success then bootstraps on that policy's critics, as one policy's would in the longer task, if
-    both were trained with the same gamma and rewards, which is not checked.
-
-    Raises:
-        ConfigError: there is no such policy, it starts elsewhere, or it does not fit this training.
-    """
-    source, hand = Path(config.agent.next_skill or ""), config.robot.gripper.holds
-    try:
-        policy = load_policy(source, critics=True)
-        assert isinstance(policy, ActorPolicy)
-        spec = policy.spec
-        task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects, hand)
-        seen = observed_by(policy, str(source), task, environment(config))
-    except ConfigError as error:
-        raise ConfigError(f"agent.next_skill={source}: {error}") from error
-    own = subtask(config.task.name, config.task.observation, config.task.objects, hand)
-    if task.start != own.stages[-1].next_start:
-        raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
-
-    def next_skill(success: Tensor) -> Tensor:
-        values = torch.zeros(len(success))
-        rows = success.nonzero()[:, 0]
-        if len(rows):
-            assert env.last is not None
-            state = env.last.state.rows(rows)
-            values[rows] = policy.value(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
-        return values
-
-    return next_skill

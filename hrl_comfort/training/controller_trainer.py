@@ -12,10 +12,12 @@ from torch import Tensor
 from hrl_comfort.agents.learners import make_learner
 from hrl_comfort.config import MetaControllerTrainConfig
 from hrl_comfort.files.run_config import environment
+from hrl_comfort.hierarchy.decision import Choose
 from hrl_comfort.hierarchy.learned import save_controller
 from hrl_comfort.hierarchy.observation import meta_observation
 from hrl_comfort.hierarchy.option_env import OptionEnv
 from hrl_comfort.hierarchy.sort import sorting_table
+from hrl_comfort.hierarchy.tops import RULES
 from hrl_comfort.training.logger import OptionsLog
 from hrl_comfort.training.loop import Collected, TrainingLoop
 from hrl_comfort.training.resume import train_in_folder
@@ -36,10 +38,17 @@ def train_meta_controller(config: MetaControllerTrainConfig) -> Path:
 
 
 class OptionCollector:
-    """Runs options in every environment until the next of them end."""
+    """Runs options in every environment until the next of them end.
 
-    def __init__(self, env: OptionEnv) -> None:
-        self.env = env
+    Args:
+        env: of the options.
+        rule: chooses in the first environments; None: the learner chooses in all of them.
+        demonstrated: number of environments in which the rule chooses; they finish no episode of the learner.
+    """
+
+    def __init__(self, env: OptionEnv, rule: Choose | None = None, demonstrated: int = 0) -> None:
+        self.env, self._rule = env, rule
+        self._demonstrated = torch.arange(env.batch_size[0]) < demonstrated
         self.now: TensorDictBase = env.reset()
         self._returns = torch.zeros(env.batch_size[0], dtype=torch.float64)
         self.ran = torch.zeros(len(env.executor.table), dtype=torch.int64)
@@ -47,14 +56,17 @@ class OptionCollector:
 
     def step(self, action: Tensor) -> Collected:
         """Start options (N,) where an environment awaits one, and step until the next options end."""
+        if self._rule is not None:
+            action = torch.where(self._demonstrated, self._rule(self.env.decision), action)
         stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
         after, state = stepped["next"], self.env.last_state
         self._returns += self.env.earned
         finished = []
-        for row in torch.nonzero(after["done"].reshape(-1)).squeeze(-1).tolist():
+        done = after["done"].reshape(-1)
+        for row in torch.nonzero(done & ~self._demonstrated).squeeze(-1).tolist():
             numbers = after["success"][row], state.placed[row].sum(), self._returns[row], state.steps[row]
             finished.append(dict(zip(OptionsLog.OUTCOMES, map(float, numbers), strict=True)))
-            self._returns[row] = 0.0
+        self._returns[done] = 0.0
         ended = self.env.transitions(after)
         self.ran.index_add_(0, ended["action"], ended["steps_to_next_obs"].reshape(-1))
         return Collected(ended, finished)
@@ -102,7 +114,9 @@ class ControllerTraining(TrainingLoop):
         width, count = spec["observation"].shape[-1], spec["action_mask"].shape[-1]
         torch.manual_seed(config.train_seed)
         learner = make_learner("meta_controller_agent", agent, width, count)
-        collector, log = OptionCollector(env), OptionsLog(folder / METRICS, env.executor.table.names)
+        rule = None if agent.rule is None else RULES[agent.rule]
+        collector = OptionCollector(env, rule, agent.rule_envs)
+        log = OptionsLog(folder / METRICS, env.executor.table.names)
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
         self._observation_dim, self._logged = width, 0
         """Options at the latest row."""

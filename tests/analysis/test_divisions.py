@@ -16,9 +16,9 @@ from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import records_of
 
 
-def training(folder: Path, policy_steps: int, initial: Path | None = None) -> str:
+def training(folder: Path, policy_steps: int, initial: Path | None = None, agent: str = "sac") -> str:
     folder.mkdir(parents=True)
-    words = ["task=pick", f"output={folder}", *([f"initial_policy={initial}"] if initial else [])]
+    words = ["task=pick", f"agent={agent}", f"output={folder}", *([f"initial_policy={initial}"] if initial else [])]
     save_config(compose("train", words), folder / "config.yaml")
     about = {
         "finished": True,
@@ -48,6 +48,13 @@ def test_what_a_division_took_is_the_sum_over_its_policies_and_those_they_were_b
     pick, back = training(tmp_path / "pick", 500, first), training(tmp_path / "return", 200, first)
     took = training_cost(evaluation({"pick": pick, "return": back}, ["1"]))
     assert took == {"networks": 2, "policy_steps": 1700, "minutes": pytest.approx(1.7)}
+
+
+def test_skills_that_go_on_together_took_what_each_of_them_took_before(tmp_path) -> None:
+    for name, policy_steps in (("pick", 500), ("place", 200), ("return", 100)):
+        training(tmp_path / "chain" / name, policy_steps)
+    whole = training(tmp_path / "whole", 1000, tmp_path / "chain", "end_to_end")
+    assert training_cost(evaluation({"cycle": whole}, ["1"]))["policy_steps"] == 1800
 
 
 def test_a_training_that_is_not_finished_is_refused(tmp_path) -> None:

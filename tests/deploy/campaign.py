@@ -13,7 +13,6 @@ import os
 import sys
 import tempfile
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -27,7 +26,7 @@ from pandas import DataFrame
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
-from hrl_comfort.deploy.arms import PERIOD_S, Reading, SimulatedArm
+from hrl_comfort.deploy.arms import PERIOD_S, SimulatedArm
 from hrl_comfort.deploy.links import STREAMER, Link, Lockstep, Paced, prefer
 from hrl_comfort.deploy.runner import Run, rehearse
 from hrl_comfort.deploy.stops import StoppedError
@@ -37,6 +36,7 @@ from hrl_comfort.safety.drive import rating_of
 from hrl_comfort.scene.workcell import Scene, build_scene
 from tests.deploy.fake_ur import Faults, fake_ur
 from tests.deploy.faulty_link import BEHIND
+from tests.deploy.late import Late
 
 Array = NDArray[np.float64]
 HOST = f"127.9.{os.getpid() % 250}.1"
@@ -56,23 +56,11 @@ def config(episodes: int, *more: str) -> DeployConfig:
     return found
 
 
-class LateArm(SimulatedArm):
+class LateArm(Late):
     """An arm in simulated time at the other end of the network."""
 
     def __init__(self, model: mujoco.MjModel, start: Array, seed: int) -> None:
-        super().__init__(model, start)
-        periods = round(LATENCY_S / PERIOD_S)
-        self._there, self._back = deque([start] * periods), deque([super().read()] * periods)
-        self._rng, self._newest = np.random.default_rng(seed), super().read()
-
-    def send(self, angles: Array) -> None:
-        self._there.append(self._there[-1] if self._rng.random() < LOSS else angles.copy())
-        super().send(self._there.popleft())
-        self._back.append(self._back[-1] if self._rng.random() < LOSS else super().read())
-        self._newest = self._back.popleft()
-
-    def read(self) -> Reading:
-        return self._newest
+        super().__init__(SimulatedArm(model, start), start, LATENCY_S, LOSS, seed)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.deploy.arms import Fingers, HandReading, Reading, SimulatedHand
-from hrl_comfort.deploy.robotiq import PORT
+from hrl_comfort.deploy.hands.robotiq import PORT
 
 
 class FakeRobotiq:
@@ -100,6 +100,11 @@ class RobotiqWorld:
 
     def send(self, angles: NDArray[np.float64]) -> None:
         self._world.send(np.append(angles, self.server.position / 255))
+
+    def bits(self) -> tuple[int, int]:
+        """Return digital outputs and inputs as if the hand were on the tool connector."""
+        shut, gripped = self.server.position > 127, self._hand().fingers == Fingers.GRIP
+        return shut << 16, gripped << 16
 
     def lay(self, objects: NDArray[np.float64] | None) -> None:
         if objects is not None:

@@ -2,7 +2,8 @@
 
 It speaks RTDE 2 on port 30004 and takes URScript on port 30002. Of a script it reads the watchdog, how long it waits
 for the counter and how it brakes; it follows the registers as `servoj` does. The arm is MuJoCo's. With a hand there is
-also the server of a Robotiq, on port 63352: what it says of the fingers is what lies between them in that world.
+also the server of a Robotiq, on port 63352: what it says of the fingers is what lies between them in that world. A
+script that switches the tool's output moves the same fingers by that, and the tool's input tells a grip.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ TYPES = {
     "timestamp": "d", "actual_q": "6d", "actual_qd": "6d", "target_q": "6d", "robot_mode": "i", "safety_mode": "i",
     "runtime_state": "I", **{f"input_int_register_{k}": "i" for k in range(48)},
     **{f"input_double_register_{k}": "d" for k in range(48)},
+    "actual_digital_output_bits": "Q", "actual_digital_input_bits": "Q",
 }  # fmt: skip
-NAMES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32", "I": "UINT32"}
+NAMES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32", "I": "UINT32", "Q": "UINT64"}
 STOPPED, PLAYING = 1, 2
 NORMAL, PROTECTIVE, EMERGENCY = 1, 3, 7
 
@@ -97,7 +99,7 @@ class Controller:
         self._order, self._last = itertools.count(), {"in": 0.0, "out": 0.0}
         self._values: dict[str, Any] = {name: 0 for name in TYPES if name.startswith("input")}
         self._values |= {"robot_mode": 7, "safety_mode": NORMAL, "runtime_state": STOPPED}
-        self._script = ""
+        self._script = self._switch = ""
         self._target = start.copy()
         self._speed = np.zeros_like(start)
         self._fed_s = self._changed_s = 0.0
@@ -163,6 +165,8 @@ class Controller:
         self._number = f"input_int_register_{number[1]}", int(number[2])
         self._counter, self._watchdog_s = found[1], 1 / float(found[2])
         self._stale_s, self._brake = float(stale[1]) * PERIOD_S, float(brake[1])
+        switch = re.search(r"shut = read_input_integer_register\((\d+)\)\n +set_tool_digital_out\(0, shut == 1\)", text)
+        self._switch = f"input_int_register_{switch[1]}" if switch else ""
         self._script, self._values["runtime_state"] = text, PLAYING
         self._fed_s = self._changed_s = time.monotonic()
         self._seen = None
@@ -212,9 +216,14 @@ class Controller:
             self._values |= dict(zip(names, values, strict=True))
             self._fed_s = now
         self._follow(now)
+        if self._switch and self._script and self._seen is not None:
+            self._hand.position = 255 * (self._values[self._switch] == 1)
         self._arm.send(self._target)
         reading = self._arm.read()
         values = {**self._values, "timestamp": now, "actual_q": reading.angles, "actual_qd": reading.velocity}
+        values |= {"actual_digital_output_bits": 0, "actual_digital_input_bits": 0}
+        if isinstance(self._arm, RobotiqWorld):
+            values["actual_digital_output_bits"], values["actual_digital_input_bits"] = self._arm.bits()
         for peer in self._peers:
             if peer.started and peer.outputs:
                 packed = [struct.pack(">" + TYPES[name], *np.atleast_1d(values[name])) for name in peer.outputs]

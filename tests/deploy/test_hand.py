@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,17 @@ from numpy.typing import NDArray
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig
-from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped, Fingers, HandReading, SimulatedHand
+from hrl_comfort.deploy.arms import PERIOD_S, Arm, Equipped, Fingers, HandReading, Reading, SimulatedHand
+from hrl_comfort.deploy.hands.robotiq import RobotiqHand
+from hrl_comfort.deploy.hands.tool_output import SHUT, ToolHand
 from hrl_comfort.deploy.held import Objects
 from hrl_comfort.deploy.links import Lockstep
-from hrl_comfort.deploy.robotiq import RobotiqHand
 from hrl_comfort.deploy.runner import LOG, Run, deploy, ur_with_robotiq
 from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
+from tests.deploy.hand_campaign import cycle, noticed
 from tests.deploy.test_robotiq_client import host
 
 GRASP = ["cell=grasp", "policy=expert", "human=none", "confirm=yes", "output=none"]
@@ -147,7 +150,8 @@ def test_an_arm_and_its_hand_on_one_controller_grip_what_lies_between_the_finger
 ) -> None:
     """What they hold is not carried through the cell by the next run: it is refused."""
     pytest.importorskip("rtde_receive")
-    from hrl_comfort.deploy import robotiq, ur
+    from hrl_comfort.deploy import ur
+    from hrl_comfort.deploy.hands import robotiq
     from tests.deploy.fake_ur import fake_ur
 
     for module in (robotiq, ur):  # on a busy machine nothing is lost
@@ -170,12 +174,88 @@ def test_an_arm_and_its_hand_on_one_controller_grip_what_lies_between_the_finger
         link.close()
 
 
+class OnToolOutput:
+    """See `World`; its fingers follow an output, and of what they do an input tells a grip alone."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._clock = RobotiqWorld(world), world
+        self._hand = ToolHand(0.0, 0)
+
+    def read(self) -> Reading:
+        at_s = PERIOD_S * self._clock.ticks
+        return replace(self._world.read(), hand=self._hand.follow(at_s, *self._world.bits()))
+
+    def send(self, angles: NDArray[np.float64]) -> None:
+        self._world.server.position = 255 * bool(angles[6] > SHUT)
+        self._world.send(angles[:6])
+
+    def lay(self, objects: NDArray[np.float64]) -> None:
+        self._world.lay(objects)
+
+    def close(self) -> None:
+        self._world.close()
+
+
+@pytest.mark.parametrize("lose", [False, True])
+def test_a_hand_of_two_states_does_a_cycle_and_a_grip_that_is_lost_stops_the_arm(lose: bool, tmp_path: Path) -> None:
+    asked = config("task=cycle")
+    world = World(scene_of(asked), lose)
+    run, log, why = run_in(asked, OnToolOutput(world), tmp_path)
+    assert run.result.episodes[0].success is not lose
+    if lose:
+        stopped = int((log["planned"] == -2).to_numpy().argmax())
+        assert "grip lost" in why and 0 < world.lost_at < stopped <= world.lost_at + NOTICED_TICKS
+    else:
+        assert why == "" and np.abs(world.objects[0, :3] - asked.cell.centre("ball", "right")).max() < 0.02
+
+
+def test_fingers_of_two_states_are_reckoned_until_they_grip_or_are_there() -> None:
+    shut = grips = 1 << 16
+    hand = ToolHand(10.0, 0)
+    assert hand.follow(10.0, 0, 0) == HandReading(0.0, Fingers.THERE)
+    assert hand.follow(10.0, shut, 0) == HandReading(0.0, Fingers.MOVE)
+    assert hand.follow(10.2, shut, 0) == HandReading(pytest.approx(0.4), Fingers.MOVE)
+    assert hand.follow(10.3, shut, grips) == HandReading(pytest.approx(0.4), Fingers.GRIP)
+    assert hand.follow(12.0, shut, grips) == HandReading(pytest.approx(0.4), Fingers.GRIP)
+    assert hand.follow(12.002, shut, 0).fingers == Fingers.THERE
+    assert hand.follow(13.0, shut, 0) == HandReading(1.0, Fingers.THERE)
+    assert hand.follow(13.1, 0, grips) == HandReading(pytest.approx(0.8), Fingers.MOVE)
+    assert hand.follow(13.6, 0, 0) == HandReading(0.0, Fingers.THERE)
+
+
+def test_an_arm_switches_its_tool_output_and_hears_of_a_grip(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rtde_receive")
+    from hrl_comfort.deploy import ur
+    from tests.deploy.fake_ur import fake_ur
+
+    monkeypatch.setattr(ur, "STALE_S", 60.0)
+    scene = scene_of(config("gripper=two_finger"))
+    scene.model.opt.gravity[:] = 0.0
+    world = SimulatedHand(scene)
+    objects = world.objects
+    objects[0, :3] = world._data.site("robot/tcp").xpos
+    with fake_ur(host(11), scene, scene.home, objects=objects):
+        arm = ur.UrArm(host(11), 5.0, hand=True)
+        assert arm.read().hand == HandReading(0.0, Fingers.THERE)
+        for closed, wanted in ((1.0, Fingers.GRIP), (0.0, Fingers.THERE)):
+            while (hand := arm.read().hand) is None or hand.fingers != wanted or (hand.closed > 0) != (closed > 0):
+                arm.send(np.append(scene.home, closed))
+                time.sleep(PERIOD_S)
+        arm.close()
+
+
+def test_a_late_cycle_is_done_and_a_late_grip_that_is_lost_by_force_is_noticed() -> None:
+    assert cycle(0)["success"]
+    assert noticed(cycle(0, pull_after=100))
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         (["connection.gripper=robotiq"], "connection.gripper=robotiq does not go with connection=simulated"),
         (["connection=ur", "confirm=ask"], "connection.gripper=none does not go with connection=ur"),
         (["connection=ur", "confirm=ask", "connection.gripper=robotiq"], "robot.gripper.name=two_finger; choose"),
+        (["connection.gripper=tool_output"], "does not go with connection=simulated and robot.gripper.name=two_finger"),
         (["task=place"], "task.name=place begins with an object in the hand"),
         (["connection=ur", "confirm=ask", "connection.gripper=robotiq", "gripper=robotiq_2f85", "episodes=2"],
          "episodes=2 would need somebody who lays the objects"),

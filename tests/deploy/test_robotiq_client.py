@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from hrl_comfort.deploy import robotiq
 from hrl_comfort.deploy.arms import Fingers, HandReading
-from hrl_comfort.deploy.robotiq import ROUND, RobotiqHand
+from hrl_comfort.deploy.hands import robotiq
+from hrl_comfort.deploy.hands.robotiq import ROUND, RobotiqHand
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, served, still
 
 

@@ -214,7 +214,7 @@ def test_handover_records_nothing_with_a_gripper(tmp_path: Path) -> None:
 
 
 def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:
-    trained = str(Path(__file__).parents[2] / "runs" / "reference" / "comfort_shift" / "off0" / "pick")
+    trained = str(Path(__file__).parents[2] / "runs" / "reference" / "comfort_shift" / "levels0" / "pick")
     config = compose_environment("evaluate", [f"policy={trained}", "gripper=two_finger"])
     assert config.robot.gripper.name == "two_finger"
     engine = Engine(config, 1, 0)

@@ -138,3 +138,20 @@ def test_a_faulty_gripper_of_a_user_s_own_is_refused_in_one_line(
     with pytest.raises(ConfigError, match=rf"robot\.gripper\.name=.*{says}") as told:
         scene_of(cell("gripper=tests.hand.pincer:PINCER"))
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("kind", ["peg", "block"])
+def test_the_expert_puts_pegs_into_a_slot_and_lets_go(kind: str) -> None:
+    config = compose_environment("train", ["cell=tray", "task=place_fine", "human=none", f"task.object={kind}"])
+    engine = Engine(config, 2, 0)
+    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
+    play, depth = config.cell.places["slot"].size_m[0] / 2 - 0.02, 0.012
+    going = np.ones(2, dtype=bool)
+    while going.any():
+        result = engine.step(act(state).numpy(), np.flatnonzero(going))
+        state, ended = result.state, result.done.numpy() & going
+        for row in np.flatnonzero(ended):
+            off = (state.objects[row, 0] - state.target_place[row]).abs()
+            assert result.success[row] and state.free_steps[row, 0] >= 25 and not state.pads[row].any()
+            assert off[:2].max() <= play + 1e-3 and off[2] < depth
+        going &= ~ended

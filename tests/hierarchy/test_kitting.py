@@ -206,13 +206,16 @@ def test_a_run_is_the_same_whether_or_not_its_choices_are_judged(monkeypatch: py
 def test_the_table_tells_the_best_fixed_order_and_how_far_the_oracle_is_above() -> None:
     gained = {"random": 1.0, "fixed a b": 2.0, "fixed b a": 4.0, "oracle": 5.0}
     shifts = [(top, shift, mean + (shift - 1) / 10) for top, mean in gained.items() for shift in range(3)]
-    rows = pd.DataFrame([
-        {"top": top, "return": paid, "place": 1.0, "missed": 0.0, "comfort": 0.0, "shift": shift}
-        for top, shift, paid in shifts
+    same = {"place": 1.0, "missed": 0.0, "comfort": 0.0, "regret": 0.0}
+    rows = pd.DataFrame([{"top": top, "return": paid, "shift": shift, "seed": None} for top, shift, paid in shifts])
+    learned = pd.DataFrame([
+        {"top": "learned", "return": 4.5 + seed + (shift - 1) / 10, "shift": shift, "seed": seed}
+        for seed in (0, 1) for shift in range(3)
     ])  # fmt: skip
-    lines = choice.table(rows).splitlines()
-    assert [line.split("`")[1] for line in lines[2:]] == ["random", "fixed b a", "oracle"]
+    lines = choice.table(pd.concat([rows, learned]).assign(**same)).splitlines()
+    assert [line.split("`")[1] for line in lines[2:]] == ["random", "fixed b a", "oracle", "learned"]
     assert lines[3].endswith("| 1.00 | 25 |") and "4.00 [3.75, 4.25]" in lines[3]
+    assert "5.00 [-1.35, 11.35]" in lines[5], "over the training seeds"
 
 
 def test_every_choice_but_fixed_orders_that_are_not_the_best_is_told_its_regret(

@@ -8,19 +8,20 @@ import torch
 from tensordict import TensorDict
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.tops.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.run_folder import find_runs
 from hrl_comfort.hierarchy.learned import load_choice, save_controller
-from hrl_comfort.hierarchy.observation import PERSON, observation_dim
+from hrl_comfort.hierarchy.observation import observation_dim
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from tests.hierarchy.test_sort import EXPERTS
 
 
-@pytest.mark.parametrize("layout", PERSON)
+@pytest.mark.parametrize("layout", META_OBSERVATIONS)
 def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
     folder = tmp_path / "meta_controller"
     overrides = [

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.hierarchy.observation import PERSON, meta_observation, observation_dim
+from hrl_comfort.config.hierarchy import META_OBSERVATIONS
+from hrl_comfort.hierarchy.observation import meta_observation, observation_dim
 from hrl_comfort.sim.engine import Engine
 from tests.hierarchy.test_sort import config
 
 
 def test_the_learned_controllers_observation_is_finite_with_and_without_a_level() -> None:
     state = Engine(config(), 8, 0).reset()
-    for level, layout in product((float("nan"), 3.0), PERSON):
+    for level, layout in product((float("nan"), 3.0), META_OBSERVATIONS):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10, layout)
         assert seen.shape == (8, observation_dim(layout, 4)) and bool(seen.isfinite().all())
     assert (observation_dim("default", 4), observation_dim("proximity", 4)) == (18 + 9 * 4, 15 + 9 * 4)

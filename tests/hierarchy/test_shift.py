@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.tops.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.evaluate import evaluate

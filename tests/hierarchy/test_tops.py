@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.agents.discrete_sac import DiscreteSAC
-from hrl_comfort.agents.dqn import DQN
 from hrl_comfort.agents.learners import TOPS as LEARNERS
-from hrl_comfort.agents.ppo import PPO
+from hrl_comfort.agents.tops.discrete_sac import DiscreteSAC
+from hrl_comfort.agents.tops.dqn import DQN
+from hrl_comfort.agents.tops.ppo import PPO
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import plugins

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.dqn import DQN
+from hrl_comfort.agents.tops.dqn import DQN
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.learned import load_choice, save_controller

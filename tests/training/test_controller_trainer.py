@@ -16,6 +16,7 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
 from hrl_comfort.files.provenance import read_provenance, resumable
 from hrl_comfort.files.sweep_record import find_jobs
+from hrl_comfort.hierarchy.tops import RULES
 from hrl_comfort.sweeps.subprocesses import run_in_subprocess
 from hrl_comfort.training import loop as module
 from hrl_comfort.training.controller_trainer import ControllerTraining, train_meta_controller
@@ -71,6 +72,51 @@ def test_a_controllers_training_beside_people_that_was_killed_goes_on_to_the_sam
         train_meta_controller(config_of(tmp_path / "run", *beside))
     train_meta_controller(replace(config_of(tmp_path / "run", *beside), resume=str(tmp_path / "run")))
     assert same(tmp_path / "run", undisturbed)
+
+
+RULED = ("meta_controller_agent.rule=due", "meta_controller_agent.rule_envs=3")
+
+
+def test_a_rule_chooses_in_the_first_environments_and_all_learn_from_it(tmp_path, monkeypatch):
+    training = ControllerTraining(config_of(tmp_path / "run", *RULED), tmp_path / "run", resumes=False)
+    env, observed = training.collector.env, []
+    begin, observe = type(env._process).begin, training.learner.observe
+
+    def began(process, rows, action):
+        ruled = rows & (torch.arange(4) < 3)
+        assert torch.equal(action[ruled], RULES["due"](env.decision)[ruled])
+        begin(process, rows, action)
+
+    monkeypatch.setattr(type(env._process), "begin", began)
+    monkeypatch.setattr(
+        training.learner, "observe", lambda seen: (observed.extend(seen["row"].tolist()), observe(seen))
+    )
+    while training.steps < 24:
+        training.step()
+    assert set(observed) == {0, 1, 2, 3}
+    training.collector.close()
+
+
+def test_a_training_beside_a_rule_that_was_killed_goes_on_to_the_same_bits(tmp_path):
+    undisturbed = train_meta_controller(config_of(tmp_path / "undisturbed", *RULED))
+    with stopping(ControllerTraining, "step", lambda training: training.steps >= 25):
+        train_meta_controller(config_of(tmp_path / "run", *RULED))
+    train_meta_controller(replace(config_of(tmp_path / "run", *RULED), resume=str(tmp_path / "run")))
+    assert same(tmp_path / "run", undisturbed)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((RULED[0],), r"rule=due does not go with meta_controller_agent\.rule_envs=0"),
+        ((RULED[1],), r"rule=None does not go with meta_controller_agent\.rule_envs=3"),
+        ((*RULED, "meta_controller_agent=ppo"), "does not go with meta_controller_agent=ppo"),
+        (("meta_controller_agent.rule=learned",), "choose one of nearest, free, due, cautious, patient"),
+    ],
+)
+def test_rules_that_cannot_demonstrate_are_refused(tmp_path, words, said):
+    with pytest.raises(ConfigError, match=said):
+        config_of(tmp_path, *words)
 
 
 def test_a_controllers_training_told_to_stop_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch):

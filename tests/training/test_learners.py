@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.learners import METHODS, SKILLS
+from hrl_comfort.agents.learners import HIERARCHICAL, METHODS, SKILLS
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.checks import plugins
@@ -26,12 +26,18 @@ from hrl_comfort.policies.graph import read_onnx
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
+from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import Stopped, make_points, small_config
 
 DOCS = Path(__file__).parents[2] / "docs"
-EVERY = [*SKILLS, "td3:TD3", "entry"]
+EVERY = [*SKILLS, *HIERARCHICAL, "td3:TD3", "entry"]
 SHORT = ("agent.policy_steps=640", "agent.checkpoint_every=160", "agent.learning_starts=160", "agent.batch_size=16")
+OF_POINTS = {
+    "hiro": ("agent.own.goals=[0,1]",),
+    "end_to_end": ("agent.own.skills=[near,far]", "agent.own.stages=[1,2]", "agent.critic_warmup_updates=0"),
+}
+SKILLS_OF_CYCLE = ("pick", "place", "return")
 MODULE = """
 from td3 import TD3
 
@@ -69,7 +75,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def config_of(folder: Path, name: str, *overrides: str) -> TrainConfig:
-    return small_config(folder, f"agent={name}", *SHORT, *overrides)
+    return small_config(folder, f"agent={name}", *SHORT, *OF_POINTS.get(name, ()), *overrides)
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -85,10 +91,11 @@ def in_cell(folder: Path, name: str) -> Path:
 
 
 def test_every_built_in_learner_is_a_choice_of_its_group() -> None:
-    assert set(SKILLS) <= set(choices("agent"))
-    for name in SKILLS:
+    built_in = {**SKILLS, **HIERARCHICAL}
+    assert set(built_in) <= set(choices("agent"))
+    for name, kind in built_in.items():
         agent = compose("train", [f"agent={name}"]).agent
-        assert agent.name == name and set(agent.own) == {each.name for each in fields(SKILLS[name].Keys)}
+        assert agent.name == name and set(agent.own) == {each.name for each in fields(kind.Keys)}
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -122,7 +129,12 @@ def test_what_a_learner_leaves_acts_in_evaluation_studio_and_other_programs(name
     session = Session(compose("studio", [f"policy='{run}'"]))  # type: ignore[arg-type]
     assert session.step().clip.duration_s > 0
     session.close()
-    out = export(compose("export", [f"policy='{run}'", f"output='{tmp_path / 'out'}'"]))  # type: ignore[arg-type]
+    asked_out = compose("export", [f"policy='{run}'", f"output='{tmp_path / 'out'}'"])
+    if policy.memory_dim is not None:
+        with pytest.raises(ConfigError, match=r"^policy=.* has a memory; export takes those that act by what they see"):
+            export(asked_out)  # type: ignore[arg-type]
+        return
+    out = export(asked_out)  # type: ignore[arg-type]
     engine = Engine(load_config(run), 3, 0)  # type: ignore[arg-type]
     state = engine.reset()
     acts = make_policy(str(run), engine.episodes.subtask, engine.scene, engine.episodes.config, 0)
@@ -143,6 +155,29 @@ def test_a_built_in_learner_goes_through_stages_and_values_what_it_leads_to(name
     other = next(each for each in SKILLS if each != name)
     with pytest.raises(ConfigError, match=f"has learner={name}, this training {other}"):
         Training(config_of(tmp_path / "on", other, f"initial_policy='{run}'"), make_points, tmp_path / "on")
+
+
+@pytest.mark.parametrize("name", HIERARCHICAL)
+def test_a_learner_with_a_hierarchy_of_its_own_goes_through_stages(name: str, tmp_path: Path) -> None:
+    stages = "curriculum.stages=[{name:a,policy_steps:320},{name:b,policy_steps:320}]"
+    run = train(config_of(tmp_path / "run", name, stages), make_points)
+    assert {row["stage"] for row in rows(run)} == {"a", "b"}
+
+
+def test_skills_go_on_from_the_policies_of_a_chain_each_in_its_stage(tmp_path: Path) -> None:
+    cell = ("human=none", "curriculum=off", "engine.num_envs=4", "agent.policy_steps=48", "agent.target_entropy=-6")
+    chain = {name: train(small_config(tmp_path / name, f"task={name}", *SHORT, *cell)) for name in SKILLS_OF_CYCLE}
+    words = ("agent=end_to_end", "task=cycle", f"initial_policy='{tmp_path}'", *SHORT, *cell)
+    training = Training(small_config(tmp_path / "cycle", *words), make_collector, tmp_path / "cycle")
+    whole = training.collector.observation_dim
+    for index, (name, run) in enumerate(chain.items()):
+        seen = torch.randn(5, whole)
+        seen[:, 36:] = torch.eye(3)[index]
+        torch.testing.assert_close(training.learner.policy(seen), load_policy(run)(seen[:, :36]), msg=name)
+    training.collector.close()
+    (tmp_path / "place").rename(tmp_path / "other")
+    with pytest.raises(ConfigError, match=r"place"):
+        Training(small_config(tmp_path / "cycle", *words), make_collector, tmp_path / "cycle")
 
 
 def test_the_learner_of_the_documentation_is_short_and_has_keys_of_its_own(tmp_path: Path) -> None:

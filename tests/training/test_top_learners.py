@@ -17,7 +17,7 @@ from torchrl.objectives.value import GAE
 
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.learners import TOPS, make_learner
-from hrl_comfort.agents.ppo import PPO, advantages
+from hrl_comfort.agents.tops.ppo import PPO, advantages
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, MetaControllerAgentConfig, MetaControllerTrainConfig
 from hrl_comfort.config.overrides import choices

@@ -25,7 +25,8 @@ from hrl_comfort.files.run_config import environment, load_config
 from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
-from hrl_comfort.training.collector import Demonstrator, SkillCollector, make_demonstrator, make_next_skill_value
+from hrl_comfort.training.collector import Demonstrator, SkillCollector, make_demonstrator
+from hrl_comfort.training.next_skill import make_next_skill_value
 from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import LIMIT, PointEnv, Stopped, make_points, small_config

@@ -1,0 +1,1 @@
+"""Baselines of hierarchical learning, one file each, all on soft actor-critic."""

@@ -1,0 +1,1 @@
+"""Learners of tops: what a network scores, and how it learns."""
