@@ -92,6 +92,8 @@ def test_hiros_upper_policy_sees_what_a_goal_earned_discounted_and_ends_with_the
     earned = [1 + gamma**2, *[1 + gamma**2 + gamma**4] * 2]
     torch.testing.assert_close(upper["next", "reward"][:, 0], torch.tensor(earned))
     assert upper["next", "terminated"][:, 0].tolist() == [True, False, False]
+    lower = learner.lower.buffer.storage[: 3 * N]
+    assert not lower["next", "terminated"].any()  # its rewards are negative: it would learn to end the episode
     torch.testing.assert_close(upper["change"][1], (path[3] - path[0])[1, :1])
     assert learner._count.tolist() == [1, 0, 0]  # the first environment began again at the third decision
 
@@ -175,13 +177,30 @@ def test_a_worse_option_learns_to_end_and_the_best_to_go_on() -> None:
 
 
 def test_the_target_is_the_value_of_arriving_with_an_option() -> None:
-    learner = made("option_critic", options=2)
-    loss = learner.loss
-    loss._values = torch.tensor([[1.0, 3.0], [1.0, 3.0]])
-    loss.terminations = _Given(torch.tensor([[0.0, 0.0]]))
-    after = torch.cat([torch.zeros(2, D), torch.eye(2)], dim=1)
-    ends, own, best = loss.after(TensorDict({"next": TensorDict({"observation": after})}))
-    assert ends.tolist() == [0.5, 0.5] and own.tolist() == [1.0, 3.0] and best.tolist() == [3.0, 3.0]
+    loss = made("option_critic", options=2).loss
+    loss.option_values = lambda tensordict: torch.tensor([[1.0, 3.0]]).expand(3, -1)
+    loss.terminations = _Given(torch.tensor([[0.25, 0.75]]).logit())
+    in_force = torch.tensor([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+    observation = torch.cat([torch.randn(3, D), in_force], dim=1)
+    after = {
+        "observation": observation,
+        "reward": torch.full((3, 1), 0.5),
+        "terminated": torch.tensor([[False], [False], [True]]),
+    }
+    batch = TensorDict(
+        {
+            "observation": observation,
+            "action": torch.rand(3, A),
+            "steps_to_next_obs": torch.full((3, 1), 2),
+            "option_noise": torch.zeros(3, 2, A),
+            "next": after,
+        },
+        batch_size=[3],
+    )
+    arriving = torch.tensor([0.75 * 1.0 + 0.25 * 3.0, 3.0, 0.0])  # (1 - beta) Q(in force) + beta Q(best)
+    wanted = 0.5 + loss.gamma**2 * arriving
+    value = loss.qvalue_network(observation, batch["action"])
+    torch.testing.assert_close(loss(batch)["loss_qvalue"], (value - wanted).square().sum(0).mean())
 
 
 def test_an_option_stays_until_it_ends_and_another_begins_with_the_episode() -> None:
@@ -199,8 +218,10 @@ def test_an_option_stays_until_it_ends_and_another_begins_with_the_episode() -> 
     stored = learner.buffer.storage[: 5 * N]["option"].view(5, N)
     assert torch.equal(stored, first.expand(5, -1))
     learner.terminations[-1].bias.data.fill_(50.0)  # each ends at once
-    chosen = {tuple(learner.act(TensorDict({"observation": path[0]}), 0.0).shape) and tuple(learner._option.tolist())
-              for _ in range(10)}  # fmt: skip
+    chosen = set()
+    for _ in range(10):
+        learner.act(TensorDict({"observation": path[0]}), 0.0)
+        chosen.add(tuple(learner._option.tolist()))
     assert len(chosen) > 3
 
 

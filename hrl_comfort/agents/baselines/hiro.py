@@ -156,7 +156,7 @@ class HIRO:
     def observe(self, transitions: TensorDictBase) -> None:
         """Store transitions (N,), one of each environment, for the lower policy, and goals that are over for the upper.
 
-        What a goal earned is discounted from the time when it was set.
+        What a goal earned is discounted from the time when it was set. To the lower policy no episode terminates.
         """
         before, then = transitions["observation"], transitions["next"]
         left = self.goals.left(self._goal, before, then["observation"])
@@ -164,7 +164,8 @@ class HIRO:
         after = {
             "observation": torch.cat([then["observation"], left], dim=1),
             "reward": -left.norm(dim=1, keepdim=True),
-            "terminated": then["terminated"],
+            # An end would be worth 0, more than any way to a goal, and the policy would learn to crash.
+            "terminated": torch.zeros_like(then["terminated"]),
         }
         lower = {"observation": torch.cat([before, self._goal], dim=1), "demonstrated": demonstrated, "next": after}
         kept = {name: transitions[name] for name in ("action", "steps_to_next_obs")}
