@@ -68,7 +68,8 @@ class OptionCollector:
             finished.append(dict(zip(OptionsLog.OUTCOMES, map(float, numbers), strict=True)))
         self._returns[done] = 0.0
         ended = self.env.transitions(after)
-        self.ran.index_add_(0, ended["action"], ended["steps_to_next_obs"].reshape(-1))
+        chosen = ended[~self._demonstrated[ended["row"]]]
+        self.ran.index_add_(0, chosen["action"], chosen["steps_to_next_obs"].reshape(-1))
         return Collected(ended, finished)
 
     def close(self) -> None:

@@ -89,11 +89,13 @@ def test_a_rule_chooses_in_the_first_environments_and_all_learn_from_it(tmp_path
 
     monkeypatch.setattr(type(env._process), "begin", began)
     monkeypatch.setattr(
-        training.learner, "observe", lambda seen: (observed.extend(seen["row"].tolist()), observe(seen))
+        training.learner, "observe", lambda seen: (observed.append(seen.clone()), observe(seen))
     )
     while training.steps < 24:
         training.step()
-    assert set(observed) == {0, 1, 2, 3}
+    seen = torch.cat(observed)
+    assert set(seen["row"].tolist()) == {0, 1, 2, 3}
+    assert training.collector.ran.sum() == seen["steps_to_next_obs"][seen["row"] == 3].sum()  # the learner's alone
     training.collector.close()
 
 
@@ -110,6 +112,7 @@ def test_a_training_beside_a_rule_that_was_killed_goes_on_to_the_same_bits(tmp_p
     [
         ((RULED[0],), r"rule=due does not go with meta_controller_agent\.rule_envs=0"),
         ((RULED[1],), r"rule=None does not go with meta_controller_agent\.rule_envs=3"),
+        ((RULED[0], "meta_controller_agent.rule_envs=4"), r"rule_envs=4 must be below engine\.num_envs=4"),
         ((*RULED, "meta_controller_agent=ppo"), "does not go with meta_controller_agent=ppo"),
         (("meta_controller_agent.rule=learned",), "choose one of nearest, free, due, cautious, patient"),
     ],
