@@ -262,13 +262,13 @@ class GraspingExpert(Expert):
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
     def _fitted_side(self, state: State, row: int) -> tuple[float, ...]:
-        """Return a level side (3,), to ROUND_RAD, in the tool's frame, of a target for a slot; empty where any fits."""
+        """Return a side (3,) beside `_upright`, to ROUND_RAD, of a target for a slot; empty where any side fits."""
         target, slot = int(state.target[row]), self._slots[int(state.target_kind[row])]
         if slot is None or slot.between is None:
             return ()
-        axes = _axes(state.objects_quat[row, target].numpy())
+        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
         side = axes[:, 0 if np.abs(axes[2]).argmax() != 0 else 1]
-        return tuple(_rounded(_axes(state.tcp_quat[row].numpy()).T @ side, ROUND_RAD))
+        return tuple(_rounded(side, ROUND_RAD))
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
         """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
