@@ -170,6 +170,14 @@ def seed_of(folder: Path) -> int:
     return config.train_seed
 
 
+def found(pattern: str) -> list[Path]:
+    """Return the folders that match a pattern, in order; raise ConfigError if none does."""
+    folders = sorted(Path().glob(pattern))
+    if not folders:
+        raise ConfigError(f"learned={pattern} matches no folder; give run folders of hrl-comfort train meta_controller")
+    return folders
+
+
 def clustered(rows: DataFrame) -> DataFrame:
     """Return the rows of a learned top with the columns that say what they share."""
     return rows.rename(columns={"seed": "train_seed", "shift": "spawn_id"})
@@ -180,7 +188,7 @@ def main(words: Sequence[str]) -> None:
     torch.set_num_threads(1)
     path, shifts, *asked = words
     patterns = [word.removeprefix("learned=") for word in asked if word.startswith("learned=")]
-    learned = [folder for pattern in patterns for folder in sorted(Path().glob(pattern))]
+    learned = [folder for pattern in patterns for folder in found(pattern)]
     config = compose("evaluate", [*WORDS, *(word for word in asked if not word.startswith("learned="))])
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts), learned)
