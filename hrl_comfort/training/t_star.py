@@ -51,23 +51,23 @@ class StartDiscriminator:
     @torch.no_grad()
     def rewards(self, ends: Tensor) -> Tensor:
         """Return the rewards (F,) of terminal states (F, D), in [0, weight]: larger, the more they look like starts."""
-        said: Tensor = self.network(ends)[:, 0]
-        return self.weight * said.clamp(0.0, 1.0)
+        scores: Tensor = self.network(ends)[:, 0]
+        return self.weight * scores.clamp(0.0, 1.0)
 
     def learn(self, ends: Tensor) -> None:
         """Take in terminal states (F, D) and do some updates."""
         self.ends = torch.cat([self.ends, ends])[-KEPT:]
         for _ in range(UPDATES):
-            loss = (self._said(self.starts) - 1).square().mean() + self._said(self.ends).square().mean()
+            loss = (self._scores(self.starts) - 1).square().mean() + self._scores(self.ends).square().mean()
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
 
-    def _said(self, states: Tensor) -> Tensor:
-        """Return what it says (BATCH,) of some of the states, drawn anew."""
+    def _scores(self, states: Tensor) -> Tensor:
+        """Return the scores (BATCH,) of some of the states, drawn anew: towards 1 for starts, 0 for terminal states."""
         rows = torch.randint(len(states), (BATCH,), generator=self.generator)
-        said: Tensor = self.network(states[rows])[:, 0]
-        return said
+        scores: Tensor = self.network(states[rows])[:, 0]
+        return scores
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
@@ -109,6 +109,6 @@ def successful_starts(policy: nn.Module, source: str) -> Tensor:
     starts = torch.cat(found)[:STARTS]
     if len(starts):
         return starts
-    said = f"agent.next_skill={source} never succeeds in its own training; all its starts count as good"
-    Console(stderr=True).print(said, soft_wrap=True)
+    warning = f"agent.next_skill={source} never succeeds in its own training; all its starts count as good"
+    Console(stderr=True).print(warning, soft_wrap=True)
     return torch.cat([*every, first])[:STARTS]

@@ -23,7 +23,8 @@ class JobScores(nn.Module):
 
     The options are, for each of the levels that they may be given, a pick of each job, place and return, then at last
     wait and retreat (`hierarchy.sort`). A pick is scored from an embedding of its job and from the mean and the
-    greatest of the embeddings of all, the others from these two. The numbers of the jobs do not matter.
+    greatest of the embeddings of all, the others from these two and from the C numbers. Jobs in another order have the
+    same scores, in that order.
 
     Args:
       observation_dim: C + B J.
