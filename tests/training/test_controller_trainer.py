@@ -88,9 +88,7 @@ def test_a_rule_chooses_in_the_first_environments_and_all_learn_from_it(tmp_path
         begin(process, rows, action)
 
     monkeypatch.setattr(type(env._process), "begin", began)
-    monkeypatch.setattr(
-        training.learner, "observe", lambda seen: (observed.append(seen.clone()), observe(seen))
-    )
+    monkeypatch.setattr(training.learner, "observe", lambda seen: (observed.append(seen.clone()), observe(seen)))
     while training.steps < 24:
         training.step()
     seen = torch.cat(observed)
