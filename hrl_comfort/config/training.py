@@ -71,6 +71,11 @@ class MetaControllerTrainConfig(TrainingConfig):
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name
             raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")
+        if self.meta_controller_agent.rule_envs >= self.engine.num_envs:
+            raise ConfigError(
+                f"meta_controller_agent.rule_envs={self.meta_controller_agent.rule_envs} must be below "
+                f"engine.num_envs={self.engine.num_envs}"
+            )
 
 
 @dataclass(frozen=True)
