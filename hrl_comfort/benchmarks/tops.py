@@ -126,9 +126,10 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
     if name == IDLE:
         wait = table.position("wait")
         return lambda decision: torch.full((len(decision.mask),), wait)
+    if name.startswith(f"{LEARNED} "):
+        folder = name.removeprefix(f"{LEARNED} ")
+        return TOPS[LEARNED](replace(config, policies={**config.policies, "meta_controller": folder}), table, 0)
     kind, *areas = name.split()
-    if kind == LEARNED:
-        return TOPS[kind](replace(config, policies={**config.policies, "meta_controller": areas[0]}), table, 0)
     picks = [
         f"pick_{index}"
         for area in areas

@@ -123,8 +123,8 @@ class MetaControllerAgentConfig:
     """Rule that chooses in the first `rule_envs` environments; the learner learns from what comes of it, too;
     null is none. `ppo` takes none: it learns from its own choices alone."""
     rule_envs: Annotated[int, within(0, 65535)]
-    """Number of environments, of `engine.num_envs`, in which the rule chooses; meta_controller_metrics.csv
-    leaves them out."""
+    """Number of environments, of `engine.num_envs`, in which the rule chooses. Their options count among `options` and
+    in the loss; meta_controller_metrics.csv leaves out their episodes and shares of time."""
     log_every: Annotated[int, within(1, 1e9)]
     """Options between two rows of meta_controller_metrics.csv, and between two checkpoints."""
 

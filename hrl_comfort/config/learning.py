@@ -124,7 +124,7 @@ class HeldKeys:
 class HIROKeys:
     """Goals from an upper policy (Nachum et al. 2018, arXiv:1805.08296)."""
 
-    goals: list[Annotated[int, within(0, 1_000_000)]] = field(default_factory=list)
+    goals: Annotated[list[Annotated[int, within(0, 1_000_000)]], unique] = field(default_factory=list)
     """Columns of the observation that goals are set in; []: all."""
     reach: Annotated[float, within(1e-6, 1e6)] = 0.25
     """Farthest goal in a column, from its value at the time, in its unit."""

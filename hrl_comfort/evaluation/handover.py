@@ -62,6 +62,10 @@ def handover(config: EvaluateConfig) -> Path:
     for name in names:
         if not Path(config.policies[name]).exists():
             raise ConfigError(f"policies.{name}={config.policies[name]} is no run folder: it has no own starts")
+        if not isinstance(load_policy(config.policies[name]), ActorPolicy):
+            raise ConfigError(
+                f"policies.{name}={config.policies[name]} has no normaliser to tell what is far from its training"
+            )
     if config.regret:
         raise ConfigError("regret=true does not go with handover, whose options have no alternative; leave it out")
     if config.levels:
@@ -137,8 +141,7 @@ def far_observations(config: EvaluateConfig) -> list[list[Any]]:
     """
     assert config.policy is not None
     policy = load_policy(config.policy)
-    if not isinstance(policy, ActorPolicy):
-        raise ConfigError(f"policy={config.policy!r} has no normaliser to tell what is far from its training")
+    assert isinstance(policy, ActorPolicy)
     task = observed_by(
         policy, config.policy, subtask(config.task.name, hand=config.robot.gripper.holds), environment(config)
     )

@@ -258,6 +258,11 @@ def _read(key: str, file: Path, critics: bool) -> tuple[dict[str, Any], dict[str
             number = isinstance(tensor, Tensor) and (own or tensor.is_floating_point())
             if not number or not tensor.float().isfinite().all():
                 raise ConfigError(f"{damaged} {part} {name} is not finite")
+    if critics and own:
+        raise ConfigError(
+            f"{key}={str(file)!r} is of agent.name={learner}, which keeps no critics; choose a policy of one of "
+            f"{', '.join(SKILL_LEARNERS)}"
+        )
     if critics and not networks.get("critics"):
         raise ConfigError(f"{key}={str(file)!r} was saved without its critics; give a run folder that has them")
     return spec, networks

@@ -291,7 +291,8 @@ class Episodes:
         return self.state
 
     def take_levels(self, source: Source) -> None:
-        """Take the comfort levels from another `source`, from the end of the next decision on."""
+        """Take the comfort levels of these episodes from another `source`, from the end of the next decision on."""
+        source.draws, source.person = self.draw.level.copy(), self.draw.person.copy()
         self.referee.source = source
 
     def stand(self, walk: humans.Walk) -> None:

@@ -123,6 +123,8 @@ def test_the_relabelled_goal_is_the_likeliest_candidate() -> None:
 def test_hiros_columns_are_those_of_the_observation() -> None:
     with pytest.raises(ConfigError, match=r"^agent\.own\.goals=\[1, 5\]: the observation has columns 0 to 4$"):
         made("hiro", goals=[1, 5])
+    with pytest.raises(ConfigError, match=r"goals=\[1, 1\] contains an entry twice"):
+        made("hiro", goals=[1, 1])
 
 
 def test_hiros_saved_policy_keeps_its_goal_for_as_long_as_in_training() -> None:

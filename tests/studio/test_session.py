@@ -63,6 +63,19 @@ def test_a_step_is_one_decision_whose_pictures_last_as_long(session: Session) ->
     assert np.isfinite(middle.limbs).all() and np.isfinite(middle.props).all(axis=1).sum() == 1
 
 
+def test_a_source_that_is_followed_again_has_the_person_of_the_episode_that_began_without_it() -> None:
+    session = Session(studio_config("policy=random", "comfort.source=fitted"))
+    first = session.engine.episodes.draw.person.copy()
+    session.set_level(3)
+    while (session.engine.episodes.draw.person == first).all():
+        session.reset()
+    session.follow_source()
+    episodes = session.engine.episodes
+    assert (episodes.source.person == episodes.draw.person).all()
+    assert (episodes.source.draws == episodes.draw.level).all()
+    session.close()
+
+
 def test_the_hand_is_on_the_first_of_two_and_pictures_show_both() -> None:
     session = Session(studio_config("human=pair", "policy=random"))
     person = Person([session], LIVE, session.config.human)

@@ -19,6 +19,7 @@ from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.checks import plugins
 from hrl_comfort.config.overrides import choices
 from hrl_comfort.deploy.export import export
+from hrl_comfort.evaluation.handover import handover
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import load_config
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
@@ -26,6 +27,7 @@ from hrl_comfort.policies.graph import read_onnx
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
+from hrl_comfort.studio.web import content
 from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import Stopped, make_points, small_config
@@ -129,10 +131,19 @@ def test_what_a_learner_leaves_acts_in_evaluation_studio_and_other_programs(name
     session = Session(compose("studio", [f"policy='{run}'"]))  # type: ignore[arg-type]
     assert session.step().clip.duration_s > 0
     session.close()
+    if name not in SKILLS:
+        with pytest.raises(ConfigError, match=rf"^policy=.* is of agent.name={name}, which keeps no critics; choose"):
+            load_policy(run, critics=True)
+        skills = [f"policies.{each}='{run}'" for each in ("pick", "place", "return")]
+        chain = ["task=cycle", "meta_controller=nearest", *skills, f"output='{tmp_path / 'seams'}'"]
+        with pytest.raises(ConfigError, match=r"^policies\.pick=.* has no normaliser to tell what is far from its"):
+            handover(compose("evaluate", chain))  # type: ignore[arg-type]
     asked_out = compose("export", [f"policy='{run}'", f"output='{tmp_path / 'out'}'"])
     if policy.memory_dim is not None:
         with pytest.raises(ConfigError, match=r"^policy=.* has a memory; export takes those that act by what they see"):
             export(asked_out)  # type: ignore[arg-type]
+        with pytest.raises(ConfigError, match=r"^policy=.* has a memory, which a page of export= does not keep$"):
+            content.refuse(compose("studio", [f"policy='{run}'"]))  # type: ignore[arg-type]
         return
     out = export(asked_out)  # type: ignore[arg-type]
     engine = Engine(load_config(run), 3, 0)  # type: ignore[arg-type]

@@ -146,6 +146,8 @@ def refuse(config: StudioConfig) -> None:
     for source in [config.policy] if config.policy else config.policies.values():
         if source is None or not Path(source).exists():
             raise ConfigError(f"policy={source!r}: export= takes a run folder, a checkpoint or a policy.pt")
+        if load_policy(source).memory_dim is not None:
+            raise ConfigError(f"policy={source!r} has a memory, which a page of export= does not keep")
 
 
 def _option(option: Option, source: str, session: Session) -> dict[str, Any]:
