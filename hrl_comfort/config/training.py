@@ -66,7 +66,8 @@ class MetaControllerTrainConfig(TrainingConfig):
         super().__post_init__()
         if self.task.name not in SORTING:
             raise ConfigError(
-                f"task.name={self.task.name!r} has one order of options; train meta_controller takes task=sort, shift or kitting"
+                f"task.name={self.task.name!r} has one order of options; train meta_controller takes "
+                "task=sort, shift or kitting"
             )
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name
