@@ -132,16 +132,22 @@ def _run_of(overrides: list[str]) -> EnvConfig | None:
 def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]:
     """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
 
-    For a group chosen in `overrides`, keys that any file of the group sets are left out.
+    For a group chosen in `overrides`, keys that any file of the group sets are left out; of nested keys, those that the
+    chosen file sets.
     """
-    chosen, trained = {parse(line).key_or_group for line in overrides}, []
+    chosen, trained = {parse(line).key_or_group: parse(line).value() for line in overrides}, []
     for part in AS_TRAINED[root]:
-        stated, group = set(), part.split(".")[0]
+        stated, group = set[str](), part.split(".")[0]
+        own: Any = {}
         if group in chosen:
             files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
-            stated = {str(key) for file in files for key in OmegaConf.load(file)}
+            loaded = {file.stem: OmegaConf.load(file) for file in files}
+            stated = {str(key) for found in loaded.values() for key in found}
+            own = loaded.get(str(chosen[group]), {})
         for key, value in _fields(part, attrgetter(part)(run)):
-            if key.split(".")[1] not in stated and not (key.startswith("robot.gripper.") and "gripper" in chosen):
+            name, _, nested = key.partition(".")[2].partition(".")
+            left_out = name in stated and (not nested or OmegaConf.select(own, f"{name}.{nested}") is not None)
+            if not left_out and not (key.startswith("robot.gripper.") and "gripper" in chosen):
                 # Hydra would add the entries of a mapping to those of conf/.
                 trained += [override(key, None)] * isinstance(value, dict)
                 trained.append(override(key, value))

@@ -25,10 +25,13 @@ def published() -> set[tuple[str, ...]]:
 
 
 def is_kept(line: dict[str, str], commands: set[tuple[str, ...]]) -> bool:
-    """Return whether a look is published: by a command of the manifest, of policies that are those in the tree."""
+    """Return whether a look is published: by a command of the manifest, of policies that are those in the tree.
+
+    Policies that are not kept there cannot differ from it.
+    """
     policies = [policy.rpartition("@") for policy in line["policy"].split() if "@" in policy]
     return words_of(line["command"]) in commands and all(
-        (ROOT / name).exists() and ledger.hash_of(str(ROOT / name)).endswith(f"@{digest}")
+        not (ROOT / name).exists() or ledger.hash_of(str(ROOT / name)).endswith(f"@{digest}")
         for name, _, digest in policies
     )
 
