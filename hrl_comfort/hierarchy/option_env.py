@@ -97,7 +97,7 @@ class OptionEnv(EnvBase):
 
     @property
     def decision(self) -> Decision:
-        """What a top would decide on now, in the rows whose option has ended."""
+        """The decision of a top now, in the rows whose option has ended."""
         return self.executor.decision(self._process.state, self._begin_rows)
 
     def _make_specs(self) -> None:

@@ -14,7 +14,7 @@ MOST = 4096
 
 
 class Remembering:
-    """What the policy remembers goes by the episode (`State.key`), so any rows of any cells may act.
+    """A policy whose memory goes by the episode (`State.key`), so any rows of any cells may act.
 
     A decision that does not follow the one before within `action_repeat` control steps, such as the first after another
     option, begins anew; one that is asked for twice is answered twice the same.

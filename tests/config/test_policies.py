@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_comfort.composition.compose import compose
+from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.composition.policies import check_beside, options_in, with_defaults
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.files.run_config import save_config
@@ -44,3 +44,12 @@ def test_a_second_policy_of_another_task_is_refused_by_its_key(tmp_path: Path) -
         check("cycle", str(tmp_path / "pick"))
     with pytest.raises(ConfigError, match=r"^beside='.*' was trained for the chain pick, place, return, and the cells"):
         check("pick", str(tmp_path))
+
+
+@pytest.mark.parametrize(("task", "tolerances_m"), [("pick_place", (0.3, 0.3)), ("place_fine", (0.3, 0.005))])
+def test_a_task_takes_from_a_run_all_nested_keys_but_those_that_its_own_file_sets(
+    task: str, tolerances_m: tuple[float, float]
+) -> None:
+    run = Path(__file__).parents[2] / "runs" / "reference" / "comfort" / "stages" / "seed0"
+    found = compose_environment("evaluate", [f"policy={run}", f"task={task}"]).task.precision
+    assert (found.grasp_tolerance_m, found.place_tolerance_m) == tolerances_m

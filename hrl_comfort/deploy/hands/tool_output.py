@@ -19,7 +19,7 @@ SHUT = 0.5
 
 
 class ToolHand:
-    """What is known of the fingers by what output and input were, and when.
+    """State of the fingers, as far as output and input tell it, and when they did.
 
     Args:
       time_s: by the robot's clock.
