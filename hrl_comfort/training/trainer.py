@@ -82,6 +82,13 @@ class Training(TrainingLoop):
         """Begin episodes in the environments of stage `index`."""
         self.index, self.stage, self.collector = index, self.stages[index], collector
         config = self.stage.config
+        if hasattr(self.learner, "terminal_value"):
+            self.learner.terminal_value = collector.terminal_value
+        elif collector.terminal_value is not None:
+            raise ConfigError(
+                f"agent.next_skill_reward={config.agent.next_skill_reward:g} does not go with agent.name="
+                f"{config.agent.name!r}, which has no terminal_value; choose one of {', '.join(SKILL_LEARNERS)}, or 0"
+            )
         self.curriculum = Curriculum(config.curriculum, config.task.precision, config.agent.policy_steps)
         collector.reset(self.curriculum.precision_m, self.curriculum.reach)
         self.recent.clear()
