@@ -56,6 +56,10 @@ class UdpStream:
         """UDP port in use."""
         return int(self._socket.getsockname()[1])
 
+    def close(self) -> None:
+        """Free the port."""
+        self._socket.close()
+
     def read(self) -> list[str]:
         """Return the texts since the last call, oldest first; the rest of a flood waits or is dropped by the system."""
         return [text for text, _ in self.read_stamped()]
@@ -101,6 +105,10 @@ class LslStream:
                 remedy = f"within {wait_s:g} s; start its outlet first{self._unfit}"
                 raise ConfigError(f"{key}: no such Lab Streaming Layer stream {remedy}")
             time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._inlet = self._resolver = None
 
     def read(self) -> list[list[float]]:
         """Return the samples since the last call, oldest first; of more than a second, the newest second."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.training.collector import SkillCollector
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.training.collector import SkillCollector, make_collector
 from hrl_comfort.training.t_star import StartDiscriminator, TerminalStates
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import PointEnv, small_config
@@ -101,3 +103,24 @@ def test_a_training_towards_the_next_skills_starts_resumes_bit_for_bit(place: Pa
         train(config)
     train(replace(config, resume=str(half)))
     assert (half / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+def test_no_two_environments_are_open_at_a_time(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    is_open: list[bool] = []
+
+    class Watched(CellEnv):
+        def __init__(self, *given: Any) -> None:
+            assert not any(is_open), "the other one has the port of live levels"
+            self.number = len(is_open)
+            is_open.append(True)
+            super().__init__(*given)
+
+        def close(self, *given: Any, **named: Any) -> None:
+            is_open[self.number] = False
+            super().close(*given, **named)
+
+    for module in ("collector", "t_star"):
+        monkeypatch.setattr(f"hrl_comfort.training.{module}.CellEnv", Watched)
+    own = ("task=pick", f"agent.next_skill='{place}'", "agent.next_skill_reward=3")
+    make_collector(small_config(tmp_path, *EASY, *own)).close()
+    assert is_open == [False, False]
