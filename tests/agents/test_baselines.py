@@ -155,7 +155,6 @@ def gradient_of_terminations(in_force: int) -> float:
             "observation": observation,
             "action": torch.zeros(1, A),
             "steps_to_next_obs": torch.ones(1, 1),
-            "option_noise": torch.zeros(1, 2, A),
             "next": {"observation": observation, "reward": torch.zeros(1, 1), "terminated": torch.tensor([[False]])},
         },
         batch_size=[1],
@@ -194,7 +193,6 @@ def test_the_target_is_the_value_of_arriving_with_an_option() -> None:
             "observation": observation,
             "action": torch.rand(3, A),
             "steps_to_next_obs": torch.full((3, 1), 2),
-            "option_noise": torch.zeros(3, 2, A),
             "next": after,
         },
         batch_size=[3],
@@ -203,6 +201,27 @@ def test_the_target_is_the_value_of_arriving_with_an_option() -> None:
     wanted = 0.5 + loss.gamma**2 * arriving
     value = loss.qvalue_network(observation, batch["action"])
     torch.testing.assert_close(loss(batch)["loss_qvalue"], (value - wanted).square().sum(0).mean())
+
+
+def test_an_option_is_chosen_by_the_values_that_are_learned() -> None:
+    learner = made("option_critic", options=4, exploration=0.0)
+    for index in range(20):
+        step(learner, torch.randn(N, D), torch.randn(N, D), torch.tensor([False, False, index % 3 == 0]), reward=1.0)
+    for _ in range(30):
+        learner.update()
+    learner.targets.load_state_dict(learner.critics.state_dict())
+    learner.average.load_state_dict(learner.actor.state_dict())
+    batch = learner.sample()
+    seen = batch["next", "observation"][:, :D]
+    learned = learner.loss.option_values(batch)
+    with torch.no_grad():
+        learner.log_alpha += 3.0  # the worth of entropy, which is no part of them
+    torch.testing.assert_close(learner.loss.option_values(batch), learned)
+    chosen = learned.argmax(1)
+    assert len(chosen.unique()) > 1
+    assert torch.equal(learner.policy(seen, torch.zeros(len(seen), 4))[1].argmax(1), chosen)
+    learner.act(TensorDict({"observation": seen}), 0.0)
+    assert torch.equal(learner._option, chosen)
 
 
 def test_an_option_stays_until_it_ends_and_another_begins_with_the_episode() -> None:
