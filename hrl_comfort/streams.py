@@ -97,6 +97,7 @@ class LslStream:
     def __init__(self, name: str, channels: tuple[int, ...], wait_s: float, key: str) -> None:
         self._lsl, self._name, self._channels, self._key = pylsl_for(key), name, channels, key
         self._inlet: Any = None
+        self._resolver: Any = None
         self._unfit = ""
         self._search()
         deadline = time.monotonic() + wait_s

@@ -59,8 +59,8 @@ def stages_of(config: TrainConfig, key: str = "curriculum.stages") -> list[tuple
     for number, (one, (stage, other)) in enumerate(pairwise(found), start=1):
         if stage.replay == "keep" and _rewarded_starts(one[1]) != _rewarded_starts(other):
             raise ConfigError(
-                f"{key}.{number}.replay=keep does not go with another agent.next_skill, or with agent.next_skill_reward "
-                "from or to 0, than the stage before: transitions are kept for one skill; choose clear"
+                f"{key}.{number}.replay=keep does not go with another agent.next_skill than before, or with "
+                "agent.next_skill_reward from or to 0: transitions are kept for one skill; choose clear"
             )
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -53,6 +53,8 @@ class SkillCollector:
         self._discriminator = next_skill.discriminator if isinstance(next_skill, TerminalStates) else None
         self.num_envs = env.batch_size[0]
         self.observation_dim = env.observation_spec["observation"].shape[-1]
+        self.layout: Mapping[str, range] = getattr(env, "layout", {})
+        """Columns of the observation by the name of a part; empty where the environment names none."""
         self.action_dim = env.action_spec.shape[-1]
         self.reward_names = tuple(env.reward_names)
         self._for_demonstrator = torch.arange(self.num_envs) < config.demonstrator_envs

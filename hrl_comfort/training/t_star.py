@@ -106,6 +106,7 @@ class TerminalStates:
             values[rows] = self.discriminator.rewards(states[rows].cpu()).to(states.device)
         return values
 
+
 @torch.no_grad()
 def successful_starts(policy: nn.Module, source: str) -> Tensor:
     """Return first observations (S, D) of episodes in which a policy's module succeeds, drawn as in its training.

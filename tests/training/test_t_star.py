@@ -74,7 +74,7 @@ def test_the_reward_of_a_stored_success_is_what_the_discriminator_says_now(tmp_p
 
 def test_a_learner_that_cannot_ask_the_discriminator_and_a_kept_buffer_get_one_line(tmp_path: Path) -> None:
     states = TerminalStates(StartDiscriminator(torch.randn(8, 2), 1.0, seed=1), lambda rows: torch.zeros(len(rows), 2))
-    with pytest.raises(ConfigError, match=r"^agent\.next_skill_reward=2 does not go with agent\.name='hiro', which has"):
+    with pytest.raises(ConfigError, match=r"^agent\.next_skill_reward=2 does not go with agent\.name='hiro', which "):
         Training(
             small_config(tmp_path, "agent=hiro", "agent.own.goals=[0]", "agent.next_skill_reward=2"),
             lambda own: SkillCollector(own.agent, PointEnv(8, 0), next_skill=states), tmp_path,

@@ -17,7 +17,6 @@ from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import AgentConfig, ConfigError
 from hrl_comfort.config.learning import EndToEndKeys
 
-
 NONE = -1
 """No other skill goes on."""
 
@@ -50,21 +49,24 @@ class EndToEnd:
     """
 
     Keys = EndToEndKeys
+    columns = ("stages",)
+    """Own keys that are columns of the observation, here by number."""
     terms = SAC.terms
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: EndToEndKeys) -> None:
-        if len(own.stages) != len(own.skills) or max(own.stages) >= observation_dim:
+        stages = [*map(int, own.stages)]
+        if len(stages) != len(own.skills) or max(stages, default=0) >= observation_dim:
             raise ConfigError(
-                f"agent.own.stages={own.stages} must be a column from 0 to {observation_dim - 1} for each of "
+                f"agent.own.stages={stages} must be a column from 0 to {observation_dim - 1} for each of "
                 f"agent.own.skills={own.skills}"
             )
         self.config, self._updates = config, 0
         alone = self._alone(config, len(own.skills))
-        size = observation_dim - len(own.stages)
+        size = observation_dim - len(stages)
         self.parts = {name: SAC(alone, size, action_dim) for name in own.skills}
         for part in self.parts.values():
             part.terminal_value = self._values
-        self.policy = StagePolicy([*self.parts.values()], own.stages, observation_dim)
+        self.policy = StagePolicy([*self.parts.values()], stages, observation_dim)
 
     def _alone(self, config: AgentConfig, skills: int) -> AgentConfig:
         """Return the configuration of one of the skills, which share the buffer and the updates."""
