@@ -237,8 +237,8 @@ class AgentConfig:
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""
     next_skill: str | None
-    """Run folder of the policy that acts after a success. The value that its critics give to the state at the
-    success is discounted and added to the target of the critics being trained."""
+    """Run folder of the policy that acts after a success; it stays as it is when the training begins. The value that
+    its critics give to the state at the success is discounted and added to the target of the critics being trained."""
     next_skill_reward: Annotated[float, within(0.0, 1e6)]
     """Reward for a success that ends in a state from which `next_skill` has succeeded, as a discriminator tells them,
     in place of the value that its critics give (Lee et al. 2021, arXiv:2111.07999); less for other states. 0: that
