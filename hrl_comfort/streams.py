@@ -56,6 +56,10 @@ class UdpStream:
         """UDP port in use."""
         return int(self._socket.getsockname()[1])
 
+    def close(self) -> None:
+        """Free the port."""
+        self._socket.close()
+
     def read(self) -> list[str]:
         """Return the texts since the last call, oldest first; the rest of a flood waits or is dropped by the system."""
         return [text for text, _ in self.read_stamped()]
@@ -93,6 +97,7 @@ class LslStream:
     def __init__(self, name: str, channels: tuple[int, ...], wait_s: float, key: str) -> None:
         self._lsl, self._name, self._channels, self._key = pylsl_for(key), name, channels, key
         self._inlet: Any = None
+        self._resolver: Any = None
         self._unfit = ""
         self._search()
         deadline = time.monotonic() + wait_s
@@ -101,6 +106,10 @@ class LslStream:
                 remedy = f"within {wait_s:g} s; start its outlet first{self._unfit}"
                 raise ConfigError(f"{key}: no such Lab Streaming Layer stream {remedy}")
             time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._inlet = self._resolver = None
 
     def read(self) -> list[list[float]]:
         """Return the samples since the last call, oldest first; of more than a second, the newest second."""

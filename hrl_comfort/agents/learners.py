@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 from tensordict import TensorDictBase
@@ -79,6 +81,22 @@ def learner_class(key: str, name: str) -> type:
     if not isinstance(found, type):
         raise ConfigError(f"{key}.name={name!r} is of type {type(found).__name__}; it must be a class")
     return found
+
+
+def with_columns(config: AgentConfig, layout: Mapping[str, range]) -> AgentConfig:
+    """Return the configuration with the own keys that are `columns` of a built-in learner as numbers, by `layout`.
+
+    Raises:
+      ConfigError: a name is not one of the layout.
+    """
+    own = dict(config.own)
+    for key in getattr(KNOWN["agent"].get(config.name), "columns", ()):
+        for each in own[key]:
+            if isinstance(each, str) and each not in layout:
+                has = f"the observation has {', '.join(layout)}" if layout else "no part of the observation has a name"
+                raise ConfigError(f"agent.own.{key}={own[key]}: {has}; choose other names, or numbers of columns")
+        own[key] = [number for each in own[key] for number in (layout[each] if isinstance(each, str) else [each])]
+    return replace(config, own=own)
 
 
 def make_learner(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
@@ -97,6 +97,9 @@ class SAC:
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = self._new_optimiser()
         self.buffer = self._new_buffer()
+        self.terminal_value: Callable[[TensorDictBase], Tensor] | None = None
+        """Value (B,) to whoever acts next of the states that raw transitions (B,) lead to. It is added to the rewards,
+        discounted, when transitions are sampled, so that it is as new as the one who acts next."""
         self.updates = 0
         self._stage_begin = 0
         """Number of updates at which the current stage began."""
@@ -200,6 +203,9 @@ class SAC:
         """Return B transitions, observations normalised, with the noise (B, A) of both actions."""
         index = torch.randint(len(self.buffer), (self.config.batch_size,), generator=self.generator)
         batch = self.buffer.storage[index.to(self.device)]
+        if self.terminal_value is not None:
+            value = self.config.gamma ** batch["steps_to_next_obs"] * self.terminal_value(batch)[:, None]
+            batch["next", "reward"] = batch["next", "reward"] + value
         noise = torch.randn(2, *batch["action"].shape, generator=self.generator).to(self.device)
         batch["noise"], batch["next_noise"] = noise
         for part in (batch, batch["next"]):

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from hrl_comfort.composition.policies import as_chain, check_beside, with_controller, with_defaults, with_skills
+from hrl_comfort.composition.stages import stages_of
 from hrl_comfort.config import (
     POLICIES,
     SCRIPTED_POLICIES,
@@ -79,6 +80,10 @@ def check(config: CommandConfig) -> None:
         and not Path(config.task.start).is_file()
     ):
         raise ConfigError(f"task.start={config.task.start!r} is neither 'ik' nor an existing .npz file")
+    if isinstance(config, TrainConfig) and config.resume is None:
+        if config.agent.name == "end_to_end":
+            _check_begun_from(config)
+        _check_next_skill_reward(config)
     if isinstance(config, TrainConfig) and config.logger == "wandb" and find_spec("wandb") is None:
         raise ConfigError("logger=wandb needs wandb: pip install 'hrl-comfort[wandb]'")
     match config:
@@ -116,6 +121,44 @@ def check(config: CommandConfig) -> None:
 
         for warning in layout_warnings(config):
             warnings.warn(warning, stacklevel=2)
+
+
+def _check_begun_from(config: TrainConfig) -> None:
+    """Raise ConfigError if a training end to end lacks the skills that it begins with."""
+    skills, initial = config.agent.own["skills"], config.initial_policy
+    if isinstance(config, HierarchyTrainConfig):
+        raise ConfigError(
+            "agent=end_to_end does not go with train hierarchy, whose options are trained one by one; train them with "
+            "agent=sac, then say train task=cycle agent=end_to_end initial_policy=FOLDER"
+        )
+    if initial is None:
+        raise ConfigError(
+            f"agent=end_to_end goes on from trained skills: give initial_policy=FOLDER with the runs "
+            f"{', '.join(skills)} (agent.own.skills), such as the output of train hierarchy"
+        )
+    for name in skills:
+        if not (Path(initial) / name).exists():
+            raise ConfigError(
+                f"initial_policy={initial!r} has no {name}, which is one of agent.own.skills={skills}; give the folder "
+                "of a hierarchy that has"
+            )
+
+
+def _check_next_skill_reward(config: TrainConfig) -> None:
+    """Raise ConfigError if a training has a reward for likeness to the starts of a skill that it does not name."""
+    if isinstance(config, HierarchyTrainConfig):
+        if (reward := config.agent.next_skill_reward) and not config.hierarchy.refinement:
+            raise ConfigError(
+                f"agent.next_skill_reward={reward:g} is for the refinement of options, and "
+                "hierarchy.refinement=[] refines none: choose experiment=t_star, or leave agent.next_skill_reward out"
+            )
+        return
+    for _, stage in stages_of(config):
+        if (reward := stage.agent.next_skill_reward) and stage.agent.next_skill is None:
+            raise ConfigError(
+                f"agent.next_skill_reward={reward:g} is for ends where agent.next_skill begins, and there is none: "
+                "give agent.next_skill=RUN, or leave agent.next_skill_reward out"
+            )
 
 
 def _drawn(config: CommandConfig) -> str | None:

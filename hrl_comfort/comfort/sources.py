@@ -91,6 +91,11 @@ class Source:
         self.level: Floats = np.full(rows, np.nan)
         self.levels = SOURCES[config.source](config)
 
+    def close(self) -> None:
+        """Free what a live stream listens on."""
+        if isinstance(self.levels, Live):
+            self.levels.stream.close()
+
     def begin(self, rows: NDArray[np.int64]) -> None:
         """Start an episode in `rows`; their `draws` and `person` are set."""
         self.level[rows] = self.levels(np.zeros(len(self.level)), self.draws)[rows]

@@ -30,6 +30,9 @@ class Stream(Protocol):
     def read(self) -> Sequence[str | float]:
         """Return the values since the last call, oldest first; text is parsed as a number."""
 
+    def close(self) -> None:
+        """Free what it listens on; it is not read any more."""
+
 
 class Signal:
     """Conversion of values to levels: range, smoothing, bad values and stalls; `clock` in s."""
@@ -106,6 +109,10 @@ class Lsl:
     def read(self) -> list[float]:
         """See `Stream`."""
         return [value for (value,) in self._stream.read()]
+
+    def close(self) -> None:
+        """See `Stream`."""
+        self._stream.close()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
@@ -55,7 +56,18 @@ def stages_of(config: TrainConfig, key: str = "curriculum.stages") -> list[tuple
             found.append((stage, _in_stage(config, stage, number)))
         except (ConfigError, OmegaConfBaseException) as error:
             raise ConfigError(f"{key}.{number}.set: {one_line(error)}") from error
+    for number, (one, (stage, other)) in enumerate(pairwise(found), start=1):
+        if stage.replay == "keep" and _rewarded_starts(one[1]) != _rewarded_starts(other):
+            raise ConfigError(
+                f"{key}.{number}.replay=keep does not go with another agent.next_skill than before, or with "
+                "agent.next_skill_reward from or to 0: transitions are kept for one skill; choose clear"
+            )
     return found
+
+
+def _rewarded_starts(config: TrainConfig) -> str | None:
+    """Return the next skill whose starts earn rewards, which the transitions of a training are kept for."""
+    return config.agent.next_skill if config.agent.next_skill_reward else None
 
 
 def _in_stage(config: TrainConfig, stage: StageConfig, number: int) -> TrainConfig:

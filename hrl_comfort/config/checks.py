@@ -63,7 +63,7 @@ def _passed(value: Any, check: Callable[..., None], key: str = "", **allowed: An
     return value
 
 
-def _unique(value: list[int]) -> list[int]:
+def _unique(value: list[Any]) -> list[Any]:
     if len(set(value)) < len(value):
         raise ConfigError(f"={value!r} contains an entry twice; leave one out")
     return value

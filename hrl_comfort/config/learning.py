@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
 
@@ -120,12 +120,24 @@ class HeldKeys:
     """Number of decisions for which the noise of exploration, or a random action, stays the same."""
 
 
+def _column(value: Any) -> Any:
+    number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= LAST_COLUMN
+    if not number and not (isinstance(value, str) and value):
+        raise ConfigError(f"={value!r} is neither a column, 0 to {LAST_COLUMN}, nor the name of some: joint_error, say")
+    return value
+
+
+LAST_COLUMN = 1_000_000
+Columns = Annotated[list[Annotated[int | str, BeforeValidator(_column)]], unique]
+"""Columns of the observation: numbers, from 0 on, and names of its parts, which stand for all columns of each."""
+
+
 @dataclass(frozen=True)
 class HIROKeys:
     """Goals from an upper policy (Nachum et al. 2018, arXiv:1805.08296)."""
 
-    goals: Annotated[list[Annotated[int, within(0, 1_000_000)]], unique] = field(default_factory=list)
-    """Columns of the observation that goals are set in; []: all."""
+    goals: Columns = field(default_factory=lambda: ["joint_error"])
+    """Columns of the observation that goals are set in, by number or by the name of a part of it; []: all."""
     reach: Annotated[float, within(1e-6, 1e6)] = 0.25
     """Farthest goal in a column, from its value at the time, in its unit."""
     every: Annotated[int, within(1, 1000)] = 10
@@ -153,8 +165,8 @@ class EndToEndKeys:
 
     skills: Annotated[list[str], unique] = field(default_factory=lambda: ["pick", "place", "return"])
     """Skills in the order of the stages; each begins with the policy in the folder of its name in `initial_policy`."""
-    stages: Annotated[list[Annotated[int, within(0, 1_000_000)]], unique] = field(default_factory=lambda: [36, 37, 38])
-    """Columns of the observation that tell which stage is in force; no skill sees them."""
+    stages: Columns = field(default_factory=lambda: ["stage"])
+    """Columns of the observation that tell which stage is in force, by number or name; no skill sees them."""
 
 
 SKILL_LEARNERS: dict[str, type] = {
@@ -225,8 +237,8 @@ class AgentConfig:
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""
     next_skill: str | None
-    """Run folder of the policy that acts after a success. The value that its critics give to the state at the
-    success is discounted and added to the target of the critics being trained."""
+    """Run folder of the policy that acts after a success; it stays as it is when the training begins. The value that
+    its critics give to the state at the success is discounted and added to the target of the critics being trained."""
     next_skill_reward: Annotated[float, within(0.0, 1e6)]
     """Reward for a success that ends in a state from which `next_skill` has succeeded, as a discriminator tells them,
     in place of the value that its critics give (Lee et al. 2021, arXiv:2111.07999); less for other states. 0: that

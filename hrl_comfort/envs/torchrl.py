@@ -43,7 +43,8 @@ class CellEnv(EnvBase):
 
     def _make_specs(self, config: EnvConfig) -> None:
         n = self.batch_size
-        self.engine.reset()
+        self.layout = self.engine.episodes.subtask.layout(self.engine.reset())
+        """Columns of the observation by the name of a term."""
         width = self.engine.observe().shape[-1]
         flag, count = Binary(1, shape=(*n, 1), dtype=torch.bool), Unbounded(shape=(*n, 1), dtype=torch.int64)
         self.observation_spec = Composite(

@@ -44,14 +44,9 @@ def handover(config: EvaluateConfig) -> Path:
     """Write handover.csv, its handover_episodes.csv, chain.csv and seams.csv; return their folder.
 
     Raises:
-      ConfigError: `config` names no chain of trained policies, or has a gripper.
+      ConfigError: `config` names no chain of trained policies.
     """
     torch.set_num_threads(1)
-    if config.robot.gripper.holds:
-        raise ConfigError(
-            f"robot.gripper.name={config.robot.gripper.name} does not go with handover, whose recorded starts know no "
-            "hand; choose gripper=none"
-        )
     names = list(config.meta_controller.options)
     if config.meta_controller.name != "nearest" or len(names) < 2:
         raise ConfigError(

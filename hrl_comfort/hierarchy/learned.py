@@ -107,8 +107,8 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
         raise ConfigError(
             f"{key} was trained on {spec['observation_dim']} observations; here there are {seen}: train it again"
         )
-    if not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
-        raise ConfigError(f"{key} is damaged: its hidden is {hidden}")
+    if not hidden or not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
+        raise ConfigError(f"{key} is damaged: its hidden is {hidden}, not one or more widths of 1 to {WIDEST}")
     network = _network(key, spec, weights, len(options))
     if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
         raise ConfigError(f"{key} is damaged: its weights are not all finite numbers")

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CellConfig
+from hrl_comfort.scene.layout import is_slot
 from hrl_comfort.sim.variation.grasps import turn_of
 
 Array = NDArray[np.float64]
-ROOM = 1.5
-"""Sides of a place over those of an object up to which it is a slot, into which the object has to be fitted."""
 HOVER_M = 0.03
 """Height over its place at which an object waits until it fits; no slot is deeper."""
 FIT_M, FIT_RAD = 0.0015, 0.03
@@ -50,10 +49,9 @@ def slots(cell: CellConfig) -> list[Slot | None]:
     """Return the slot of each kind of object, None where it belongs to a place with more room."""
     found: list[Slot | None] = []
     for each in cell.objects.values():
-        snug = min(cell.places[each.belongs_at].size_m) < ROOM * 2 * each.half_width_m
         x, y, _ = each.half_m
         between = (np.pi / 2 if abs(x - y) < SQUARE_M else np.pi) if each.shape == "box" else None
-        found.append(Slot(list(cell.places).index(each.belongs_at), between) if snug else None)
+        found.append(Slot(list(cell.places).index(each.belongs_at), between) if is_slot(cell, each) else None)
     return found
 
 

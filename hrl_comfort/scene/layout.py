@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_comfort.config import CellConfig, EnvConfig, GripperConfig, HierarchyTrainConfig, HumanConfig
+from hrl_comfort.config import CellConfig, EnvConfig, GripperConfig, HierarchyTrainConfig, HumanConfig, ObjectConfig
 from hrl_comfort.config.commands import PICK_AND_PLACE
 from hrl_comfort.scene.furniture import PEDESTAL_M, THICKNESS_M
 from hrl_comfort.scene.robots import equipped
@@ -27,6 +27,8 @@ ENDS = {
 """Keys of a kind of object that name a place where the tool goes, by task."""
 POINTS = {"reach": ("point_m",), "point_to_point": ("point_m", "second_point_m")}
 """Keys of the points that the tool goes to, by task."""
+ROOM = 1.5
+"""Sides of a place over those of an object up to which it is a slot, into which the object has to be fitted."""
 ANGLES, ROUNDS = 72, 4
 """Of the search for the farthest point that an arm reaches."""
 
@@ -41,8 +43,19 @@ def layout_warnings(config: EnvConfig) -> Iterator[str]:
                 f"{key}={point} is {away:.2f} m from the shoulder of {config.robot.name}, which reaches {most:.2f} m: "
                 "the task cannot be done; move it nearer, or choose a longer robot"
             )
+    fits = config.robot.gripper.holds and any(is_slot(config.cell, each) for each in config.cell.objects.values())
+    if config.task.name == "place_fine" and not fits:
+        yield (
+            "task=place_fine is for cell=tray, where a gripper fits an object into a slot; here there is none, and the "
+            "expert hits what the object is put on in up to a quarter of episodes: choose cell=tray, or task=place"
+        )
     yield from _overlaps(config.cell)
     yield from _crowded(config.human, config.cell)
+
+
+def is_slot(cell: CellConfig, kind: ObjectConfig) -> bool:
+    """Return whether objects of a kind have to be fitted into the place that they belong to."""
+    return min(cell.places[kind.belongs_at].size_m) < ROOM * 2 * kind.half_width_m
 
 
 def _goals(config: EnvConfig) -> Iterator[tuple[str, list[float], float]]:

@@ -102,8 +102,9 @@ class Engine:
         self.load_state_dict(with_rows(self.state_dict(), rows, kept))
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stop the threads, and listening to live levels."""
         self.physics.close()
+        self.episodes.source.close()
 
     def copies(self, rows: Tensor) -> Engine:
         """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes."""

@@ -277,8 +277,9 @@ class Session:
         self.engine.episodes.go_on_as(human)
 
     def close(self) -> None:
-        """Stop the engine's threads."""
+        """Stop the engine's threads, and listening to live levels."""
         self.engine.close()
+        self._configured.close()
 
     def _begin(self, chosen: Tensor | None = None) -> None:
         """Start the option `chosen` (1,), by default that of the top."""

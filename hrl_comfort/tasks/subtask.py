@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property, reduce
+from itertools import accumulate, pairwise, starmap
 from operator import or_
 
 import torch
@@ -110,6 +111,11 @@ class Subtask:
     def observe(self, state: State) -> Tensor:
         """Return the observation (N, D), the concatenation of the named terms in their order."""
         return torch.cat([term(state) for term in self.observations.values()], dim=-1)
+
+    def layout(self, state: State) -> dict[str, range]:
+        """Return the columns of the observation that each of the named terms has."""
+        ends = [0, *accumulate(term(state).shape[-1] for term in self.observations.values())]
+        return dict(zip(self.observations, starmap(range, pairwise(ends)), strict=True))
 
     def observing(self, **terms: StateFunction) -> Subtask:
         """Return this subtask with further observations, the last ones."""

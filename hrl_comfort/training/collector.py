@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -16,7 +16,8 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
-from hrl_comfort.training.next_skill import NextSkill, NextSkillValue, make_next_skill_value
+from hrl_comfort.training.next_skill import NextSkill, NextSkillValue
+from hrl_comfort.training.t_star import TerminalStates
 
 Demonstrator = Callable[[Tensor], Tensor]
 """Indices of environments (D,) -> actions (D, A) in [-1, 1] for them."""
@@ -30,7 +31,7 @@ class SkillCollector:
         env: TorchRL environment of N rows that reports `OUTCOMES`, but the return, and `decision_steps` as (N, 1), and
             `reward_terms` (N, T).
         demonstrator: acts in the first environments, once it has taken over there.
-        next_skill: values of successes.
+        next_skill: values of successes, which are added to the rewards, or terminal states that transitions keep.
         seed: of the decisions at which the demonstrator takes over.
 
     Raises:
@@ -42,15 +43,18 @@ class SkillCollector:
         config: AgentConfig,
         env: EnvBase,
         demonstrator: Demonstrator | None = None,
-        next_skill: NextSkillValue | None = None,
+        next_skill: NextSkillValue | TerminalStates | None = None,
         seed: int = 0,
     ) -> None:
         for what, given in (("demonstrator", demonstrator), ("next_skill", next_skill)):
             if (named := getattr(config, what)) is not None and given is None:
                 raise ConfigError(f"agent.{what}={named}: this environment knows no {what}")
         self._config, self._env, self._demonstrator, self._next_skill = config, env, demonstrator, next_skill
+        self._discriminator = next_skill.discriminator if isinstance(next_skill, TerminalStates) else None
         self.num_envs = env.batch_size[0]
         self.observation_dim = env.observation_spec["observation"].shape[-1]
+        self.layout: Mapping[str, range] = getattr(env, "layout", {})
+        """Columns of the observation by the name of a part; empty where the environment names none."""
         self.action_dim = env.action_spec.shape[-1]
         self.reward_names = tuple(env.reward_names)
         self._for_demonstrator = torch.arange(self.num_envs) < config.demonstrator_envs
@@ -84,9 +88,11 @@ class SkillCollector:
         before = self.now["observation"]
         stepped, self.now = self._env.step_and_maybe_reset(self.now.set("action", action))
         after = stepped["next"]
-        reward = after["reward"]
-        if self._next_skill is not None:
-            value = self._next_skill(after["success"][:, 0])
+        reward, success, kept = after["reward"], after["success"][:, 0], dict[str, Tensor]()
+        if isinstance(self._next_skill, TerminalStates):
+            kept = {"success": success, "terminal_state": self._next_skill.take(success)}
+        elif self._next_skill is not None:
+            value = self._next_skill(success)
             reward = reward + (self._config.gamma ** after["decision_steps"][:, 0] * value)[:, None]
         transitions = {
             "observation": before,
@@ -97,6 +103,7 @@ class SkillCollector:
                 "observation": after["observation"],
                 "reward": reward.float(),
                 **{name: after[name] for name in ("terminated", "done")},
+                **kept,
             },
         }
         collected = TensorDict(transitions, batch_size=[self.num_envs])
@@ -130,6 +137,11 @@ class SkillCollector:
         self._precision[rows] = self.precision_m  # what their next episodes have just started with
         return finished
 
+    @property
+    def terminal_value(self) -> Callable[[TensorDictBase], Tensor] | None:
+        """Value (B,) of raw transitions (B,) that learners add to the rewards of those that they sample."""
+        return self._next_skill.value if isinstance(self._next_skill, TerminalStates) else None
+
     def close(self) -> None:
         """Stop what simulates the environments."""
         self._env.close()
@@ -143,7 +155,7 @@ class SkillCollector:
             "reach": self.reach,
             "demonstrated": self.demonstrated.clone(),
             "takeovers": self._takeovers.get_state(),
-            "next_skill": getattr(self._next_skill, "state_dict", dict)(),
+            "discriminator": self._discriminator.state_dict() if self._discriminator else {},
             "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
         }
 
@@ -154,8 +166,8 @@ class SkillCollector:
         self.precision_m, episodes = state["precision_m"], state["episodes"]
         self.reach, self.demonstrated = state["reach"], state["demonstrated"].clone()
         self._takeovers.set_state(state["takeovers"])
-        if state["next_skill"]:
-            cast(NextSkill, self._next_skill).load_state_dict(state["next_skill"])
+        if self._discriminator is not None:
+            self._discriminator.load_state_dict(state["discriminator"])
         self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 
 
@@ -165,10 +177,16 @@ def make_collector(config: TrainConfig) -> SkillCollector:
     Raises:
         ConfigError: a choice is not allowed, or the demonstrator or the next skill does not fit the task.
     """
+    agent, discriminator = config.agent, None
+    skill = None if agent.next_skill is None else NextSkill(config)
+    if skill is not None and agent.next_skill_reward:  # first: two environments could not read the same live stream
+        discriminator = skill.discriminator(agent.next_skill_reward, config.train_seed)
     env = CellEnv(environment(config), config.engine.num_envs, config.episode_seed)
-    demonstrator = None if config.agent.demonstrator is None else make_demonstrator(config, env)
-    next_skill = None if config.agent.next_skill is None else make_next_skill_value(config, env)
-    return SkillCollector(config.agent, env, demonstrator, next_skill, config.train_seed)
+    demonstrator = None if agent.demonstrator is None else make_demonstrator(config, env)
+    next_skill: NextSkillValue | TerminalStates | None = None
+    if skill is not None:
+        next_skill = skill.value(env) if discriminator is None else skill.terminal_states(env, discriminator)
+    return SkillCollector(agent, env, demonstrator, next_skill, config.train_seed)
 
 
 def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:

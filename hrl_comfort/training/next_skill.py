@@ -1,10 +1,9 @@
-"""What the end of a skill is worth to the next one."""
+"""The skill that acts after a success, and the value of the success to it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,74 +14,64 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.actor import ActorPolicy, load_policy
 from hrl_comfort.policies.load import observed_by
 from hrl_comfort.tasks import subtask
-from hrl_comfort.training.t_star import StartDiscriminator, successful_starts
+from hrl_comfort.training.t_star import StartDiscriminator, TerminalStates, successful_starts
 
 NextSkillValue = Callable[[Tensor], Tensor]
-"""success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success."""
+"""success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success. The value of a
+state never changes, so that it can be stored."""
 
 
 class NextSkill:
-    """The value of successes: `judge` of the terminal states (F, D) that the function `ends` gives of rows (F,).
-
-    A `discriminator` that is part of it has a state.
-    """
-
-    def __init__(
-        self,
-        ends: Callable[[Tensor], Tensor],
-        judge: Callable[[Tensor], Tensor],
-        discriminator: StartDiscriminator | None = None,
-    ) -> None:
-        self._ends, self._judge, self._discriminator = ends, judge, discriminator
-
-    def __call__(self, success: Tensor) -> Tensor:
-        """Return the values (N,) of successes (N,) bool; 0 elsewhere."""
-        values = torch.zeros(len(success))
-        rows = success.nonzero()[:, 0]
-        if len(rows):
-            values[rows] = self._judge(self._ends(rows))
-        return values
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return all that is needed to continue, as plain data."""
-        return {} if self._discriminator is None else self._discriminator.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`."""
-        if self._discriminator is not None:
-            self._discriminator.load_state_dict(state)
-
-
-def make_next_skill_value(config: TrainConfig, env: CellEnv) -> NextSkillValue:
-    """Return the value of the states that `env` ends in to the policy `agent.next_skill`.
-
-    The target of a success then bootstraps on that policy's critics, as one policy's would in the longer task, if
-    both were trained with the same gamma and rewards, which is not checked. With `agent.next_skill_reward`, the value
-    is a reward for likeness to that policy's starts.
+    """The policy `agent.next_skill`, as it is when the training begins.
 
     Raises:
         ConfigError: there is no such policy, it starts elsewhere, or it does not fit this training.
     """
-    source, hand = Path(config.agent.next_skill or ""), config.robot.gripper.holds
-    try:
-        policy = load_policy(source, critics=True)
-        assert isinstance(policy, ActorPolicy)
-        spec = policy.spec
-        task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects, hand)
-        seen = observed_by(policy, str(source), task, environment(config))
-    except ConfigError as error:
-        raise ConfigError(f"agent.next_skill={source}: {error}") from error
-    own = subtask(config.task.name, config.task.observation, config.task.objects, hand)
-    if task.start != own.stages[-1].next_start:
-        raise ConfigError(f"agent.next_skill={source}: {task.name} does not begin where {own.name} ends")
 
-    def ends(rows: Tensor) -> Tensor:
+    def __init__(self, config: TrainConfig) -> None:
+        self._source, hand = Path(config.agent.next_skill or ""), config.robot.gripper.holds
+        try:
+            policy = load_policy(self._source, critics=True)
+            assert isinstance(policy, ActorPolicy)
+            spec = policy.spec
+            task = subtask(spec["task"], spec["environment"]["observation"], config.task.objects, hand)
+            self._seen = observed_by(policy, str(self._source), task, environment(config))
+        except ConfigError as error:
+            raise ConfigError(f"agent.next_skill={self._source}: {error}") from error
+        own = subtask(config.task.name, config.task.observation, config.task.objects, hand)
+        if task.start != own.stages[-1].next_start:
+            raise ConfigError(f"agent.next_skill={self._source}: {task.name} does not begin where {own.name} ends")
+        self._policy = policy
+
+    def observed(self, env: CellEnv, rows: Tensor) -> Tensor:
+        """Return what the policy would begin with (F, D), normalised, in the latest states of rows (F,) of `env`."""
         assert env.last is not None
         state = env.last.state.rows(rows)
-        return policy.normaliser(seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
+        return self._policy.normaliser(self._seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
 
-    if not (weight := config.agent.next_skill_reward):
-        return NextSkill(ends, policy.value_of)
-    starts = policy.normaliser(successful_starts(policy.module, str(source)))
-    discriminator = StartDiscriminator(starts, weight, config.train_seed)
-    return NextSkill(ends, discriminator.judge, discriminator)
+    def value(self, env: CellEnv) -> NextSkillValue:
+        """Return the value of the successes in `env`, by the policy's critics, which do not change.
+
+        The target of a success then bootstraps on them, as one policy's would in the longer task, if both were trained
+        with the same gamma and rewards, which is not checked.
+        """
+
+        def value(success: Tensor) -> Tensor:
+            values, rows = torch.zeros(len(success)), success.nonzero()[:, 0]
+            if len(rows):
+                values[rows] = self._policy.value_of(self.observed(env, rows))
+            return values
+
+        return value
+
+    def discriminator(self, weight: float, seed: int) -> StartDiscriminator:
+        """Return the discriminator of the policy's starts from other states, with `weight` and `seed`.
+
+        The starts come from an environment that is open meanwhile, as in the policy's training.
+        """
+        starts = self._policy.normaliser(successful_starts(self._policy.module, str(self._source)))
+        return StartDiscriminator(starts, weight, seed)
+
+    def terminal_states(self, env: CellEnv, discriminator: StartDiscriminator) -> TerminalStates:
+        """Return the terminal states of the successes in `env`, which the discriminator learns from."""
+        return TerminalStates(discriminator, lambda rows: self.observed(env, rows))

@@ -1,15 +1,19 @@
 """Terminal-state regularisation of T-STAR (Lee et al. 2021, arXiv:2111.07999): end where the next skill has begun.
 
 A discriminator learns to tell the states from which the next skill has succeeded from those in which this one ends; a
-success earns what it says. The paper's imitation of demonstrations is `agent.demonstrator`.
+success earns what it says. Transitions keep what the next skill would observe, and learners ask the discriminator when
+they sample them, so that no reward in the replay buffer is older than it. The paper's imitation of demonstrations is
+`agent.demonstrator`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from rich.console import Console
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import MLP
 
@@ -41,12 +45,6 @@ class StartDiscriminator:
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=LEARNING_RATE)
         self.generator = torch.Generator().manual_seed(seed)
         self.ends = starts[:0]
-
-    def judge(self, ends: Tensor) -> Tensor:
-        """Return the rewards of terminal states, and learn from these."""
-        found = self.rewards(ends)
-        self.learn(ends)
-        return found
 
     @torch.no_grad()
     def rewards(self, ends: Tensor) -> Tensor:
@@ -80,6 +78,33 @@ class StartDiscriminator:
             getattr(self, name).load_state_dict(state[name])
         self.generator.set_state(state["generator"])
         self.ends = state["ends"]
+
+
+class TerminalStates:
+    """The terminal states of successes: the discriminator learns from them, and says what they earn.
+
+    `observed` gives what the next skill would observe (F, D) in rows (F,) of the environment.
+    """
+
+    def __init__(self, discriminator: StartDiscriminator, observed: Callable[[Tensor], Tensor]) -> None:
+        self.discriminator, self._observed = discriminator, observed
+
+    def take(self, success: Tensor) -> Tensor:
+        """Learn from successes (N,) bool of the latest decision; return their terminal states (N, D), 0 elsewhere."""
+        states = torch.zeros(len(success), self.discriminator.starts.shape[1])
+        rows = success.nonzero()[:, 0]
+        if len(rows):
+            states[rows] = self._observed(rows)
+            self.discriminator.learn(states[rows])
+        return states
+
+    def value(self, transitions: TensorDictBase) -> Tensor:
+        """Return the present rewards (B,) of transitions whose `next` holds `success` and `terminal_state`; else 0."""
+        success, states = (transitions["next", name] for name in ("success", "terminal_state"))
+        values, rows = torch.zeros(len(success), device=states.device), success.nonzero()[:, 0]
+        if len(rows):
+            values[rows] = self.discriminator.rewards(states[rows].cpu()).to(states.device)
+        return values
 
 
 @torch.no_grad()

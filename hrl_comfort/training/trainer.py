@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.learners import make_learner
+from hrl_comfort.agents.learners import make_learner, with_columns
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.files.provenance import step_path
@@ -63,7 +63,8 @@ class Training(TrainingLoop):
             make(stage.config.in_one_process()).close()
         collector = make(self.stages[0].config)
         torch.manual_seed(config.train_seed)
-        learner = make_learner("agent", self.stages[0].config.agent, collector.observation_dim, collector.action_dim)
+        agent = with_columns(self.stages[0].config.agent, collector.layout)
+        learner = make_learner("agent", agent, collector.observation_dim, collector.action_dim)
         if self.stages[1:] and not hasattr(learner, "begin_stage"):
             raise ConfigError(f"curriculum.stages: agent.name={config.agent.name!r} has no begin_stage; choose []")
         if config.initial_policy is not None and not resumes:
@@ -71,6 +72,7 @@ class Training(TrainingLoop):
         log = MetricsLog(folder, collector.reward_names, getattr(learner, "terms", ()), config)
         title = f"train {config.task.name}"
         super().__init__(config, folder, resumes, learner, collector, log, self.stages[-1].end, title)
+        self._own = agent.own
         self.best: dict[str, Any] = {}
         self.recent: list[tuple[float, bool]] = []
         """Precision and success of the episodes since the last checkpoint."""
@@ -82,6 +84,13 @@ class Training(TrainingLoop):
         """Begin episodes in the environments of stage `index`."""
         self.index, self.stage, self.collector = index, self.stages[index], collector
         config = self.stage.config
+        if hasattr(self.learner, "terminal_value"):
+            self.learner.terminal_value = collector.terminal_value
+        elif collector.terminal_value is not None:
+            raise ConfigError(
+                f"agent.next_skill_reward={config.agent.next_skill_reward:g} does not go with agent.name="
+                f"{config.agent.name!r}, which has no terminal_value; choose one of {', '.join(SKILL_LEARNERS)}, or 0"
+            )
         self.curriculum = Curriculum(config.curriculum, config.task.precision, config.agent.policy_steps)
         collector.reset(self.curriculum.precision_m, self.curriculum.reach)
         self.recent.clear()
@@ -176,7 +185,7 @@ class Training(TrainingLoop):
     def spec(self) -> dict[str, Any]:
         """Return the description of the policy that its file holds."""
         task, agent = self.config.task, self.config.agent
-        own = {} if agent.name in SKILL_LEARNERS else {"agent": asdict(replace(agent, **ALONE))}
+        own = {} if agent.name in SKILL_LEARNERS else {"agent": asdict(replace(agent, own=self._own, **ALONE))}
         return {
             "task": task.name,
             "observation_dim": self.collector.observation_dim,

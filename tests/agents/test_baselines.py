@@ -155,7 +155,6 @@ def gradient_of_terminations(in_force: int) -> float:
             "observation": observation,
             "action": torch.zeros(1, A),
             "steps_to_next_obs": torch.ones(1, 1),
-            "option_noise": torch.zeros(1, 2, A),
             "next": {"observation": observation, "reward": torch.zeros(1, 1), "terminated": torch.tensor([[False]])},
         },
         batch_size=[1],
@@ -194,7 +193,6 @@ def test_the_target_is_the_value_of_arriving_with_an_option() -> None:
             "observation": observation,
             "action": torch.rand(3, A),
             "steps_to_next_obs": torch.full((3, 1), 2),
-            "option_noise": torch.zeros(3, 2, A),
             "next": after,
         },
         batch_size=[3],
@@ -203,6 +201,27 @@ def test_the_target_is_the_value_of_arriving_with_an_option() -> None:
     wanted = 0.5 + loss.gamma**2 * arriving
     value = loss.qvalue_network(observation, batch["action"])
     torch.testing.assert_close(loss(batch)["loss_qvalue"], (value - wanted).square().sum(0).mean())
+
+
+def test_an_option_is_chosen_by_the_values_that_are_learned() -> None:
+    learner = made("option_critic", options=4, exploration=0.0)
+    for index in range(20):
+        step(learner, torch.randn(N, D), torch.randn(N, D), torch.tensor([False, False, index % 3 == 0]), reward=1.0)
+    for _ in range(30):
+        learner.update()
+    learner.targets.load_state_dict(learner.critics.state_dict())
+    learner.average.load_state_dict(learner.actor.state_dict())
+    batch = learner.sample()
+    seen = batch["next", "observation"][:, :D]
+    learned = learner.loss.option_values(batch)
+    with torch.no_grad():
+        learner.log_alpha += 3.0  # the worth of entropy, which is no part of them
+    torch.testing.assert_close(learner.loss.option_values(batch), learned)
+    chosen = learned.argmax(1)
+    assert len(chosen.unique()) > 1
+    assert torch.equal(learner.policy(seen, torch.zeros(len(seen), 4))[1].argmax(1), chosen)
+    learner.act(TensorDict({"observation": seen}), 0.0)
+    assert torch.equal(learner._option, chosen)
 
 
 def test_an_option_stays_until_it_ends_and_another_begins_with_the_episode() -> None:
@@ -248,13 +267,19 @@ def test_skills_learn_end_to_end_each_from_its_stage_and_from_what_the_next_one_
     following = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     seen, after = torch.randn(N, D - 2), torch.randn(N, D - 2)
     pick, place = learner.parts.values()
-    value = place.critics.value(after[1:2], place.actor.mode(after[1:2])).detach()
     whole = torch.cat([seen, stage], dim=1)
     step(learner, whole, torch.cat([after, following], dim=1), torch.tensor([False, False, True]), reward=1.0)
     stored = pick.buffer.storage[:2]
     torch.testing.assert_close(stored["observation"], seen[:2])
-    torch.testing.assert_close(stored["next", "reward"][1], 1 + learner.config.gamma**2 * value)
-    assert stored["next", "reward"][0] == 1 and stored["next", "terminated"][:, 0].tolist() == [False, True]
+    assert stored["next", "terminated"][:, 0].tolist() == [False, True]
+    for _ in range(2):  # as place expects it now, and once place has learned
+        batch, then = pick.sample(), place.actor.mode(after[1:2])
+        expected = learner.config.gamma**2 * place.targets(after[1:2], then).amin(0).detach()
+        passes = batch["next", "terminated"][:, 0]
+        assert passes.any() and not passes.all()
+        torch.testing.assert_close(batch["next", "reward"][:, 0], 1 + passes * expected)
+        with torch.no_grad():
+            place.targets.biases[-1] += 5.0
     assert len(place.buffer) == 1 and place.buffer.storage[:1]["next", "terminated"].item()
     wanted = torch.cat([pick.average.mode(seen[:2]), place.average.mode(seen[2:])])
     torch.testing.assert_close(learner.policy(whole), wanted)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from hrl_comfort.cli.first_checks import check
 from hrl_comfort.cli.main import configuration, main
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
@@ -28,6 +30,12 @@ WRONG = {
     "train agent.policy_steps=-1": "outside its range",
     "train agent.policy_steps=1.5": "agent.policy_steps=1.5",
     "train initial_policy=runs/none": "initial_policy='runs/none' is not there",
+    "train agent.next_skill_reward=2": "agent.next_skill_reward=2 is for ends where agent.next_skill begins, and there",
+    "train curriculum.stages=[{name:a,policy_steps:9,set:{agent:{next_skill_reward:2}}}]": "give agent.next_skill=RUN",
+    "train hierarchy agent.next_skill_reward=2": "hierarchy.refinement=[] refines none: choose experiment=t_star, or",
+    "train task=cycle agent=end_to_end": "give initial_policy=FOLDER with the runs pick, place, return (agent.own.skil",
+    "train task=cycle agent=end_to_end initial_policy=.": "initial_policy='.' has no pick, which is one of agent.own.",
+    "train hierarchy agent=end_to_end": "agent=end_to_end does not go with train hierarchy, whose options are trained",
     "train task=place task.start=none.npz": "task.start='none.npz' is neither",
     "train --fast": "'--fast' is not an override",
     "train -m task=pik,pick": "did you mean pick?",
@@ -98,3 +106,13 @@ def test_an_error_about_a_long_word_is_short(capsys):
     assert len(capsys.readouterr().err) < 1100
     assert main(["studio", "[" * 3000]) == 1
     assert len(capsys.readouterr().err) < 1100
+
+
+def test_trainings_that_have_the_skills_they_name_pass(tmp_path: Path) -> None:
+    for name in ("pick", "place", "return"):
+        (tmp_path / name).mkdir()
+    whole = f"initial_policy='{tmp_path}'"
+    check(compose("train", ["task=cycle", "agent=end_to_end", whole]))
+    check(compose("train", ["task=pick", f"agent.next_skill='{tmp_path}/place'", "agent.next_skill_reward=2"]))
+    check(compose("train_hierarchy", ["experiment=t_star"]))
+    check(compose("train", ["agent.next_skill_reward=2", f"resume='{tmp_path}'"]))

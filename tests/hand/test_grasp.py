@@ -13,10 +13,11 @@ import pytest
 import torch
 
 from hrl_comfort.composition.compose import compose, compose_environment
-from hrl_comfort.config import ConfigError, EnvConfig
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.envs.dm import make_environment
-from hrl_comfort.evaluation.handover import handover
+from hrl_comfort.evaluation.handover import _terminal_states, alone, handover
 from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.grippers import GRIPPERS
@@ -206,11 +207,22 @@ def test_a_chain_of_skills_grasps_and_tells_what_was_dropped_or_lost() -> None:
     assert (table["drops"] == 0).all() and not table["object_lost"].any() and not table["diverged"].any()
 
 
-def test_handover_records_nothing_with_a_gripper(tmp_path: Path) -> None:
+def test_handover_lets_a_place_begin_with_what_the_hand_of_the_pick_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hrl_comfort.evaluation.handover.RECORDED_EPISODES", 6)
     skills = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    words = ["task=cycle", "meta_controller=nearest", *skills, f"output='{tmp_path}'"]
-    with pytest.raises(ConfigError, match="two_finger does not go with handover"):
-        handover(compose("evaluate", [*ALONE, *words]))  # type: ignore[arg-type]
+    words = ["task=cycle", "meta_controller=nearest", *skills, "split=train", "episodes=3", f"output='{tmp_path}'"]
+    config = compose("evaluate", [*ALONE, *words])
+    assert isinstance(config, EvaluateConfig)
+    with pytest.raises(ConfigError, match=r"^policies\.pick=expert is no run folder"):  # a gripper is none of its cares
+        handover(config)
+    start = _terminal_states(config, tmp_path, "pick", "expert", "ik")
+    part = alone(config, "place", start, "expert")
+    engine = Engine(environment(part), 3, 0)
+    assert engine.reset().pads[:, 0].all()
+    engine.close()
+    assert rollout(part).table["success"].all()
 
 
 def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:

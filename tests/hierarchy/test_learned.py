@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -154,3 +157,16 @@ def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:
         learner.update()
     values = learner.network(TensorDict({"observation": one[:1], "action_mask": mask[:1]}, [1]))
     assert values["action_value"][0, 0].item() == pytest.approx(1 / (1 - 0.95**10), rel=0.05)
+
+
+@pytest.mark.parametrize("network", ["flat", "shared"])
+@pytest.mark.parametrize("hidden", [[], [0], ["wide"]])
+def test_a_controller_without_widths_gets_one_line(network: str, hidden: list[object], tmp_path: Path) -> None:
+    spec = {
+        "names": ["wait"], "levels": 1, "objects": 2, "max_waits": None, "observation": "default", "network": network,
+        "observation_dim": observation_dim("default", 2), "hidden": hidden, "learner": "dqn",
+    }  # fmt: skip
+    checkpoint.save(tmp_path / "meta_controller.pt", {"network": {}, "spec": spec})
+    told = rf"is damaged: its hidden is {re.escape(str(hidden))}, not one or more widths of 1 to 1000000$"
+    with pytest.raises(ConfigError, match=told):
+        load_choice(str(tmp_path), 1, ["wait"])

@@ -40,11 +40,18 @@ def test_the_default_cell_suits_every_task_and_arm(task, robot):
         ),
         (["task=pick", "human.keep_out_m=0.9", "human.spawn_radius_m=[0.38,0.6]"], "people can stand nowhere"),
         (["task=pick", f"{PINK}=[0,0.1,-0.1]"], "stands in the robot's pedestal"),
+        (["task=place_fine"], "task=place_fine is for cell=tray, where a gripper fits an object into a slot"),
+        (["task=place_fine", "cell=grasp"], "choose cell=tray, or task=place"),
+        (["task=place_fine", "cell=tray", "gripper=none"], "task=place_fine is for cell=tray, where a gripper"),
         (["task=pick", f"{PINK}=[0.1,0.45,-0.74]"], "is below the floor, which is at -0.75 m"),
     ],
 )
 def test_what_is_doubtful_is_warned_of(words, says):
     assert any(says in warning for warning in layout_warnings(compose("train", words)))
+
+
+def test_a_fine_place_is_at_home_in_the_tray() -> None:
+    assert not [each for each in layout_warnings(compose("train", ["task=place_fine", "cell=tray"])) if "fine" in each]
 
 
 def test_points_that_a_task_does_not_visit_may_be_anywhere():

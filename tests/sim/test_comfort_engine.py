@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.analysis.comfort import time_limit
+from hrl_comfort.comfort.sources import Live
 from hrl_comfort.comfort.terms import FORMS
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
@@ -24,6 +25,7 @@ from hrl_comfort.files.run_folder import read_run
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.streams import UdpStream
 
 CHANGING = ("comfort=conditioned", "comfort.source=changing", "comfort.change_s=0.3")
 
@@ -152,6 +154,18 @@ def test_the_dm_control_front_sees_the_levels_of_row_0() -> None:
         if step.last():
             front.reset()
     assert len(set(seen)) > 3
+
+
+def test_a_closed_engine_frees_the_port_of_its_levels() -> None:
+    live = ("comfort=conditioned", "comfort.source=udp")
+    first = Engine(configured(*live, "comfort.stream.port=0"), 1, 0)
+    source = first.episodes.source.levels
+    assert isinstance(source, Live) and isinstance(source.stream, UdpStream)
+    again = configured(*live, f"comfort.stream.port={source.stream.port}")
+    with pytest.raises(ConfigError, match=r"^comfort\.stream\.port=\d+ .* cannot be opened"):
+        Engine(again, 1, 0)
+    first.close()
+    Engine(again, 1, 0).close()
 
 
 def test_a_saved_engine_goes_on_with_the_same_levels() -> None:

@@ -28,6 +28,7 @@ from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web import content
+from hrl_comfort.tasks.observations.standard import joint_error
 from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import Stopped, make_points, small_config
@@ -189,6 +190,44 @@ def test_skills_go_on_from_the_policies_of_a_chain_each_in_its_stage(tmp_path: P
     (tmp_path / "place").rename(tmp_path / "other")
     with pytest.raises(ConfigError, match=r"place"):
         Training(small_config(tmp_path / "cycle", *words), make_collector, tmp_path / "cycle")
+
+
+@pytest.mark.parametrize(
+    ("words", "joints", "stage"),
+    [
+        (["task=cycle"], range(12, 18), range(36, 39)),
+        (["task=cycle", "task.observation=proximity"], range(12, 18), range(31, 34)),
+        (["task=cycle", "task.observation=sight"], range(10, 16), range(78, 81)),
+        (["task=cycle", "robot=tests.scene.test_mjcf_arm:SEVEN"], range(14, 21), range(40, 43)),
+    ],
+)
+def test_columns_are_found_by_the_names_of_the_observation(
+    words: list[str], joints: range, stage: range, tmp_path: Path
+) -> None:
+    few = ("human=none", "engine.num_envs=2", "agent.hidden=[8]", "agent.buffer_size=64", "agent.batch_size=16")
+    for name, key, columns in (("hiro", "goals", joints), ("end_to_end", "stages", stage)):
+        config = small_config(tmp_path, f"agent={name}", *words, *few)
+        training = Training(config, make_collector, tmp_path)
+        env = training.collector._env
+        state = env.engine.episodes.state.with_(stage=torch.tensor([1, 2]))
+        seen = env.engine.episodes.subtask.observe(state)
+        assert training.spec()["agent"]["own"][key] == list(columns)
+        if name == "hiro":
+            torch.testing.assert_close(seen[:, training.learner.goals.columns], joint_error(state))
+        else:
+            assert training.learner.policy.split(seen)[0].tolist() == [1, 2]
+        training.collector.close()
+
+
+def test_columns_without_such_a_name_get_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^agent\.own\.goals=\['joint_error'\]: no part of the observation has a"):
+        Training(small_config(tmp_path, "agent=hiro"), make_points, tmp_path)
+    odd = small_config(tmp_path, "agent=end_to_end", "task=pick")
+    with pytest.raises(ConfigError, match=r"^agent\.own\.stages=\['stage'\]: the observation has joint_angles, "):
+        Training(odd, make_collector, tmp_path)
+    for wrong in ("-1", "1.5", "true", "''"):
+        with pytest.raises(ConfigError, match=r"^agent\.own\.goals\.0=.* is neither a column, 0 to 1000000, nor "):
+            small_config(tmp_path, "agent=hiro", f"agent.own.goals=[{wrong}]")
 
 
 def test_the_learner_of_the_documentation_is_short_and_has_keys_of_its_own(tmp_path: Path) -> None:

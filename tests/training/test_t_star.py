@@ -5,13 +5,17 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from hrl_comfort.training.t_star import StartDiscriminator
+from hrl_comfort.config import ConfigError
+from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.training.collector import SkillCollector, make_collector
+from hrl_comfort.training.t_star import StartDiscriminator, TerminalStates
 from hrl_comfort.training.trainer import Training, train
-from tests.point_env import small_config
+from tests.point_env import PointEnv, small_config
 from tests.stopping import stopping
 
 EASY = (
@@ -25,7 +29,7 @@ def test_a_terminal_state_earns_more_the_more_it_looks_like_the_next_skills_star
     starts, ends = 0.3 * torch.randn(64, 4) + 1, 0.3 * torch.randn(64, 4) - 1
     discriminator = StartDiscriminator(starts, 2.0, seed=1)
     for _ in range(60):
-        discriminator.judge(ends)
+        discriminator.learn(ends)
     like, unlike = discriminator.rewards(starts), discriminator.rewards(ends)
     assert like.mean() > 1.6 and unlike.mean() < 0.4
     assert torch.cat([like, unlike]).min() >= 0 and torch.cat([like, unlike]).max() <= 2
@@ -36,11 +40,50 @@ def test_a_terminal_state_earns_more_the_more_it_looks_like_the_next_skills_star
 def test_a_discriminator_goes_on_from_its_state() -> None:
     starts = torch.randn(16, 3)
     one, other = StartDiscriminator(starts, 1.0, seed=1), StartDiscriminator(starts, 1.0, seed=2)
-    one.judge(torch.zeros(4, 3))
+    one.learn(torch.zeros(4, 3))
     other.load_state_dict(deepcopy(one.state_dict()))
     for each in (one, other):
-        each.judge(torch.ones(2, 3))
+        each.learn(torch.ones(2, 3))
     assert torch.equal(one.rewards(starts), other.rewards(starts)) and len(other.ends) == 6
+
+
+def test_the_reward_of_a_stored_success_is_what_the_discriminator_says_now(tmp_path: Path) -> None:
+    config = small_config(tmp_path, "curriculum=off", "task.precision.grasp_tolerance_m=0.3", "agent.gamma=0.5")
+    env, end = PointEnv(8, 0), torch.tensor([[0.4, 0.2]])
+    discriminator = StartDiscriminator(end + 0.1 * torch.randn(64, 2), 4.0, seed=1)
+    states = TerminalStates(discriminator, lambda rows: end.expand(len(rows), -1))
+    collector = SkillCollector(config.agent, env, next_skill=states)
+    training = Training(config, lambda _: collector, tmp_path)
+    env.point[:4], env.point[4:] = 0.0, 0.9  # four are there at once
+    training.step()
+    learner, seen = training.learner, []
+    for _ in range(2):
+        generator = learner.generator.get_state()
+        batch = learner.sample()
+        learner.generator.set_state(generator)
+        learner.terminal_value = None
+        plain, learner.terminal_value = learner.sample(), states.value
+        success, seen = batch["next", "success"], [*seen, discriminator.rewards(end).item()]
+        assert success.any() and not success.all()
+        earned = (batch["next", "reward"] - plain["next", "reward"])[:, 0]
+        torch.testing.assert_close(earned, success * 0.5**2 * seen[-1])
+        for _ in range(30):
+            discriminator.learn(torch.randn(16, 2))
+    assert abs(seen[1] - seen[0]) > 0.1
+
+
+def test_a_learner_that_cannot_ask_the_discriminator_and_a_kept_buffer_get_one_line(tmp_path: Path) -> None:
+    states = TerminalStates(StartDiscriminator(torch.randn(8, 2), 1.0, seed=1), lambda rows: torch.zeros(len(rows), 2))
+    with pytest.raises(ConfigError, match=r"^agent\.next_skill_reward=2 does not go with agent\.name='hiro', which "):
+        Training(
+            small_config(tmp_path, "agent=hiro", "agent.own.goals=[0]", "agent.next_skill_reward=2"),
+            lambda own: SkillCollector(own.agent, PointEnv(8, 0), next_skill=states), tmp_path,
+        )  # fmt: skip
+    stages = "{name:a,policy_steps:800},{name:b,policy_steps:800,replay:keep,set:{agent:{next_skill_reward:2}}}"
+    own = ("agent.next_skill=runs/place", f"curriculum.stages=[{stages}]")
+    with pytest.raises(ConfigError, match=r"^curriculum\.stages\.1\.replay=keep does not go with another agent\.next_"):
+        small_config(tmp_path, *own)
+    small_config(tmp_path, *own, "agent.next_skill_reward=1")
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +103,24 @@ def test_a_training_towards_the_next_skills_starts_resumes_bit_for_bit(place: Pa
         train(config)
     train(replace(config, resume=str(half)))
     assert (half / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+def test_no_two_environments_are_open_at_a_time(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    is_open: list[bool] = []
+
+    class Watched(CellEnv):
+        def __init__(self, *given: Any) -> None:
+            assert not any(is_open), "the other one has the port of live levels"
+            self.number = len(is_open)
+            is_open.append(True)
+            super().__init__(*given)
+
+        def close(self, *given: Any, **named: Any) -> None:
+            is_open[self.number] = False
+            super().close(*given, **named)
+
+    for module in ("collector", "t_star"):
+        monkeypatch.setattr(f"hrl_comfort.training.{module}.CellEnv", Watched)
+    own = ("task=pick", f"agent.next_skill='{place}'", "agent.next_skill_reward=3")
+    make_collector(small_config(tmp_path, *EASY, *own)).close()
+    assert is_open == [False, False]

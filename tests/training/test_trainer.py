@@ -26,7 +26,7 @@ from hrl_comfort.policies.actor import load_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.collector import Demonstrator, SkillCollector, make_demonstrator
-from hrl_comfort.training.next_skill import make_next_skill_value
+from hrl_comfort.training.next_skill import NextSkill
 from hrl_comfort.training.resume import claim
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import LIMIT, PointEnv, Stopped, make_points, small_config
@@ -355,7 +355,7 @@ def test_in_the_cell_the_successor_sees_what_it_would_begin_with(tmp_path):
         f"agent.next_skill={place}",
     )
     env = CellEnv(environment(config), 4, config.episode_seed)
-    value_of = make_next_skill_value(config, env)
+    value_of = NextSkill(config).value(env)
     env.rollout(1)
     assert env.last is not None
     values = value_of(torch.tensor([True, False, True, False]))

@@ -1,7 +1,7 @@
 """Trained skills that go on learning together in the whole task: end to end, each under the one that follows.
 
 Where the stage of the task changes, the skill that made it earns what the critics of the next one expect by then, as
-with `agent.next_skill`, but these learn too.
+with `agent.next_skill`. These learn too: the value is that of their target critics at the time of an update.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from torch import Tensor, nn
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import AgentConfig, ConfigError
 from hrl_comfort.config.learning import EndToEndKeys
+
+NONE = -1
+"""No other skill goes on."""
 
 
 class StagePolicy(nn.Module):
@@ -46,19 +49,24 @@ class EndToEnd:
     """
 
     Keys = EndToEndKeys
+    columns = ("stages",)
+    """Own keys that are columns of the observation, here by number."""
     terms = SAC.terms
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: EndToEndKeys) -> None:
-        if len(own.stages) != len(own.skills) or max(own.stages) >= observation_dim:
+        stages = [*map(int, own.stages)]
+        if len(stages) != len(own.skills) or max(stages, default=0) >= observation_dim:
             raise ConfigError(
-                f"agent.own.stages={own.stages} must be a column from 0 to {observation_dim - 1} for each of "
+                f"agent.own.stages={stages} must be a column from 0 to {observation_dim - 1} for each of "
                 f"agent.own.skills={own.skills}"
             )
         self.config, self._updates = config, 0
         alone = self._alone(config, len(own.skills))
-        size = observation_dim - len(own.stages)
+        size = observation_dim - len(stages)
         self.parts = {name: SAC(alone, size, action_dim) for name in own.skills}
-        self.policy = StagePolicy([*self.parts.values()], own.stages, observation_dim)
+        for part in self.parts.values():
+            part.terminal_value = self._values
+        self.policy = StagePolicy([*self.parts.values()], stages, observation_dim)
 
     def _alone(self, config: AgentConfig, skills: int) -> AgentConfig:
         """Return the configuration of one of the skills, which share the buffer and the updates."""
@@ -85,9 +93,12 @@ class EndToEnd:
         then = transitions["next"]
         (stage, seen), (following, after) = (self.policy.split(each["observation"]) for each in (transitions, then))
         passes = (stage != following) & ~then["terminated"][:, 0]
-        value = self._values(following, after).masked_fill(~passes, 0.0)[:, None]
-        reward = then["reward"] + self.config.gamma ** transitions["steps_to_next_obs"] * value
-        end = {"observation": after, "reward": reward, "terminated": then["terminated"] | passes[:, None]}
+        end = {
+            "observation": after,
+            "reward": then["reward"],
+            "terminated": then["terminated"] | passes[:, None],
+            "skill": following.where(passes, NONE),
+        }
         kept = {name: transitions[name] for name in ("action", "steps_to_next_obs", "demonstrated")}
         own = TensorDict({**kept, "observation": seen, "next": end}, batch_size=[len(stage)])
         for index, part in enumerate(self.parts.values()):
@@ -95,14 +106,16 @@ class EndToEnd:
                 part.observe(own[mine])
 
     @torch.no_grad()
-    def _values(self, stage: Tensor, seen: Tensor) -> Tensor:
-        """Return the values (N,) of what the skills of the stages (N,) see, at the modes of their actors."""
-        found = torch.zeros(len(stage))
+    def _values(self, transitions: TensorDictBase) -> Tensor:
+        """Return what the skills that go on after transitions (B,) expect (B,), at the modes of their actors."""
+        following, after = transitions["next", "skill"], transitions["next", "observation"]
+        found = torch.zeros(len(following), device=after.device)
         for index, part in enumerate(self.parts.values()):
-            rows = (stage == index).nonzero()[:, 0]
+            rows = (following == index).nonzero()[:, 0]
             if len(rows):
-                own = part.normaliser(seen[rows].to(part.device))
-                found[rows] = part.critics.value(own, part.actor.mode(own)).cpu()
+                assert part.targets is not None
+                own = part.normaliser(after[rows])
+                found[rows] = part.targets.value(own, part.actor.mode(own))
         return found
 
     def update(self) -> dict[str, float]:

@@ -106,9 +106,11 @@ class HIRO:
     """
 
     Keys = HIROKeys
+    columns = ("goals",)
+    """Own keys that are columns of the observation, here by number."""
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: HIROKeys) -> None:
-        columns = own.goals or list(range(observation_dim))
+        columns = [*map(int, own.goals)] or list(range(observation_dim))
         if max(columns) >= observation_dim:
             raise ConfigError(f"agent.own.goals={columns}: the observation has columns 0 to {observation_dim - 1}")
         self.config, self.own, self.goals = config, own, Goals(columns, own.reach)

@@ -1,6 +1,9 @@
 """Option-critic (Bacon et al. 2017, arXiv:1609.05140) over actions: options whose policies and ends are learned.
 
-Here on soft actor-critic, from a replay buffer: actor and critics also see which option is in force.
+Here on soft actor-critic, from a replay buffer: actor and critics also see which option is in force. As in that work,
+values are those of rewards alone. One function of them, the value of an option at the mode of its policy, gives the
+targets (eq. 3), the advantages of terminations (theorem 2), and the option that is chosen, in training and afterwards.
+The entropy of soft actor-critic is only part of what the policies of options learn from.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ class OptionCriticLoss(ActorCriticLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the losses of soft actor-critic, `loss_termination` and the mean `termination`, all scalars.
 
-        `tensordict` holds observations with the option in force (B, D + K), and `option_noise` (B, K, A).
+        `tensordict` holds observations with the option in force (B, D + K).
         """
         with torch.no_grad():
             self._values = self.option_values(tensordict)
@@ -64,11 +67,9 @@ class OptionCriticLoss(ActorCriticLoss):
         return ends, (self._values * option).sum(1), self._values.amax(1)
 
     def option_values(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the soft values (B, K) of the options in the next observations, by the targets."""
-        each = with_options(tensordict.get("next").get("observation")[:, : self.size], self.count)
-        action, log_prob = self.actor_network.sample(each, tensordict.get("option_noise").flatten(0, 1))
-        value = self.target_qvalue_network(each, action).amin(0) - self.log_alpha.exp() * log_prob
-        return value.view(-1, self.count)
+        """Return the values (B, K) of the options in the next observations, by the targets."""
+        seen = tensordict.get("next").get("observation")[:, : self.size]
+        return values_of(seen, self.actor_network, self.target_qvalue_network, self.count)
 
     def critic_loss(self, tensordict: TensorDictBase, next_action: Tensor, penalty: Tensor) -> tuple[Tensor, Tensor]:
         """Return the loss of the critics, whose target is the value of arriving with the option (eq. 3), and values."""
@@ -168,13 +169,11 @@ class OptionCritic(SAC):
         self._option = self._option.masked_fill(transitions["next", "done"][:, 0], NONE)
 
     def sample(self) -> TensorDict:
-        """Return B transitions, observations normalised and with the option in force, and all noise."""
-        batch, count = super().sample(), self.own.options
-        option = one_hot(batch["option"], count).float()
+        """Return B transitions as of any soft actor-critic, with the option in force in the observations."""
+        batch = super().sample()
+        option = one_hot(batch["option"], self.own.options).float()
         for part in (batch, batch["next"]):
             part["observation"] = torch.cat([part["observation"], option], dim=1)
-        size = len(batch), count, self.action_dim
-        batch["option_noise"] = torch.randn(size, generator=self.generator).to(self.device)
         return batch
 
     def begin_stage(self, *given: Any) -> None:
