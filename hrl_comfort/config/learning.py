@@ -233,6 +233,9 @@ class AgentConfig:
     demonstrator_takeover: Annotated[float, within(1e-3, 1.0)]
     """Probability, at each decision, that the demonstrator takes over an episode from the actor (Ross and Bagnell 2014,
     arXiv:1406.5979); at 1 it acts from the beginning. Less shows how to go on from where the actor gets to."""
+    other_level: Annotated[float, within(0.0, 1.0)]
+    """Probability that a transition is stored at a comfort level drawn anew, with the comfort reward of that level, so
+    that what is done at one level teaches the others. Demonstrations keep theirs."""
     bc_weight: Annotated[float, within(0.0, 1e6)]
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""

@@ -17,6 +17,7 @@ from hrl_comfort.policies.load import make_policy
 from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
 from hrl_comfort.training.next_skill import NextSkill, NextSkillValue
+from hrl_comfort.training.other_levels import OtherLevels
 from hrl_comfort.training.t_star import TerminalStates
 
 Demonstrator = Callable[[Tensor], Tensor]
@@ -33,9 +34,10 @@ class SkillCollector:
         demonstrator: acts in the first environments, once it has taken over there.
         next_skill: values of successes, which are added to the rewards, or terminal states that transitions keep.
         seed: of the decisions at which the demonstrator takes over.
+        levels: puts part of the transitions at other levels.
 
     Raises:
-        ConfigError: the configuration names a demonstrator or a next skill, and there is none.
+        ConfigError: the configuration names a demonstrator, a next skill or other levels, and there are none.
     """
 
     def __init__(
@@ -45,12 +47,15 @@ class SkillCollector:
         demonstrator: Demonstrator | None = None,
         next_skill: NextSkillValue | TerminalStates | None = None,
         seed: int = 0,
+        levels: OtherLevels | None = None,
     ) -> None:
-        for what, given in (("demonstrator", demonstrator), ("next_skill", next_skill)):
-            if (named := getattr(config, what)) is not None and given is None:
+        given = {"demonstrator": demonstrator, "next_skill": next_skill, "other_level": levels}
+        for what, part in given.items():
+            if (named := getattr(config, what)) and part is None:
                 raise ConfigError(f"agent.{what}={named}: this environment knows no {what}")
         self._config, self._env, self._demonstrator, self._next_skill = config, env, demonstrator, next_skill
         self._discriminator = next_skill.discriminator if isinstance(next_skill, TerminalStates) else None
+        self._levels = levels
         self.num_envs = env.batch_size[0]
         self.observation_dim = env.observation_spec["observation"].shape[-1]
         self.layout: Mapping[str, range] = getattr(env, "layout", {})
@@ -107,6 +112,8 @@ class SkillCollector:
             },
         }
         collected = TensorDict(transitions, batch_size=[self.num_envs])
+        if self._levels is not None:
+            self._levels.tell(collected, after["reward_terms"])
         self.demonstrated &= ~after["done"][:, 0]
         return Collected(collected, self._end_episodes(after))
 
@@ -156,6 +163,7 @@ class SkillCollector:
             "demonstrated": self.demonstrated.clone(),
             "takeovers": self._takeovers.get_state(),
             "discriminator": self._discriminator.state_dict() if self._discriminator else {},
+            "levels": None if self._levels is None else self._levels.generator.get_state(),
             "episodes": {"precision": self._precision, "returns": self._returns, "terms": self._terms},
         }
 
@@ -168,6 +176,8 @@ class SkillCollector:
         self._takeovers.set_state(state["takeovers"])
         if self._discriminator is not None:
             self._discriminator.load_state_dict(state["discriminator"])
+        if self._levels is not None:
+            self._levels.generator.set_state(state["levels"])
         self._precision, self._returns, self._terms = episodes["precision"], episodes["returns"], episodes["terms"]
 
 
@@ -186,7 +196,8 @@ def make_collector(config: TrainConfig) -> SkillCollector:
     next_skill: NextSkillValue | TerminalStates | None = None
     if skill is not None:
         next_skill = skill.value(env) if discriminator is None else skill.terminal_states(env, discriminator)
-    return SkillCollector(agent, env, demonstrator, next_skill, config.train_seed)
+    levels = OtherLevels(config, env) if agent.other_level else None
+    return SkillCollector(agent, env, demonstrator, next_skill, config.train_seed, levels)
 
 
 def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
