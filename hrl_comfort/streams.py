@@ -56,6 +56,11 @@ class UdpStream:
         """UDP port in use."""
         return int(self._socket.getsockname()[1])
 
+    @property
+    def closed(self) -> bool:
+        """Whether the port is free again."""
+        return self._socket.fileno() == -1
+
     def close(self) -> None:
         """Free the port."""
         self._socket.close()

@@ -163,7 +163,9 @@ class OptionCriticKeys:
 class EndToEndKeys:
     """Skills of a chain that learn together in the whole task."""
 
-    skills: Annotated[list[str], unique] = field(default_factory=lambda: ["pick", "place", "return"])
+    skills: Annotated[list[str], unique, Field(min_length=1)] = field(
+        default_factory=lambda: ["pick", "place", "return"]
+    )
     """Skills in the order of the stages; each begins with the policy in the folder of its name in `initial_policy`."""
     stages: Columns = field(default_factory=lambda: ["stage"])
     """Columns of the observation that tell which stage is in force, by number or name; no skill sees them."""
@@ -240,7 +242,7 @@ class AgentConfig:
     """Weight of the actor's squared distance from the demonstrator's actions, where the critics rate these higher than
     the actor's own."""
     next_skill: str | None
-    """Run folder of the policy that acts after a success; it stays as it is when the training begins. The value that
+    """Run folder of the policy that acts after a success, read when a stage begins or is resumed. The value that
     its critics give to the state at the success is discounted and added to the target of the critics being trained."""
     next_skill_reward: Annotated[float, within(0.0, 1e6)]
     """Reward for a success that ends in a state from which `next_skill` has succeeded, as a discriminator tells them,

@@ -14,6 +14,9 @@ from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControll
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.task import SORTING
 
+LEVEL_OF_EPISODE = ("random", "fixed")
+"""Sources of a comfort level that holds for a whole episode, whatever the arm does."""
+
 
 @dataclass(frozen=True)
 class TrainingConfig(EnvConfig):
@@ -47,6 +50,26 @@ class TrainConfig(TrainingConfig):
             raise ConfigError(
                 f"agent.demonstrator_envs={self.agent.demonstrator_envs} must be below "
                 f"engine.num_envs={self.engine.num_envs}"
+            )
+        if self.agent.other_level:
+            self._check_other_level()
+
+    def _check_other_level(self) -> None:
+        given, source = f"agent.other_level={self.agent.other_level:g}", self.comfort.source
+        if source not in LEVEL_OF_EPISODE:
+            raise ConfigError(
+                f"{given} goes with levels that hold for an episode; with comfort.source={source} choose "
+                f"comfort.source={' or '.join(LEVEL_OF_EPISODE)}, or agent.other_level=0"
+            )
+        if self.agent.next_skill is not None:
+            raise ConfigError(
+                f"{given} and agent.next_skill={self.agent.next_skill}: what the next skill expects is known at the "
+                "level of the episode alone; leave one of them out"
+            )
+        if self.agent.name == "hiro":
+            raise ConfigError(
+                f"{given} does not go with agent=hiro, whose upper policy learns from several decisions at one level; "
+                "choose agent.other_level=0"
             )
 
 
@@ -124,6 +147,11 @@ class HierarchyTrainConfig(TrainConfig):
         ):
             if value != default:
                 raise ConfigError(f"{key}={value}: train hierarchy sets it for each option; leave it out")
+        if self.agent.other_level and self.hierarchy.refinement:
+            raise ConfigError(
+                f"agent.other_level={self.agent.other_level:g} does not go with hierarchy.refinement, in which options "
+                "earn what the next one expects; leave one of them out"
+            )
         for option in self.meta_controller.options:
             if option not in self.hierarchy.budget_fractions:
                 raise ConfigError(f"hierarchy.budget_fractions has no {option}, an option of the division")

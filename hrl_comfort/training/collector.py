@@ -34,7 +34,7 @@ class SkillCollector:
         demonstrator: acts in the first environments, once it has taken over there.
         next_skill: values of successes, which are added to the rewards, or terminal states that transitions keep.
         seed: of the decisions at which the demonstrator takes over.
-        levels: puts part of the transitions at other levels.
+        levels: relabels part of the transitions with other levels.
 
     Raises:
         ConfigError: the configuration names a demonstrator, a next skill or other levels, and there are none.
@@ -113,7 +113,7 @@ class SkillCollector:
         }
         collected = TensorDict(transitions, batch_size=[self.num_envs])
         if self._levels is not None:
-            self._levels.tell(collected, after["reward_terms"])
+            self._levels.relabel(collected, after["reward_terms"])
         self.demonstrated &= ~after["done"][:, 0]
         return Collected(collected, self._end_episodes(after))
 

@@ -18,11 +18,11 @@ from hrl_comfort.training.t_star import StartDiscriminator, TerminalStates, succ
 
 NextSkillValue = Callable[[Tensor], Tensor]
 """success (N,) bool of the latest decision -> its value (N,) to the next skill, 0 without success. The value of a
-state never changes, so that it can be stored."""
+state does not change in a stage, so that it can be stored."""
 
 
 class NextSkill:
-    """The policy `agent.next_skill`, as it is when the training begins.
+    """The policy `agent.next_skill`, as it is when a stage of the training begins or is resumed.
 
     Raises:
         ConfigError: there is no such policy, it starts elsewhere, or it does not fit this training.

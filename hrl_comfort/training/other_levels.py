@@ -11,42 +11,36 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from hrl_comfort.comfort.adapt import TERM, comfort_reward
-from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.config import TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.sim.step_result import transitions
 
 
 class OtherLevels:
-    """Levels drawn anew for part of the transitions of an environment.
-
-    Raises:
-        ConfigError: the policy observes no level.
-    """
+    """Levels drawn anew for part of the transitions of an environment, whose policies observe the level."""
 
     def __init__(self, config: TrainConfig, env: CellEnv) -> None:
-        if config.comfort.source == "none":
-            raise ConfigError(
-                f"agent.other_level={config.agent.other_level} goes with levels: choose a comfort.source, or 0"
-            )
         self._share, self._comfort = config.agent.other_level, config.comfort
         self._term = comfort_reward(config.comfort, config.task.max_step_deg)
-        self._env, self._paid = env, env.reward_names.index(TERM)
+        self._env, self._comfort_term = env, env.reward_names.index(TERM)
         self._column = env.layout["level"].start
         self.generator = torch.Generator().manual_seed(config.train_seed)
 
-    def tell(self, stored: TensorDictBase, reward_terms: Tensor) -> None:
+    def relabel(self, stored: TensorDictBase, reward_terms: Tensor) -> None:
         """Put part of the transitions (N,) of the latest decision, of `reward_terms` (N, T), at other levels.
 
         Demonstrations keep the level they were made for.
         """
         count, levels = len(stored), self._comfort.levels
         drawn = torch.randint(1, levels + 1, (count,), generator=self.generator)
-        told = (torch.rand(count, generator=self.generator) < self._share) & ~stored["demonstrated"]
-        gain = self._reward(drawn).float() - reward_terms[:, self._paid]
-        stored["next", "reward"] = stored["next", "reward"] + torch.where(told, gain, 0.0)[:, None]
+        relabelled = (torch.rand(count, generator=self.generator) < self._share) & ~stored["demonstrated"]
+        gain = self._reward(drawn).float() - reward_terms[:, self._comfort_term]
+        stored["next", "reward"] = stored["next", "reward"] + torch.where(relabelled, gain, 0.0)[:, None]
         for part in (stored, stored["next"]):
             observation = part["observation"].clone()
-            observation[:, self._column] = torch.where(told, (drawn - 1) / (levels - 1), observation[:, self._column])
+            observation[:, self._column] = torch.where(
+                relabelled, (drawn - 1) / (levels - 1), observation[:, self._column]
+            )
             part["observation"] = observation
 
     def _reward(self, level: Tensor) -> Tensor:

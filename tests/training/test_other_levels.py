@@ -31,15 +31,15 @@ def moved(count: int) -> Tensor:
 
 
 @pytest.mark.parametrize("shield", ["none", "ssm"])
-def test_a_transition_told_at_another_level_has_the_reward_and_the_observation_of_that_level(tmp_path, shield):
+def test_a_relabelled_transition_has_the_reward_and_the_observation_of_its_new_level(tmp_path, shield):
     levelled = ("comfort=distance_and_speed", f"safety={shield}", "robot.rating=collaborative")
     guided = ("agent.demonstrator=potential_field", "agent.demonstrator_envs=2")
     plain = begun(config_in(tmp_path, *levelled, *guided))
-    told = begun(config_in(tmp_path, *levelled, *guided, "agent.other_level=1"))
+    relabelled = begun(config_in(tmp_path, *levelled, *guided, "agent.other_level=1"))
     column = -1 if shield == "none" else -2
     changed = 0
     for _ in range(5):
-        own, other = (each.step(moved(8)).transitions for each in (plain, told))
+        own, other = (each.step(moved(8)).transitions for each in (plain, relabelled))
         for part in ((own, other), (own["next"], other["next"])):
             seen, shown = (each["observation"].clone() for each in part)
             seen[:, column] = shown[:, column]
@@ -50,11 +50,13 @@ def test_a_transition_told_at_another_level_has_the_reward_and_the_observation_o
         assert torch.equal(other["next", "reward"][same], own["next", "reward"][same])
         assert torch.equal(other["demonstrated"], own["demonstrated"])
         changed += int((other["next", "reward"] != own["next", "reward"]).sum())
-        levels = told._levels
+        levels = relabelled._levels
         assert levels is not None
         mine = levels._reward(levels._env.last.level).float()
-        paid = levels._env.last.reward_terms[:, told.reward_names.index("comfort")].float()
+        paid = levels._env.last.reward_terms[:, relabelled.reward_names.index("comfort")].float()
         torch.testing.assert_close(mine, paid)
+        gain = (levels._reward(level.double()).float() - paid)[:, None]
+        torch.testing.assert_close(other["next", "reward"] - own["next", "reward"], gain.where(~same[:, None], 0.0))
     assert changed > 5
 
 
@@ -69,6 +71,17 @@ def test_it_goes_on_with_the_levels_that_it_would_have_drawn(tmp_path):
         assert torch.equal(first["next", "reward"], second["next", "reward"])
 
 
-def test_without_levels_there_are_no_others(tmp_path):
-    with pytest.raises(ConfigError, match=r"agent\.other_level=0\.5 goes with levels"):
-        make_collector(config_in(tmp_path, "agent.other_level=0.5"))
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ((), "comfort.source=none choose comfort.source=random or fixed"),
+        (("comfort=distance_and_speed", "comfort.source=frightened"), "comfort.source=frightened choose"),
+        (("comfort=distance_and_speed", "agent.next_skill=runs/place"), "leave one of them out"),
+        (("comfort=distance_and_speed", "agent=hiro"), "does not go with agent=hiro"),
+    ],
+)
+def test_levels_are_drawn_anew_only_where_a_transition_has_one(
+    tmp_path: Path, words: tuple[str, ...], reason: str
+) -> None:
+    with pytest.raises(ConfigError, match=rf"agent\.other_level=0\.5 .*{reason}"):
+        config_in(tmp_path, *words, "agent.other_level=0.5")

@@ -55,7 +55,7 @@ class EndToEnd:
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: EndToEndKeys) -> None:
         stages = [*map(int, own.stages)]
-        if len(stages) != len(own.skills) or max(stages, default=0) >= observation_dim:
+        if len(stages) != len(own.skills) or max(stages) >= observation_dim:
             raise ConfigError(
                 f"agent.own.stages={stages} must be a column from 0 to {observation_dim - 1} for each of "
                 f"agent.own.skills={own.skills}"
