@@ -2,7 +2,7 @@
 
 Each is a process of its own: a fork of this one, which has imported everything, with the rights of USER (an id; by
 default one's own). It passes if its exit code is 0, or 1 with one line, if it takes at most LIMIT_S of a processor and
-MEMORY_BYTES, and if it changes no file that the program did not make. SEED draws others.
+MEMORY_BYTES more than this process, and if it changes no file that the program did not make. SEED draws others.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Adversary:
         """Run a command in a process of its own; return its faults."""
         if self.user != os.getuid():
             subprocess.run(["chown", "-hR", f"{self.user}:{self.user}", "."], check=True)
-        before, begin = snapshot(may_change), time.monotonic()
+        before, begin, mine = snapshot(may_change), time.monotonic(), resident_bytes()
         with tempfile.TemporaryFile() as log:
             pid = os.fork()
             if not pid:
@@ -97,8 +97,8 @@ class Adversary:
             found.append(f"not one line: {said[-300:]!r}")
         if seconds > LIMIT_S or code == -signal.SIGKILL:
             found.append(f"{seconds:.0f} s of a processor, {time.monotonic() - begin:.0f} s")
-        if usage.ru_maxrss * 1024 > MEMORY_BYTES:
-            found.append(f"{usage.ru_maxrss / 1e6:.1f} GB")
+        if (own := usage.ru_maxrss * 1024 - mine) > MEMORY_BYTES:
+            found.append(f"{own / 1e9:.1f} GB")
         if changed := [name for name in before if after.get(name) != before[name]]:
             found.append(f"changed {changed[:3]}")
         self.counts["refused" if code == 1 else "done"] += 1
@@ -124,6 +124,11 @@ class Adversary:
         finally:
             sys.stdout.flush()
             os._exit(code)
+
+
+def resident_bytes() -> int:
+    """Return the memory of this process, which every fork begins with."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def snapshot(may_change: re.Pattern[str]) -> dict[str, object]:
