@@ -198,7 +198,7 @@ def main(words: Sequence[str]) -> None:
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts), learned)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    write_table(Path(path), list(rows), rows.itertuples(index=False, name=None))
+    write_table(Path(path), list(rows), rows.astype(object).where(rows.notna(), None).itertuples(index=False, name=None))
     print(table(pd.read_csv(path)))
 
 
