@@ -198,7 +198,8 @@ def main(words: Sequence[str]) -> None:
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts), learned)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    write_table(Path(path), list(rows), rows.astype(object).where(rows.notna(), None).itertuples(index=False, name=None))
+    filled = rows.astype(object).where(rows.notna(), None)
+    write_table(Path(path), list(rows), filled.itertuples(index=False, name=None))
     print(table(pd.read_csv(path)))
 
 
