@@ -1,6 +1,6 @@
 """Does the choice of the next job matter? Returns of rules, fixed orders and the oracle in equal shifts of `kitting`.
 
-The choices of all but fixed orders that are not the best are judged by the oracle, and so are those of an idle arm.
+In some shifts the oracle judges the choices of all but an idle arm and fixed orders that are not the best.
 
 `python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN] WORDS…` measures them, and the learned tops
 whose run folders match the pattern; the words, those of `hrl-comfort evaluate`, come after WORDS.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from glob import glob
 from pathlib import Path
 
 import numpy as np
@@ -40,12 +41,16 @@ from hrl_comfort.sim.processes.engine import make_engine
 WORDS = (
     "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
     "task.terminate_on=unsafe_contact", "meta_controller=nearest", "policies.pick=direct", "policies.place=direct",
-    "policies.return=direct", "split=validation",
+    "policies.return=direct", "meta_controller.level_override=[]", "split=validation",
 )  # fmt: skip
-"""The world and skills that are measured, in words of `hrl-comfort evaluate`: scripted skills behind the shield."""
+"""The world that is measured, and scripted skills behind the shield, which no level changes, in words of `evaluate`."""
 IDLE = "idle"
 """The arm that waits at home."""
 RULES = ("random", "nearest", "free", "patient", "due")
+JUDGED = 12
+"""Number of shifts, the first, in which the oracle judges every choice: it takes a hundred times as long."""
+COMPARED = ("due",)
+"""The rule that others are compared with, beside the oracle."""
 FIXED, LEARNED = "fixed", "learned"
 TERMS = {
     "return": "return",
@@ -64,19 +69,20 @@ def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -
     Fixed orders, and then all others that are shown, work side by side.
     """
     entries = open_split(replace(config, episodes=shifts)).entries
-    tried = _side_by_side(
-        config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)], judged=False
-    )
+    tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
     names = {f"{LEARNED} {folder}": seed_of(folder) for folder in learned}
-    shown = _side_by_side(config, entries, [IDLE, *RULES, best, *names], judged=True)
-    oracle = _side_by_side(config, entries, [ORACLE], judged=False).assign(regret=0.0)
+    working = [*RULES, best, *names]
+    shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
+    judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
+    shown = shown.merge(judged[["top", "shift", "regret"]], how="left")
+    oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
     rows = pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
     seeds = rows["top"].map(names)
     return rows.assign(top=rows["top"].where(seeds.isna(), LEARNED), seed=seeds.astype("Int64"))
 
 
-def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool) -> DataFrame:
+def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool = False) -> DataFrame:
     """Return a row for each of the tops `names` and each shift of `entries`."""
     shifts = len(entries.episode)
     every = entries.at(np.tile(np.arange(shifts), len(names)))
@@ -140,25 +146,23 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
 
 
 def table(rows: DataFrame) -> str:
-    """Return the means of the rows of each top with intervals, and the oracle less the top in %.
+    """Return the means of the rows of each top with intervals, and how far its return is above those of some others.
 
     Intervals are over the shifts, of learned tops over their training seeds. Of the fixed orders the best is shown, in
     hindsight.
     """
-    rows = rows.reindex(columns=["top", "shift", "seed", "return", *(term for term in TERMS if term != "return")])
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
-    best_possible = of[ORACLE].set_index("shift")["return"]
+    beside = {name: of[name].set_index("shift")["return"] for name in (*COMPARED, ORACLE)}
     lines = []
     for name in shown:
-        mine, oracle = of[name]["return"].to_numpy(), best_possible[of[name]["shift"]].to_numpy()
+        mine, shift = of[name]["return"].to_numpy(), of[name]["shift"]
         runs = Clusters.of_runs(len(mine)) if of[name]["seed"].isna().all() else Clusters.of(clustered(of[name]))
-        more = None if name == ORACLE else runs.estimate(oracle - mine)
-        values = (runs.estimate(of[name][term].to_numpy()) for term in TERMS)
-        share = "–" if more is None or mine.mean() <= 0 else f"{100 * more['mean'] / mine.mean():.0f}"
-        lines.append([f"`{name}`", *(cell(value, digits=2) for value in values), cell(more, digits=2), share])
-    return markdown(["choice", *TERMS.values(), "oracle above it", "the same, %"], lines)
+        values = [runs.estimate(of[name][term].to_numpy()) for term in TERMS]
+        above = [None if name == each else runs.estimate(mine - beside[each][shift].to_numpy()) for each in beside]
+        lines.append([f"`{name}`", *(cell(value, digits=2) for value in (*values, *above))])
+    return markdown(["choice", *TERMS.values(), *(f"above `{each}`" for each in beside)], lines)
 
 
 def seed_of(folder: Path) -> int:
@@ -173,7 +177,7 @@ def seed_of(folder: Path) -> int:
 
 def found(pattern: str) -> list[Path]:
     """Return the folders that match a pattern, in order; raise ConfigError if none does."""
-    folders = sorted(Path().glob(pattern))
+    folders = sorted(map(Path, glob(pattern)))
     if not folders:
         raise ConfigError(f"learned={pattern} matches no folder; give run folders of hrl-comfort train meta_controller")
     return folders
@@ -194,7 +198,8 @@ def main(words: Sequence[str]) -> None:
     assert isinstance(config, EvaluateConfig)
     rows = measure(config, int(shifts), learned)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    write_table(Path(path), list(rows), rows.itertuples(index=False, name=None))
+    filled = rows.astype(object).where(rows.notna(), None)
+    write_table(Path(path), list(rows), filled.itertuples(index=False, name=None))
     print(table(pd.read_csv(path)))
 
 

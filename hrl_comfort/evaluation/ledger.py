@@ -56,7 +56,7 @@ def open_split(config: EvaluateConfig, policy: Source | None = None) -> Look:
             "look": secrets.token_hex(4),
             "utc": datetime.now(UTC).isoformat(timespec="seconds"),
             "commit": commit() or "",
-            "command": shlex.join(["hrl-comfort", *sys.argv[1:]]),
+            "command": shlex.join([*_program(), *sys.argv[1:]]),
             "policy": " ".join(map(hash_of, sources)),
             "task": config.task.name,
             "human": config.human.motions,
@@ -64,6 +64,13 @@ def open_split(config: EvaluateConfig, policy: Source | None = None) -> Look:
         }
         _append(line)
     return Look(split_set(config.split, config.episodes, config.first_seed), line)
+
+
+def _program() -> list[str]:
+    """Return how this process was called, without what it was given."""
+    called = sys.orig_argv[1:3]
+    own = called[:1] == ["-m"] and called[-1].startswith("hrl_comfort.")
+    return ["python", *called] if own else ["hrl-comfort"]
 
 
 def _append(line: dict[str, object]) -> None:
