@@ -48,8 +48,8 @@ IDLE = "idle"
 """The arm that waits at home."""
 RULES = ("random", "nearest", "free", "patient", "due")
 JUDGED = 12
-"""Number of shifts, the first, in which the oracle judges every choice: it takes a hundred times as long."""
-COMPARED = ("due",)
+"""Number of shifts, the first, in which the oracle judges every choice, for which it tries every option."""
+RULE = "due"
 """The rule that others are compared with, beside the oracle."""
 FIXED, LEARNED = "fixed", "learned"
 TERMS = {
@@ -154,7 +154,7 @@ def table(rows: DataFrame) -> str:
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
-    beside = {name: of[name].set_index("shift")["return"] for name in (*COMPARED, ORACLE)}
+    beside = {name: of[name].set_index("shift")["return"] for name in (RULE, ORACLE)}
     lines = []
     for name in shown:
         mine, shift = of[name]["return"].to_numpy(), of[name]["shift"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -131,6 +132,23 @@ def test_each_look_at_test_is_in_the_ledger(tmp_path: Path, looks: Callable[[], 
     assert lines["policy"].tolist() == ["expert", "expert", "random", "random"]
     assert lines["success"].notna().tolist() == [False, True, False, True]
     assert lines["look"].nunique() == 2 and lines["command"].str.startswith("hrl-comfort").all()
+
+
+@pytest.mark.parametrize(
+    ("called", "said"),
+    [
+        (["-m", "hrl_comfort.benchmarks.tops", "table.csv"], "python -m hrl_comfort.benchmarks.tops table.csv"),
+        (["-m", "hrl_comfort", "table.csv"], "hrl-comfort table.csv"),
+        ([".venv/bin/hrl-comfort", "table.csv"], "hrl-comfort table.csv"),
+    ],
+)
+def test_a_look_names_the_command_as_the_manifest_does(
+    tmp_path: Path, looks: Callable[[], pd.DataFrame], monkeypatch: pytest.MonkeyPatch, called: list[str], said: str
+) -> None:
+    monkeypatch.setattr(sys, "orig_argv", ["python", *called])
+    monkeypatch.setattr(sys, "argv", [called[0], "table.csv"])
+    ledger.open_split(asked(tmp_path))
+    assert looks()["command"].tolist() == [said]
 
 
 def test_a_data_set_is_a_look(tmp_path: Path, looks: Callable[[], pd.DataFrame]) -> None:
