@@ -40,10 +40,11 @@ def comfort_reward(config: ComfortConfig, max_step_deg: float) -> TransitionFunc
     forms(config)
 
     def term(before: State, after: State) -> Tensor:
-        arm = config.distance == "arm"
-        distance = after.arm_distance if arm else human_distance(after.tcp_pos, after.humans_pos)
+        tool, avoidable = config.distance == "tool", config.distance == "avoidable"
+        distance = human_distance(after.tcp_pos, after.humans_pos) if tool else after.arm_distance
         increment_deg = torch.rad2deg((after.joint_target - before.joint_target).abs().amax(dim=-1))
-        value = comfort(distance, increment_deg, after.level, max_step_deg, config)
+        home = after.home_distance if avoidable else None
+        value = comfort(distance, increment_deg, after.level, max_step_deg, config, home)
         return torch.where(present(after.humans_pos), value, 0.0)
 
     return term

@@ -126,13 +126,17 @@ TIMED = ("target_distance", "target_distance_one_sided", "minimum_distance")
 """Forms with a time penalty."""
 
 
-def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig) -> Tensor:
+def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig, home: Tensor | None = None) -> Tensor:
     """Return F_conf1 (...,) at distance (...,) m and level (...,), by `config.form` and `config.threshold`.
 
-    TIMED forms also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
+    With the distance `home` (...,) m of an arm at home, only what is lost by being nearer than that counts. TIMED forms
+    also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
     """
     form, threshold, _ = forms(config)
-    term = form(distance, threshold(level, config), config)
+    theta = threshold(level, config)
+    term = form(distance, theta, config)
+    if home is not None:
+        term = term - form(torch.maximum(distance, home), theta, config)
     return term - config.time_penalty * ease(level, config) if config.form in TIMED else term
 
 
@@ -195,11 +199,18 @@ def discomfort(
     )
 
 
-def comfort(distance: Tensor, increment: Tensor, level: Tensor, max_step_deg: float, config: ComfortConfig) -> Tensor:
-    """Return F_comfort = alpha F_conf1 + beta F_conf2 (Eq. 4), without `comfort.scale`."""
+def comfort(
+    distance: Tensor,
+    increment: Tensor,
+    level: Tensor,
+    max_step_deg: float,
+    config: ComfortConfig,
+    home: Tensor | None = None,
+) -> Tensor:
+    """Return F_comfort = alpha F_conf1 + beta F_conf2 (Eq. 4), without `comfort.scale`; `home` as in `distance_term`."""
     total = torch.zeros_like(distance)
     if config.alpha:
-        total = total + config.alpha * distance_term(distance, level, config)
+        total = total + config.alpha * distance_term(distance, level, config, home)
     if config.beta:
         total = total + config.beta * speed_term(increment, level, max_step_deg, config)
     return total

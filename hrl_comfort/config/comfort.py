@@ -21,7 +21,7 @@ FORMS = (
     "minimum_distance",
 )
 THRESHOLDS = ("range", "reference", "levels")
-DISTANCES = ("tool", "arm")
+DISTANCES = ("tool", "arm", "avoidable")
 SPEED_FORMS = ("paper", "hinge")
 
 
@@ -91,7 +91,7 @@ class ComfortConfig:
     """Distance threshold theta as a function of the level."""
     distance: Annotated[str, choice(*DISTANCES)]
     """Distance in the term. `tool`: horizontal, from the tool to the person's axis. `arm`: the smallest between any
-    link and any body part."""
+    link and any body part. `avoidable`: as `arm`, but what an arm at home would lose costs nothing."""
     min_m: float
     """d_min of the threshold, m; below `max_m`."""
     max_m: Annotated[float, within(0.01, 10.0)]

@@ -57,8 +57,9 @@ class Referee:
         self.weights = torch.tensor([weights[name] for name in subtask.rewards], dtype=torch.float64)
         self.subtask = subtask
         comfort = config.comfort
-        paid = comfort.source in ("frightened", "fitted") or (comfort.distance == "arm" and comfort.source != "none")
-        self.sensors = Sensors(scene, separation, measure_arm or paid, measure_arm, pushing)
+        priced = comfort.distance if comfort.source != "none" else None
+        paid = comfort.source in ("frightened", "fitted") or priced in ("arm", "avoidable")
+        self.sensors = Sensors(scene, separation, measure_arm or paid, measure_arm or priced == "avoidable", pushing)
 
     @property
     def subtask(self) -> Subtask:

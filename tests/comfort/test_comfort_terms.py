@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,6 +15,8 @@ from hrl_comfort.comfort import terms
 from hrl_comfort.comfort.adapt import max_episode_steps, with_comfort
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ComfortConfig, TrainConfig
+from hrl_comfort.files.run_config import environment
+from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import SUBTASKS
 
 
@@ -103,6 +106,32 @@ def test_minimum_distance_costs_what_the_two_sided_form_does_nearer_than_theta_a
     level = torch.full((2,), 5.5, dtype=torch.float64)  # theta is 0.6 m
     assert terms.distance_term(near, level, config).tolist() == pytest.approx([-0.25 - 0.05, -0.05])
     assert terms.distance_term(far, level, config).tolist() == pytest.approx([-0.05, -0.05])
+
+
+def test_what_an_arm_at_home_would_lose_costs_nothing() -> None:
+    config = comfort(form="minimum_distance", min_m=0.2, max_m=1.0, power=2, time_penalty=0.1)
+    level = torch.ones(3, dtype=torch.float64)
+    arm, home = torch.tensor([[0.6, 0.4, 0.3], [0.5, 0.5, 0.5]], dtype=torch.float64)
+    told = terms.distance_term(arm, level, config, home)
+    assert told[0] == 0
+    torch.testing.assert_close(
+        told, terms.distance_term(arm, level, config) - terms.distance_term(torch.maximum(arm, home), level, config)
+    )
+    fast = terms.distance_term(arm, 10 * level, config, home)
+    assert (fast == -config.time_penalty).all()
+
+
+def test_an_arm_that_rests_at_home_is_paid_no_discomfort_beside_a_person() -> None:
+    words = ("human=still", "comfort=distance_and_speed", "comfort.source=fixed", "comfort.level=1", "task.start=ik")
+    paid = {}
+    for distance in "arm", "avoidable":
+        engine = Engine(environment(compose("train", [*words, f"comfort.distance={distance}"])), 4, 0)
+        engine.reset()
+        result = engine.step(np.zeros((4, 6)))
+        paid[distance] = result.reward_terms[:, engine.episodes.reward_names.index("comfort")]
+        engine.close()
+    assert (paid["arm"] < 0).any()
+    assert (paid["avoidable"].abs() <= 1e-3 * paid["arm"].abs() + 1e-9).all()
 
 
 def test_thresholds_are_those_of_the_sources() -> None:
