@@ -207,7 +207,7 @@ def comfort(
     config: ComfortConfig,
     home: Tensor | None = None,
 ) -> Tensor:
-    """Return F_comfort = alpha F_conf1 + beta F_conf2 (Eq. 4), without `comfort.scale`; `home` as in `distance_term`."""
+    """Return F_comfort = alpha F_conf1 + beta F_conf2 (Eq. 4), without `comfort.scale`; `home` is `distance_term`'s."""
     total = torch.zeros_like(distance)
     if config.alpha:
         total = total + config.alpha * distance_term(distance, level, config, home)
