@@ -71,12 +71,17 @@ def test_committed_episodes_can_be_read(path: Path) -> None:
 def test_an_entry_of_the_benchmark_has_its_line_in_the_ledger(path: Path) -> None:
     entry = json.loads(path.read_text(encoding="utf-8"))
     ledger = pd.read_csv(REFERENCE / "ledger.csv")
-    its = ledger[
-        (ledger["commit"].str.rstrip("+") == entry["commit"].rstrip("+"))
-        & (ledger["policy"] == " ".join(entry["policies"].values()))
-        & (ledger["episodes"] == sum(level["shifts"] for level in entry["levels"]))
-    ]
-    assert len(its) == 1 and its["command"].str.startswith("hrl-comfort benchmark ").all()
+    top = entry.get("top", {"meta_controller.name": "nearest"})["meta_controller.name"]
+    told = ledger["command"].str.extract(r" meta_controller=(\S+)", expand=False).fillna("nearest")
+    for task, levels in entry["parts"].items():
+        its = ledger[
+            (ledger["commit"].str.rstrip("+") == entry["commit"].rstrip("+"))
+            & (ledger["policy"] == " ".join(entry["policies"].values()))
+            & (ledger["episodes"] == sum(level["shifts"] for level in levels))
+            & (ledger["task"] == task)
+            & (told == top)
+        ]
+        assert len(its) == 1 and its["command"].str.startswith("hrl-comfort benchmark ").all()
 
 
 def test_no_folder_of_the_package_is_crowded_and_no_module_long() -> None:

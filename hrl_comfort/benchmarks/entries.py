@@ -1,13 +1,14 @@
 """Entries of the benchmark: those committed, pooled over training seeds, as tables.
 
 An entry is a folder `NAME/` with `benchmark.json`. With one such folder for each training seed in it, `NAME/SEED/`,
-it counts as one entry: means and Student's t intervals over seeds.
+it counts as one entry: means and Student's t intervals over seeds. Its parts are tasks of the suite.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, NotRequired
@@ -18,8 +19,10 @@ from pydantic import ConfigDict, Field, PositiveInt, with_config
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from hrl_comfort.analysis.intervals import Clusters, Estimate
+from hrl_comfort.analysis.mixes import WORK
 from hrl_comfort.analysis.tables import Quantity, cell, cells, markdown
-from hrl_comfort.config.checks import ConfigError
+from hrl_comfort.config import ConfigError
+from hrl_comfort.config.suite import SUITE
 from hrl_comfort.files.documents import read_json
 from hrl_comfort.files.provenance import ROOT
 
@@ -39,6 +42,7 @@ class Level(TypedDict):
     avoidable_discomfort_per_min: NotRequired[Estimate | None]
     idle_discomfort_per_min: NotRequired[Estimate | None]
     excess_closeness_mean_m: NotRequired[Estimate | None]
+    orders_missed_per_min: NotRequired[Estimate | None]
     contacts_per_h: NotRequired[Estimate | None]
     other_collisions_per_h: NotRequired[Estimate | None]
     protective_stops_per_min: NotRequired[Estimate | None]
@@ -50,14 +54,15 @@ class Level(TypedDict):
 
 @with_config(ConfigDict(extra="allow"))
 class Entry(TypedDict):
-    """A policy, the name and hash of each skill's, what it observes, what was changed of the suite, and the levels."""
+    """A policy: name and hash of each skill's, top, what it observes, what it changed of the suite, levels by part."""
 
     policy: str
     policies: NotRequired[dict[str, str]]
+    top: NotRequired[dict[str, Any]]
     commit: NotRequired[str | None]
     observation: NotRequired[dict[str, Any]]
     changed: dict[str, Any]
-    levels: Annotated[list[Level], Field(min_length=1)]
+    parts: Annotated[dict[str, Annotated[list[Level], Field(min_length=1)]], Field(min_length=1)]
 
 
 RATE = (0.0, math.inf)
@@ -67,6 +72,7 @@ QUANTITIES = {
     "discomfort_per_min": Quantity("discomfort, s a minute", digits=2, bounds=RATE),
     "avoidable_discomfort_per_min": Quantity("avoidable discomfort, s a minute", digits=2, bounds=RATE),
     "idle_discomfort_per_min": Quantity("discomfort of an idle arm, s a minute", digits=2, bounds=RATE),
+    "orders_missed_per_min": Quantity("orders missed a minute", digits=2, bounds=RATE),
     "unsafe_contacts_per_h": Quantity("unsafe contacts an hour", digits=2, bounds=RATE),
     "contacts_per_h": Quantity("contacts an hour", digits=1, bounds=RATE),
     "other_collisions_per_h": Quantity("other collisions an hour", digits=1, bounds=RATE),
@@ -77,9 +83,10 @@ QUANTITIES = {
     "person_level_mean": Quantity("level of a frightened person", digits=2),
     "person_rating_mean": Quantity("rating of a fitted person, 1 to 7", digits=2),
 }
-"""Columns of the table."""
+"""Columns of the table; `quantity` has the labels of a part."""
 HEADLINE = (
-    "objects_per_min", "discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m", "unsafe_contacts_per_h",
+    "objects_per_min", "avoidable_discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m",
+    "unsafe_contacts_per_h",
 )  # fmt: skip
 """Quantities of the short table."""
 ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "objects_per_min")
@@ -121,31 +128,61 @@ def pooled(folder: Path) -> Entry:
       ConfigError: there is none, one is damaged, two are of the same policies, or their levels or suites differ.
     """
     seeds = list(of_seeds(folder).values())
-    told = [(entry["changed"], [at["level"] for at in entry["levels"]]) for entry in seeds]
+    told = [(entry["changed"], entry.get("top"), levels_of(entry)) for entry in seeds]
     if any(each != told[0] for each in told):
-        raise ConfigError(f"{folder}: its entries must be of the same levels and the same suite")
+        raise ConfigError(f"{folder}: its entries must be of the same levels, the same top and the same suite")
     named = [entry["policies"] for entry in seeds if "policies" in entry]
     if any(one == other for one, other in combinations(named, 2)):
         raise ConfigError(f"{folder}: two of its entries are of the same policies; give one for each training seed")
-    runs = Clusters.of_runs(len(seeds))
-    levels: list[Any] = []
-    for each in zip(*(entry["levels"] for entry in seeds), strict=True):
+    count = f"{len(seeds)} seed" + "s" * (len(seeds) > 1)
+    parts = {part: _over_seeds([entry["parts"][part] for entry in seeds]) for part in seeds[0]["parts"]}
+    return {"policy": f"{folder.name}, {count}", "changed": told[0][0], "parts": parts}
+
+
+def _over_seeds(seeds: Sequence[Sequence[Level]]) -> list[Level]:
+    """Return the levels of n training seeds as means over them."""
+    runs, levels = Clusters.of_runs(len(seeds)), list[Any]()
+    for each in zip(*seeds, strict=True):
         rows: tuple[Any, ...] = each
         there = [name for name in QUANTITIES if all(row.get(name) for row in rows)]
         means = {name: np.array([row[name]["mean"] for row in rows]) for name in there}
         numbers = {name: runs.estimate(mean, bounds=QUANTITIES[name].bounds) for name, mean in means.items()}
         levels.append({"level": rows[0]["level"], "shifts": sum(row["shifts"] for row in rows), **numbers})
-    count = f"{len(seeds)} seed" + "s" * (len(seeds) > 1)
-    return {"policy": f"{folder.name}, {count}", "changed": told[0][0], "levels": levels}
+    return levels
 
 
-def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
-    """Return quantities of the entries as a Markdown table, a line a level, without those that none of them has.
+def levels_of(entry: Entry) -> dict[str, list[int | None]]:
+    """Return the levels of an entry by part."""
+    return {part: [at["level"] for at in levels] for part, levels in entry["parts"].items()}
+
+
+def levels_in(entry: Entry, part: str) -> list[Level]:
+    """Return the levels of a part of an entry; raise ConfigError if it has no such part."""
+    if part not in entry["parts"]:
+        has = ", ".join(entry["parts"])
+        raise ConfigError(f"the entry of {entry['policy']!r} has no part {part}; it has {has}")
+    return entry["parts"][part]
+
+
+def quantity(name: str, part: str) -> Quantity:
+    """Return a quantity with its label in a part: the objects of an order fill it."""
+    return replace(QUANTITIES[name], label=WORK[part]) if name == "objects_per_min" else QUANTITIES[name]
+
+
+def tables(entries: Sequence[Entry]) -> str:
+    """Return the table of each part of the entries under its name."""
+    there = [part for part in SUITE if any(part in entry["parts"] for entry in entries)]
+    return "\n".join(f"{part}\n\n{table(part, entries)}" for part in there)
+
+
+def table(part: str, entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
+    """Return quantities of the entries that have a part, a line a level, without those that none of them has.
 
     A star marks an entry of another suite or split.
     """
-    rows: list[Any] = [at for entry in entries for at in entry["levels"]]
-    quantities = {name: QUANTITIES[name] for name in names if any(row.get(name) for row in rows)}
+    entries = [entry for entry in entries if part in entry["parts"]]
+    rows: list[Any] = [at for entry in entries for at in entry["parts"][part]]
+    quantities = {name: quantity(name, part) for name in names if any(row.get(name) for row in rows)}
     return markdown(
         ["policy", "level", "shifts", *(each.label for each in quantities.values())],
         (
@@ -156,7 +193,7 @@ def table(entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) ->
                 *cells(at, quantities),
             ]
             for entry in entries
-            for at in entry["levels"]
+            for at in entry["parts"][part]
         ),
     )
 
@@ -166,56 +203,56 @@ def name_of(entry: Entry) -> str:
     return entry["policy"] + "*" * bool(entry["changed"])
 
 
-def responses(folder: Path, off: Path) -> str:
+def responses(part: str, folder: Path, off: Path) -> str:
     """Return what levels change, in %, over training seeds: the first against the last, and each against comfort off.
 
     Each seed of `folder` is compared with that of `off`, at the same level.
 
     Raises:
-      ConfigError: an entry is damaged, or the folders have no seed or not the same levels in common.
+      ConfigError: an entry is damaged or lacks the part, or the folders have no seed or not the same levels in common.
     """
-    mine, others = pairs(folder, off)
+    mine, others = ([levels_in(entry, part) for entry in each] for each in pairs(folder, off))
     runs = Clusters.of_runs(len(mine))
-    ends = [mine[0]["levels"][at]["level"] for at in (0, -1)]
-    for entry in (*mine, *others):
-        if [entry["levels"][at]["level"] for at in (0, -1)] != ends:
-            raise ConfigError(f"{folder} and {off}: their entries must be of the same levels")
+    ends = [mine[0][at]["level"] for at in (0, -1)]
+    if any([levels[at]["level"] for at in (0, -1)] != ends for levels in (*mine, *others)):
+        raise ConfigError(f"{folder} and {off}: their entries must be of the same levels")
     lines = []
     for name in ANSWERS:
-        quantity, line, owns = QUANTITIES[name], [], []
+        shown, line, owns = quantity(name, part), [], []
         for at in (0, -1):
             own, without = means(mine, name, at), means(others, name, at)
-            line += [cell(runs.estimate(each), quantity.scale, quantity.digits) for each in (own, without)]
+            line += [cell(runs.estimate(each), shown.scale, shown.digits) for each in (own, without)]
             line.append(cell(runs.estimate(own / without - 1), 100))
             owns.append(own)
-        lines.append([quantity.label, *line, cell(runs.estimate(owns[1] / owns[0] - 1), 100)])
+        lines.append([shown.label, *line, cell(runs.estimate(owns[1] / owns[0] - 1), 100)])
     heads = [head for level in ends for head in (f"level {level}", f"comfort off, {level}", "change, %")]
     return markdown(["", *heads, f"level {ends[0]} to {ends[1]}, %"], lines)
 
 
-def differences(folder: Path, other: Path, names: Sequence[str] = tuple(QUANTITIES)) -> str:
+def differences(part: str, folder: Path, other: Path, names: Sequence[str] = tuple(QUANTITIES)) -> str:
     """Return quantities of `folder` less those of `other`, over training seeds, a line for each level of both.
 
+    A quantity that an entry lacks is left out.
+
     Raises:
-      ConfigError: an entry is damaged, or the folders have no seed in common.
+      ConfigError: an entry is damaged or lacks the part, or the folders have no seed in common.
     """
-    mine, others = pairs(folder, other)
-    runs = Clusters.of_runs(len(mine))
-    here, there = ({row["level"]: at for at, row in enumerate(found[0]["levels"])} for found in (mine, others))
+    mine, others = ([levels_in(entry, part) for entry in each] for each in pairs(folder, other))
+    runs, rows = Clusters.of_runs(len(mine)), list[Any]([at for levels in (*mine, *others) for at in levels])
+    shown = {name: quantity(name, part) for name in names if all(row.get(name) for row in rows)}
+    here, there = ({row["level"]: at for at, row in enumerate(found[0])} for found in (mine, others))
     lines = []
     for level in [level for level in here if level in there]:
-        gaps = {name: means(mine, name, here[level]) - means(others, name, there[level]) for name in names}
-        numbers = [
-            cell(runs.estimate(gap), QUANTITIES[name].scale, QUANTITIES[name].digits) for name, gap in gaps.items()
-        ]
+        gaps = {name: means(mine, name, here[level]) - means(others, name, there[level]) for name in shown}
+        numbers = [cell(runs.estimate(gap), shown[name].scale, shown[name].digits) for name, gap in gaps.items()]
         lines.append([str(level), *numbers])
-    return markdown(["level", *(QUANTITIES[name].label for name in names)], lines)
+    return markdown(["level", *(each.label for each in shown.values())], lines)
 
 
-def means(entries: Sequence[Entry], quantity: str, at: int) -> NDArray[np.float64]:
-    """Return the mean (n,) of a quantity in n entries, at their level number `at`."""
-    rows: list[Any] = [entry["levels"][at] for entry in entries]
-    return np.array([row[quantity]["mean"] for row in rows])
+def means(entries: Sequence[Sequence[Level]], name: str, at: int) -> NDArray[np.float64]:
+    """Return the mean (n,) of a quantity in the levels of n entries, at their level number `at`."""
+    rows: list[Any] = [levels[at] for levels in entries]
+    return np.array([row[name]["mean"] for row in rows])
 
 
 def pairs(folder: Path, other: Path) -> tuple[list[Entry], list[Entry]]:
@@ -229,42 +266,3 @@ def pairs(folder: Path, other: Path) -> tuple[list[Entry], list[Entry]]:
     if not names:
         raise ConfigError(f"{folder} and {other} have no training seed in common")
     return [mine[name] for name in names], [others[name] for name in names]
-
-
-def at_same_throughput(folder: Path, fixed: Path) -> str:
-    """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
-
-    The latter is the best that a mix of two fixed levels gives at the same objects a minute, some shifts being worked
-    at one and some at the other.
-
-    Raises:
-      ConfigError: an entry is damaged, the folders have no seed in common or other policies for it, or no mix is as
-        productive.
-    """
-    columns = []
-    for told, untold in zip(*pairs(folder, fixed), strict=True):
-        if told.get("policies") != untold.get("policies"):
-            raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
-        (objects, person), *_ = work_and_mood(told)
-        same = best_mix(work_and_mood(untold), objects)
-        if same is None:
-            raise ConfigError(f"{folder}: no mix of the levels in {fixed} gives {objects:g} objects a minute")
-        columns.append((objects, person, same, person - same))
-    runs = Clusters.of_runs(len(columns))
-    heads = ["objects a minute", "person's level, told", "the same, at fixed levels", "difference"]
-    return markdown(heads, [[cell(runs.estimate(np.array(each)), digits=2) for each in zip(*columns, strict=True)]])
-
-
-def best_mix(points: Sequence[tuple[float, float]], x: float) -> float | None:
-    """Return the largest y at `x` of the lines between any two points (x, y); None if none reaches so far."""
-    found = [y for at, y in points if at == x]
-    for (low, y_low), (high, y_high) in combinations(sorted(points), 2):
-        if low <= x <= high and low < high:
-            found.append(y_low + (y_high - y_low) * (x - low) / (high - low))
-    return max(found, default=None)
-
-
-def work_and_mood(entry: Entry) -> list[tuple[float, float]]:
-    """Return the objects a minute and the level of a frightened person at each level of an entry."""
-    rows: list[Any] = list(entry["levels"])
-    return [(row["objects_per_min"]["mean"], row["person_level_mean"]["mean"]) for row in rows]

@@ -45,7 +45,6 @@ WORDS = (
 )  # fmt: skip
 """The world that is measured, and scripted skills behind the shield, which no level changes, in words of `evaluate`."""
 IDLE = "idle"
-"""The arm that waits at home."""
 RULES = ("random", "nearest", "free", "patient", "due")
 JUDGED = 12
 """Number of shifts, the first, in which the oracle judges every choice, for which it tries every option."""
@@ -129,9 +128,6 @@ def orders(cell: CellConfig) -> list[list[str]]:
 
 def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
     """Return a top by its name; that of a fixed order is followed by the areas, `learned` by a run folder."""
-    if name == IDLE:
-        wait = table.position("wait")
-        return lambda decision: torch.full((len(decision.mask),), wait)
     if name.startswith(f"{LEARNED} "):
         folder = name.removeprefix(f"{LEARNED} ")
         return TOPS[LEARNED](replace(config, policies={**config.policies, "meta_controller": folder}), table, 0)

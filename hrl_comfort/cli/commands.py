@@ -45,7 +45,7 @@ COMMANDS = {
     ),
     "benchmark": Command(
         "hrl_comfort.benchmarks.suite:benchmark",
-        "run the benchmark's shifts beside people for one policy; write its entry",
+        "run the benchmark's shifts beside people for one policy and top; write the entry",
         "policies.pick=expert policies.place=expert policies.return=expert split=validation episodes=2 "
         "output=runs/entry",
     ),

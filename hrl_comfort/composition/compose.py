@@ -14,8 +14,10 @@ from omegaconf.errors import OmegaConfBaseException
 from hrl_comfort.composition.own_files import with_own_files
 from hrl_comfort.composition.stages import stages_of, with_budget
 from hrl_comfort.config import (
+    BenchmarkConfig,
     ConfigError,
     EnvConfig,
+    EvaluateConfig,
     HierarchyConfig,
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
@@ -35,6 +37,7 @@ from hrl_comfort.config.overrides import (
     override,
     parse,
 )
+from hrl_comfort.config.suite import SUITE
 from hrl_comfort.files.run_config import trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
@@ -84,10 +87,10 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
     """Return the configuration `cls` of `root` with its stages checked and their budget settled.
 
     A budget among the `overrides` scales the stages, those of a refinement too; else it is their sum. The overrides of
-    a controller's training become its configuration.
+    a controller's training become its configuration, and the tasks of a suite theirs.
     """
     node, words = composed(root, overrides), []
-    if cls is EnvConfig:
+    if cls is not ROOTS.get(root, cls):
         node = OmegaConf.masked_copy(node, [field.name for field in dataclasses.fields(cls)])
     elif cls is HierarchyTrainConfig:
         words, node.hierarchy.controller = node.hierarchy.controller, None
@@ -98,6 +101,8 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
                 part_name(section, str(attrgetter(section)(config)), choices(group))
     if isinstance(config, HierarchyTrainConfig) and words:
         config = dataclasses.replace(config, hierarchy=_with_controller(config, words))
+    if isinstance(config, BenchmarkConfig):
+        return dataclasses.replace(config, suite=_parts(config.suite, root, overrides))
     if not isinstance(config, TrainConfig):
         return config
     stages_of(config)
@@ -108,6 +113,18 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
     if not any(line.startswith("agent.policy_steps=") for line in overrides):
         return dataclasses.replace(config, agent=dataclasses.replace(config.agent, policy_steps=total))
     return with_budget(config, asked)
+
+
+def _parts(tasks: Iterable[str], root: str, overrides: list[str]) -> dict[str, EvaluateConfig]:
+    """Return the configuration of each task of a suite, beside its people unless `overrides` name others."""
+    chosen = {parse(line).key_or_group: parse(line).value() for line in overrides}
+    if "task" in chosen:
+        raise ConfigError(f"task={chosen['task']} does not go with the benchmark; choose among its tasks by suite=")
+    found = {}
+    for name in tasks:
+        people = [] if "human" in chosen else [f"human={SUITE[name]}"]
+        found[name] = _validated(EvaluateConfig, root, [f"task={name}", *people, *overrides])
+    return found
 
 
 def _with_controller(config: HierarchyTrainConfig, words: Iterable[str]) -> HierarchyConfig:

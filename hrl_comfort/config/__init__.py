@@ -51,6 +51,7 @@ from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControll
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
 from hrl_comfort.config.safety import SafetyConfig
+from hrl_comfort.config.suite import BenchmarkConfig
 from hrl_comfort.config.task import RANDOM, SORTING, PrecisionConfig, RewardConfig, TaskConfig
 from hrl_comfort.config.training import (
     HierarchyConfig,
@@ -64,7 +65,8 @@ __all__ = [
     "CONTROL_STEP_S", "DISTURBANCES", "EVALUATION_EPISODES", "FAR_AWAY_M", "FIGURES", "FIRST_SEED", "HIERARCHY",
     "POLICIES", "PREGRASP", "RANDOM", "SCRIPTED_POLICIES", "SORTING", "SPLITS", "STARTS",
     "TERMINAL_STATES_SEED", "VALIDATION_SEED",
-    "AgentConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig", "CurriculumConfig",
+    "AgentConfig", "BenchmarkConfig", "CellConfig", "ComfortConfig", "ConfigError", "ConnectionConfig",
+    "CurriculumConfig",
     "DeployConfig", "EngineConfig", "EnvConfig", "EvaluateConfig", "ExportConfig", "FigureConfig", "GripperConfig",
     "HierarchyConfig", "HierarchyTrainConfig", "HumanConfig", "IdentifyConfig", "MetaControllerAgentConfig",
     "MetaControllerConfig", "MetaControllerTrainConfig", "ObjectConfig", "ObstacleConfig", "PlaceConfig",

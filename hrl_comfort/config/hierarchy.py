@@ -9,8 +9,8 @@ from hrl_comfort.config.checks import ConfigError, Widths, between, choice, name
 from hrl_comfort.config.learning import NoKeys
 
 RULES = ("nearest", "free", "due", "cautious", "patient")
-"""Built-in meta-controllers that are functions of a decision."""
-TOPS = (*RULES, "fixed", "random", "learned")
+"""Built-in meta-controllers that work, by a function of a decision."""
+TOPS = (*RULES, "idle", "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
 META_OBSERVATIONS = ("default", "proximity", "jobs")

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.config import (
+    BenchmarkConfig,
     ConfigError,
     DeployConfig,
     EvaluateConfig,
@@ -41,7 +42,7 @@ ROOTS: dict[str, type[CommandConfig]] = {
     "train_hierarchy": HierarchyTrainConfig,
     "train_meta_controller": MetaControllerTrainConfig,
     "evaluate": EvaluateConfig,
-    "benchmark": EvaluateConfig,
+    "benchmark": BenchmarkConfig,
     "studio": StudioConfig,
     "deploy": DeployConfig,
     "export": ExportConfig,

@@ -60,8 +60,8 @@ OWN = tuple(field.name for field in fields(Episode) if field.name not in ("measu
 RATES = (
     "discomfort_per_min", "avoidable_discomfort_per_min", "idle_discomfort_per_min", "excess_closeness_mean_m",
     "person_level_mean", "person_rating_mean", "regret_per_min", "objects_lost", "objects_per_min", "contacts_per_h",
-    "unsafe_contacts_per_h", "other_collisions_per_h", "protective_stops_per_min",
+    "unsafe_contacts_per_h", "other_collisions_per_h", "protective_stops_per_min", "orders_missed_per_min",
 )  # fmt: skip
-"""Measures of `evaluation.rates`; those after the first seven are of a shift alone."""
+"""Measures of `evaluation.rates`; those after the first seven are of a shift alone, the last of orders."""
 COLUMNS = (*(name.rstrip("_") for name in OWN), *RATES, *MEASURES)
 """Of episodes.csv."""

@@ -33,6 +33,8 @@ class Course(Trajectory):
     self_collision: NDArray[np.bool_]
     objects_placed: int
     protective_stops: int
+    orders_missed: int | None
+    """None in a task without orders."""
 
     def touched(self) -> dict[str, Any]:
         """Return what the arm touched in the episode, by the fields of `Episode`."""
@@ -78,6 +80,7 @@ def shift_rates(course: Course, shielded: bool) -> dict[str, float | None]:
         "unsafe_contacts_per_h": begun(course.unsafe_contact) * HOUR_S / spent_s,
         "other_collisions_per_h": begun(collision) * HOUR_S / spent_s,
         "protective_stops_per_min": course.protective_stops * MINUTE_S / spent_s if shielded else None,
+        "orders_missed_per_min": None if course.orders_missed is None else course.orders_missed * MINUTE_S / spent_s,
     }
 
 

@@ -34,6 +34,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
+from hrl_comfort.tasks.kitting import missed
 
 BATCH = 250
 """Episodes simulated side by side."""
@@ -137,7 +138,7 @@ class EpisodeRecorder:
     def begin(self, state: State) -> None:
         """Begin with the first state of every row."""
         rows = len(self.entries.episode)
-        self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level")}
+        self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level", "missed")}
         self.seen: list[tuple[dict[str, torch.Tensor], torch.Tensor]] = []
         self._keep(state.instants(), torch.ones(rows, 1, dtype=torch.bool))
         self._found: dict[int, Episode] = {}
@@ -153,6 +154,7 @@ class EpisodeRecorder:
         self.totals["return"] += np.where(active.numpy(), result.reward.numpy(), 0.0)
         self.totals["steps"] += steps
         self.totals["level"] += result.level.numpy() * steps
+        self.totals["missed"] += np.where(active.numpy(), missed(result.before, result.state).numpy(), 0.0)
         self._keep(result.instants, valid)
         if self.config.record:
             for k, instant in enumerate(result.steps):
@@ -196,7 +198,8 @@ class EpisodeRecorder:
             episode = self._found[row]
             stops = episode.protective_stops or 0
             kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
-            through = Course(tool=tool, people=people, **kept, protective_stops=stops)
+            late = int(self.totals["missed"][row]) if self.engine.episodes.subtask.orders else None
+            through = Course(tool=tool, people=people, **kept, protective_stops=stops, orders_missed=late)
             values = metrics(through)
             values |= discomforts(through, self.config)
             arm, person = through.arm_distance, episode.person_id

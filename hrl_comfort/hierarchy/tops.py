@@ -137,6 +137,12 @@ def patient(decision: Decision) -> Tensor:
     return waiting(decision, chosen, picks & (way < PATIENT_M * (1 - ease)))
 
 
+def idle(decision: Decision) -> Tensor:
+    """Choose `wait`: the arm stays where it is, and goes home where it cannot."""
+    wait = decision.table.position("wait")
+    return torch.where(decision.mask[:, wait], wait, in_order(decision))
+
+
 def fixed(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
     """Return the top that chooses the first of `meta_controller.order` that can start, then skills by their numbers."""
     for name in config.meta_controller.order:
@@ -180,10 +186,17 @@ def with_waits(rule: Choose) -> MakeTop:
     return make
 
 
+def always_waiting(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
+    """Return `idle`; raise ConfigError where the arm cannot wait for ever."""
+    if (most := config.meta_controller.max_waits) is not None:
+        raise ConfigError(f"meta_controller.max_waits={most}: meta_controller=idle always waits; choose null")
+    return with_waits(idle)(config, table, seed)
+
+
 RULES: dict[str, Choose] = implemented(
     RULE_NAMES, {"nearest": nearest, "free": free, "due": due, "cautious": cautious, "patient": patient}
 )
-"""Tops that are functions of a decision."""
+"""Tops that work, by a function of a decision."""
 TOPS: dict[str, MakeTop] = implemented(
     NAMES,
     {
@@ -192,6 +205,7 @@ TOPS: dict[str, MakeTop] = implemented(
         "due": lambda *_: due,
         "cautious": with_waits(cautious),
         "patient": with_waits(patient),
+        "idle": always_waiting,
         "fixed": fixed,
         "random": at_random,
         "learned": learned,

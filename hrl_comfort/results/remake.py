@@ -15,6 +15,7 @@ from typing import Any
 from pandas import DataFrame
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.suite import SUITE
 from hrl_comfort.evaluation.rollout import BATCH
 from hrl_comfort.files.atomic import write_atomically
 from hrl_comfort.files.provenance import ROOT, commit
@@ -50,7 +51,8 @@ def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:
         with ThreadPoolExecutor(jobs) as pool:
             list(pool.map(run, commands))
         for words in commands:
-            compact(Path(output_of(words)))
+            for folder in evaluations_of(words):
+                compact(folder)
         lines += [" ".join(words) for words in commands]
     if commit() != made:
         raise ConfigError(f"remake={name}: the code changed meanwhile; commit it, then make the result again")
@@ -73,6 +75,15 @@ def output_of(words: Sequence[str]) -> str:
     return next((word.removeprefix("output=") for word in words if word.startswith("output=")), words[-1])
 
 
+def evaluations_of(words: Sequence[str]) -> list[Path]:
+    """Return the folders of evaluations that a command writes: its output, or that of each part of the benchmark."""
+    output = Path(output_of(words))
+    if words[1] != "benchmark":
+        return [output]
+    asked = next((word for word in words if word.startswith("suite=")), "")
+    return [output / part for part in SUITE if part in asked or not asked]
+
+
 def compact(folder: Path) -> None:
     """Keep the episodes of an evaluation as parquet, a tenth of the size of their CSV."""
     file = ROOT / folder / "episodes.csv"
@@ -92,18 +103,27 @@ def verify(name: str, entry: Entry) -> str:
     made, record = need_clean_tree(), read_record(name)
     first = Entry(**{**entry.model_dump(), "seeds": entry.seeds[:1]})
     commands = [words for words in first.commands("evaluate") if words[1] in MEASURED]
-    known = {output_of(words): read_table(ROOT / output_of(words) / "episodes.csv") for words in commands}
+    known = {
+        folder: read_table(ROOT / folder / "episodes.csv") for words in commands for folder in evaluations_of(words)
+    }
     if record is None or not commands or any(rows is None for rows in known.values()):
         raise ConfigError(f"verify={name}: it has no committed episodes and record; give remake={name}")
     for words in commands:
         with TemporaryDirectory() as folder:
-            run([*shortened(words), f"output={folder}/again"])
-            again = read_table(Path(folder) / "again" / "episodes.csv")
-        assert again is not None
-        if wrong := difference(known[output_of(words)], again):
-            return f"{' '.join(words)}: {wrong}"
+            again = [*shortened(words), f"output={folder}/again"]
+            run(again)
+            for made_then, made_now in zip(evaluations_of(words), evaluations_of(again), strict=True):
+                if wrong := difference(known[made_then], read(made_now)):
+                    return f"{made_then}: {wrong}"
     write_record(name, record.model_copy(update={"verified": made}))
     return ""
+
+
+def read(folder: Path) -> DataFrame:
+    """Return the episodes of an evaluation that has just been written."""
+    rows = read_table(folder / "episodes.csv")
+    assert rows is not None, f"{folder} has no episodes"
+    return rows
 
 
 def shortened(words: Sequence[str]) -> list[str]:

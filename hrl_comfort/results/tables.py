@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown
-from hrl_comfort.benchmarks import entries, env, tops, train, update
+from hrl_comfort.benchmarks import entries, env, throughput, tops, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
@@ -92,34 +93,67 @@ def attacks(rows: pd.DataFrame) -> str:
     return markdown(["task", "people", "bound", *(head for head, *_ in columns.values())], lines)
 
 
-def of_names(names: str) -> list[entries.Entry]:
-    """Return the entries of the benchmark, `all` or those named, in the order of the names."""
-    found = entries.committed(entries.ENTRIES)
-    asked = list(found) if names == "all" else names.split()
-    if absent := set(asked) - set(found):
-        raise FileNotFoundError(f"{entries.ENTRIES} has no entry {', '.join(sorted(absent))}")
-    return [found[name] for name in asked]
+def folder_of(name: str, suite: str = "benchmark") -> Path:
+    """Return the folder of an entry; raise FileNotFoundError if it holds none."""
+    folder = REFERENCE / suite / name
+    if not [*folder.rglob(entries.FILE)]:
+        raise FileNotFoundError(f"{folder} has no entry")
+    return folder
 
 
-def by_shield(name: str) -> str:
-    """Return what the shield changes of an entry with several training seeds: with it less without it."""
-    return entries.differences(entries.ENTRIES / name, REFERENCE / "unshielded" / name, CONTACTS)
+def of_entries(*names: str) -> Callable[[str], str]:
+    """Return what makes a table of quantities of a part and entries: `kitting all`, or the part and their names."""
+
+    def make(asked: str) -> str:
+        part, *those = asked.split()
+        if those == ["all"]:
+            those = [name for name, each in entries.committed(entries.ENTRIES).items() if part in each["parts"]]
+        found = [entries.read_entry(folder_of(name)) for name in those]
+        if not found:
+            raise FileNotFoundError(f"{entries.ENTRIES} has no entry of {part}")
+        return entries.table(part, found, *([names] if names else []))
+
+    return make
 
 
-def of_entries(table: Callable[..., str]) -> Callable[[str], str]:
-    """Return what makes a table of the two entries that it is given the names of."""
-    return lambda names: table(*(entries.ENTRIES / name for name in names.split()))
+def without_shield(asked: str) -> str:
+    """Return contacts of a part of an entry without the shield."""
+    part, name = asked.split()
+    return entries.table(part, [entries.read_entry(folder_of(name, "unshielded"))], CONTACTS)
+
+
+def by_shield(asked: str) -> str:
+    """Return what the shield changes in a part of an entry with several training seeds: with it less without it."""
+    part, name = asked.split()
+    return entries.differences(part, folder_of(name), folder_of(name, "unshielded"), CONTACTS)
+
+
+def of_two(table: Callable[[str, Path, Path], str]) -> Callable[[str], str]:
+    """Return what makes a table of a part and the two entries that it is given the names of."""
+
+    def make(asked: str) -> str:
+        part, one, other = asked.split()
+        return table(part, folder_of(one), folder_of(other))
+
+    return make
+
+
+def beside_rivals(asked: str) -> str:
+    """Return what a part of an entry is worth at equal throughput: the part, the entry and its rivals."""
+    part, name, *rivals = asked.split()
+    return throughput.of_rivals(part, folder_of(name), [folder_of(rival) for rival in rivals])
 
 
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
-    "entries": lambda names: entries.table(of_names(names)),
-    "entries in brief": lambda names: entries.table(of_names(names), entries.HEADLINE),
-    "without shield": lambda name: entries.table([entries.read_entry(REFERENCE / "unshielded" / name)], CONTACTS),
+    "entries": of_entries(),
+    "entries in brief": of_entries(*entries.HEADLINE),
+    "without shield": without_shield,
     "with less without shield": by_shield,
-    "responses": of_entries(entries.responses),
-    "closed loop": of_entries(entries.at_same_throughput),
+    "responses": of_two(entries.responses),
+    "closed loop": of_two(throughput.of_a_told_robot),
+    "equal throughput": beside_rivals,
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),

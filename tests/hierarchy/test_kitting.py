@@ -72,6 +72,14 @@ def test_an_order_that_becomes_due_is_missed_once_and_another_is_open() -> None:
     assert torch.equal(renewed(just, torch.full_like(state.due, 25.0), KITTING).due, just.due)
 
 
+def test_orders_that_are_missed_are_counted_by_the_minute() -> None:
+    config = kitting("meta_controller=idle", "task.due_s=[1,3]", "task.max_episode_steps=250", "episodes=2")
+    for episode in rollout(config).episodes:
+        count = (episode.measures["orders_missed_per_min"] or 0.0) * 250 * 0.02 / 60
+        assert count == pytest.approx(round(count), abs=1e-3) and 6 <= count <= 30, "6 orders, each of 1 to 3 s"
+        assert episode.measures["avoidable_discomfort_per_min"] == episode.measures["objects_per_min"] == 0.0
+
+
 def test_people_who_stand_at_a_place_fetch_what_was_placed_there() -> None:
     state = made(kitting(), 1)[2]
     placed = torch.tensor([[True, True, False, False, False, False]])

@@ -285,6 +285,17 @@ def test_patience_grows_as_the_level_falls() -> None:
     assert not (top(made.decision(holding)) == wait).any()
 
 
+def test_idle_waits_wherever_it_can_and_else_goes_home() -> None:
+    made, top, state = executor(config("idle"))
+    asked, wait = made.decision(state), made.table.position("wait")
+    assert (top(asked) == wait).all()
+    away = torch.zeros_like(asked.mask)
+    away[:, retreat := made.table.position("retreat")] = True
+    assert (top(replace(asked, mask=away)) == retreat).all()
+    with pytest.raises(ConfigError, match=r"max_waits=3: meta_controller=idle always waits; choose null"):
+        executor(config("idle", "meta_controller.max_waits=3"))
+
+
 def test_a_termination_may_be_a_probability_and_is_drawn_by_episode_and_step() -> None:
     engine = Engine(environment(config("nearest")), 64, 0)
     state = engine.reset()

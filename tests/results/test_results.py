@@ -185,6 +185,13 @@ def test_a_verification_runs_the_first_batch_at_the_first_level(words: list[str]
     assert remake.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
 
 
+def test_the_benchmark_writes_an_evaluation_for_each_task_of_its_suite() -> None:
+    words = ["hrl-comfort", "benchmark", "policy=expert", "output=x"]
+    assert remake.evaluations_of(words) == [Path("x/kitting"), Path("x/shift")]
+    assert remake.evaluations_of([*words, "suite=[shift]"]) == [Path("x/shift")]
+    assert remake.evaluations_of(["hrl-comfort", "evaluate", "output=x"]) == [Path("x")]
+
+
 def test_looks_are_published_with_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = Entry(about="x", evaluate=["hrl-comfort evaluate policy=expert split=test output=a"], artefacts=["runs/a"])
     monkeypatch.setattr(looks, "manifest", lambda: {"entry": entry})

@@ -1,0 +1,98 @@
+"""Comparisons at equal throughput: an entry beside the best mix of others that does as much work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.analysis.intervals import Clusters
+from hrl_comfort.analysis.mixes import IDLE, WORK, Points, best_mix
+from hrl_comfort.analysis.tables import cell, markdown
+from hrl_comfort.benchmarks.entries import FILE, Entry, levels_in, of_seeds, pairs
+from hrl_comfort.config import ConfigError
+from hrl_comfort.files.documents import read_json
+
+X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_level_mean"
+BEYOND = "more work than any of them"
+
+
+def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
+    """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
+
+    The latter is the best mix of the levels of `fixed` with as much work, for each training seed.
+
+    Raises:
+      ConfigError: an entry is damaged, or the folders have no seed in common or other policies for it.
+    """
+    own, others = pairs(folder, fixed)
+    for told, untold in zip(own, others, strict=True):
+        if told.get("policies") != untold.get("policies"):
+            raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
+    told_points = [points(entry, part, PERSON)[None] for entry in own]
+    fixed_points = [[*points(entry, part, PERSON).values()] for entry in others]
+    line = cells(beside_mixes(told_points, fixed_points, max))
+    return markdown([WORK[part], "person's level, told", "the same, at fixed levels", "difference"], [line[:-1]])
+
+
+def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
+    """Return the avoidable discomfort of an entry less that of the best mix of rivals and an idle arm as productive.
+
+    There is a line a level. Numbers are over training seeds; rivals with training seeds are paired by them. Where a
+    seed does more work than every rival, no mix is as productive, and the line says so.
+
+    Raises:
+      ConfigError: an entry is damaged, lacks the part or the discomfort, or rivals have no training seed in common.
+    """
+    own, beside = of_seeds(folder), [of_each_seed(rival) for rival in rivals]
+    seeds = [seed for seed in sorted(own) if all(seed in each or None in each for each in beside)]
+    if not seeds:
+        raise ConfigError(f"{folder} has no training seed in common with its rivals")
+    mine = {seed: points(own[seed], part, Y) for seed in seeds}
+    theirs = {seed: [points(each.get(seed) or each[None], part, Y) for each in beside] for seed in seeds}
+    lines = []
+    for level in mine[seeds[0]]:
+        mixed = [[IDLE, *(each[level] for each in theirs[seed] if level in each)] for seed in seeds]
+        lines.append([str(level), *cells(beside_mixes([mine[seed][level] for seed in seeds], mixed, min))])
+    heads = ["avoidable discomfort, s a minute", "of the best mix of rivals", "difference", "difference, %"]
+    return markdown(["level", WORK[part], *heads], lines)
+
+
+def of_each_seed(folder: Path) -> dict[str | None, Entry]:
+    """Return the entries in a folder by training seed; under None the one of a policy that was not trained."""
+    if (folder / FILE).is_file():
+        return {None: read_json(folder / FILE, Entry)}
+    return dict(of_seeds(folder).items())
+
+
+def points(entry: Entry, part: str, quantity: str) -> dict[int | None, tuple[float, float]]:
+    """Return throughput and another quantity of an entry by level; raise ConfigError if it lacks the part or either."""
+    rows: list[Any] = levels_in(entry, part)
+    if not all(row.get(quantity) for row in rows):
+        raise ConfigError(f"the entry of {entry['policy']!r} has no {quantity}; measure it again")
+    return {row["level"]: (row[X]["mean"], row[quantity]["mean"]) for row in rows}
+
+
+def beside_mixes(
+    own: Points, others: Sequence[Points], best: Callable[[Iterable[float]], float]
+) -> NDArray[np.float64]:
+    """Return the throughput, the quantity, and that of the best mix of `others` as productive, of n seeds (n, 3).
+
+    The last is NaN where no mix does so much work.
+    """
+    mixed = (best_mix(points, x, best) for (x, _), points in zip(own, others, strict=True))
+    return np.array([(*point, math.nan if mix is None else mix) for point, mix in zip(own, mixed, strict=True)])
+
+
+def cells(rows: NDArray[np.float64]) -> list[str]:
+    """Return the cells of a line: means (n, 3) of `beside_mixes` over seeds, and the difference, also in %."""
+    runs, (work, own, mix) = Clusters.of_runs(len(rows)), rows.T
+    told = [cell(runs.estimate(each), digits=2) for each in (work, own)]
+    if beyond := int(np.isnan(mix).sum()):
+        return [*told, f"{BEYOND}: {beyond} of {len(rows)} seeds", "–", "–"]
+    share = cell(runs.estimate(own / mix - 1), 100) if (mix > 0).all() else "–"
+    return [*told, *(cell(runs.estimate(each), digits=2) for each in (mix, own - mix)), share]
