@@ -6,6 +6,7 @@ open, retreat. An object that has fallen is picked where it lies.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.policies.expert import NEAREST, Expert, Goal
-from hrl_comfort.policies.fitting import FIT_M, FIT_RAD, HOVER_M, SQUARE_M, Slot, angle_of, level_turns, slots
+from hrl_comfort.policies.expert import NEAREST, SAMPLES, WAIT_STEPS, Expert, Goal
+from hrl_comfort.policies.hand.beside import Beside, people_of
+from hrl_comfort.policies.hand.fitting import FIT_M, FIT_RAD, HOVER_M, SQUARE_M, Slot, angle_of, level_turns, slots
+from hrl_comfort.policies.hand.postures import GoalPostures
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m
 from hrl_comfort.tasks import State, Subtask
@@ -50,8 +53,13 @@ OPENED, EMPTY = 0.05, 0.98
 """Position up to which fingers are open, and from which they have closed on nothing."""
 NEARER = (1.0, 0.75, 0.5)
 """Parts of BACK_M and ABOVE_M that are tried for postures in front of an object and above its place."""
-GOALS = 3
-"""Postures for a goal; some may be blocked."""
+TOUCH_STEPS = 100.0
+"""Price of a certain touch in control steps behind the shield, where people step back from an arm that rests."""
+STANDING_M_S, STANDING_STEPS, IMPATIENCE = 0.2, 600.0, 0.5
+"""Speed below which people stand, price of waiting for them behind the shield, in control steps, and what is added for
+each control step of the episode: nobody knows when they leave, and the arm may pass them slowly."""
+WAITING, BODIES = 5, 6
+"""Where the price of waiting, and the capsules of people, are in the rows of `_people`."""
 STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
 """The vertical in the frame of a tool that points down."""
 
@@ -70,6 +78,8 @@ class GraspingExpert(Expert):
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         super().__init__(scene, config, subtask)
         self._grasps, self._scene = Grasps(scene), scene
+        self._goal_postures, self._beside = GoalPostures(scene, self._grasps), Beside(scene, config)
+        self._shielded = config.safety.kind != "none"
         shapes = [each.shape for each in config.cell.objects.values()]
         self._round, self._ball = ([each in kind for each in shapes] for kind in (ROUND, BALL))
         self._slots = slots(config.cell)
@@ -271,29 +281,70 @@ class GraspingExpert(Expert):
         return tuple(_rounded(side, ROUND_RAD))
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
-
-        Above a place, where many of them are out of reach, it is one unless there are to be `more`.
-        """
+        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
+        if more:
+            return self._postures(goal)
         kind, at = int(goal[1]), np.array(goal[2:5])
         slot = self._slots[kind]
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
-        home = self._here.home
-        found: list[Array] = []
+        home, found = self._here.home, np.empty((0, len(self._range)))
         for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
             if goal[0] == PICK:
                 turns = list(approaches(place, *goal[5:]))
-                found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
+                found = self._goal_postures.found(place, turns, home, NEAREST, back_m=part * BACK_M)
             else:
                 turns = level_turns(place, np.array(goal[5:]), slot, self._yaw(slot) if slot else 0.0)
-                found = self._grasps.found(place, turns, home, GOALS if more else 1, up_m=part * ABOVE_M)
-            if found:
-                break
-        else:
-            return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
-        found.sort(key=lambda posture: float(np.abs(posture - home).max()))
-        return np.array(found)[np.arange(NEAREST) % len(found)]
+                found = self._goal_postures.found(place, turns, home, NEAREST, up_m=part * ABOVE_M)
+            if len(found):
+                return found[np.arange(NEAREST) % len(found)]
+        return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
+
+    # ---- people ----------------------------------------------------------------------------------------
+
+    def _people(self, state: State, margin: Array, pace: Array) -> Array:
+        """Return people as `Expert._people`, the price of waiting, and capsules, which count in the place of axes."""
+        standing = (state.humans_vel.norm(dim=-1) < STANDING_M_S).all(dim=-1).numpy()
+        wait = np.full(len(standing), WAIT_STEPS)
+        if self._shielded:
+            wait = np.where(standing, STANDING_STEPS, WAIT_STEPS) + IMPATIENCE * state.steps.numpy()
+        return np.column_stack([super()._people(state, margin, pace), wait, people_of(state)])
+
+    def _wait(self, person: Array) -> float:
+        return float(person[WAITING])
+
+    def _price(self, state: State) -> Array:
+        return np.full(len(state.steps), TOUCH_STEPS) if self._shielded else super()._price(state)
+
+    def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
+        """See `Expert._weigh`; legs take longer where the shield slows the arm."""
+        steps, risk = super()._weigh(start, end, person, begun)
+        if not self._shielded:
+            return steps, risk
+        share = np.arange(1, SAMPLES + 1)[:, None] / SAMPLES
+        way = (end - start)[..., None, :]
+        legs = start[..., None, :] + share * way
+        velocity = np.broadcast_to(way / np.maximum(steps, 1.0)[..., None, None] / CONTROL_STEP_S, legs.shape)
+        when = np.asarray(begun)[..., None] + share[:, 0] * steps[..., None]
+        part = _of_rows(self._beside.passed, person, legs, when, velocity)
+        return steps * (1 / part).mean(axis=-1), risk
+
+    def _gap(self, postures: Array, when: Array, person: Array) -> Array:
+        """Return the least distance (..., S) m of `postures` (..., S, 6) to the capsules of people then."""
+        return _of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
+
+
+def _of_rows(function: Callable[..., Array], person: Array, postures: Array, when: Array, *more: Array) -> Array:
+    """Return `function` of `postures` (..., 6), `when` (...,) and `more` (..., 6) beside people.
+
+    They are `person` (D,), or (N, 1, D) where each of N rows has its own.
+    """
+    if person.ndim > 1:
+        each = zip(person[:, 0], postures, np.broadcast_to(when, postures.shape[:-1]), *more, strict=True)
+        return np.stack([_of_rows(function, *row) for row in each])
+    shape = postures.shape[:-1]
+    flat = [np.ascontiguousarray(each.reshape(-1, each.shape[-1])) for each in (postures, *more)]
+    return function(flat[0], np.broadcast_to(when, shape).ravel(), *flat[1:], person[BODIES:]).reshape(shape)
 
 
 def _axes(quaternion: Array) -> Array:
