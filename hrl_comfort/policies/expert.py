@@ -209,10 +209,18 @@ class Expert:
                     clear[way] &= self._clear(goal, safest, way)
                 goals = safest[clear[way] & (steps_on[way] < waiting[way])]
                 on, risk_on = self._weigh(ways[way], postures[goals], person, first_steps[way])
-                heappush(queue, (first[way] + min((on + price * risk_on).min(initial=np.inf), waiting[way]), choice))
+                onward = self._onward(ways[way], postures[goals], on + price * risk_on, waiting[way])
+                heappush(queue, (first[way] + onward, choice))
             elif self._cell.free(joints, targets[choice]):
                 return targets[choice]
         return self._cell.escape(joints)
+
+    def _onward(self, way: Array, goals: Array, cost: Array, waiting: float) -> float:
+        """Return what it costs to go on from `way` (6,): to the cheapest of `goals` (K, 6) at `cost` (K,), or to wait.
+
+        Legs that are not checked for the cell count as free.
+        """
+        return float(min(cost.min(initial=np.inf), waiting))
 
     def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
         """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps.

@@ -18,8 +18,8 @@ TRIED = np.array([1.0, 0.8, 0.6, 0.45, 0.3, 0.2])
 """Parts of the speed of a leg that are tried; beside people who are nearer, it is driven at the safe speed."""
 SLOWEST = 0.05
 """Least part of the speed of a leg."""
-FORESEEN_STEPS = 25.0
-"""Control steps for which people go on as they walk; then they count as standing there."""
+FORESEEN_STEPS = 12.0
+"""Control steps for which people go on as they walk; then they count as standing there. Many turn before long."""
 CAPSULE = 7
 """Numbers of a capsule in State.humans_body; its walk (2) m/s follows."""
 

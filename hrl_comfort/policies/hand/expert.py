@@ -329,6 +329,12 @@ class GraspingExpert(Expert):
         part = _of_rows(self._beside.passed, person, legs, when, velocity)
         return steps * (1 / part).mean(axis=-1), risk
 
+    def _onward(self, way: Array, goals: Array, cost: Array, waiting: float) -> float:
+        """See `Expert._onward`; every leg is checked, or the arm would go to and fro between ways that lead nowhere."""
+        order = [index for index in np.argsort(cost) if cost[index] < waiting]
+        free = (float(cost[index]) for index in order if self._cell.free(way, goals[index]))
+        return next(free, waiting)
+
     def _gap(self, postures: Array, when: Array, person: Array) -> Array:
         """Return the least distance (..., S) m of `postures` (..., S, 6) to the capsules of people then."""
         return _of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
