@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ SLOWEST = 0.05
 """Least part of the speed of a leg."""
 FORESEEN_STEPS = 12.0
 """Control steps for which people go on as they walk; then they count as standing there. Many turn before long."""
+WAITING, BODIES = 5, 6
+"""Where the price of waiting, and the capsules of people, are in the rows of people that the expert weighs."""
 CAPSULE = 7
 """Numbers of a capsule in State.humans_body; its walk (2) m/s follows."""
 
@@ -89,3 +93,16 @@ class Beside:
         rising = np.minimum(time, (most - speed) / safety.human_acceleration_m_s2)
         top = speed + safety.human_acceleration_m_s2 * rising
         return (speed + top) / 2 * rising + top * (time - rising)
+
+
+def of_rows(function: Callable[..., Array], person: Array, postures: Array, when: Array, *more: Array) -> Array:
+    """Return `function` of `postures` (..., 6), `when` (...,) and `more` (..., 6) beside people.
+
+    They are `person` (D,), as the expert weighs them, or (N, 1, D) where each of N rows has its own.
+    """
+    if person.ndim > 1:
+        each = zip(person[:, 0], postures, np.broadcast_to(when, postures.shape[:-1]), *more, strict=True)
+        return np.stack([of_rows(function, *row) for row in each])
+    shape = postures.shape[:-1]
+    flat = [np.ascontiguousarray(each.reshape(-1, each.shape[-1])) for each in (postures, *more)]
+    return function(flat[0], np.broadcast_to(when, shape).ravel(), *flat[1:], person[BODIES:]).reshape(shape)

@@ -6,7 +6,6 @@ open, retreat. An object that has fallen is picked where it lies.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +15,18 @@ from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.expert import NEAREST, SAMPLES, WAIT_STEPS, Expert, Goal
-from hrl_comfort.policies.hand.beside import Beside, people_of
-from hrl_comfort.policies.hand.fitting import FIT_M, FIT_RAD, HOVER_M, SQUARE_M, Slot, angle_of, level_turns, slots
+from hrl_comfort.policies.hand.beside import WAITING, Beside, of_rows, people_of
+from hrl_comfort.policies.hand.fitting import (
+    FIT_M,
+    FIT_RAD,
+    HOVER_M,
+    SQUARE_M,
+    Slot,
+    angle_of,
+    axes_of,
+    level_turns,
+    slots,
+)
 from hrl_comfort.policies.hand.postures import GoalPostures
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m
@@ -56,10 +65,7 @@ NEARER = (1.0, 0.75, 0.5)
 TOUCH_STEPS = 100.0
 """Price of a certain touch in control steps behind the shield, where people step back from an arm that rests."""
 STANDING_M_S, STANDING_STEPS, IMPATIENCE = 0.2, 600.0, 0.5
-"""Speed below which people stand, price of waiting for them behind the shield, in control steps, and what is added for
-each control step of the episode: nobody knows when they leave, and the arm may pass them slowly."""
-WAITING, BODIES = 5, 6
-"""Where the price of waiting, and the capsules of people, are in the rows of `_people`."""
+"""Speed below which people stand, price of waiting for them behind the shield, in steps, and its growth in each."""
 STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
 """The vertical in the frame of a tool that points down."""
 
@@ -126,7 +132,7 @@ class GraspingExpert(Expert):
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""
         kind = int(state.target_kind[row])
-        place, turn = self._grasp_point(obj, kind), _axes(state.tcp_quat[row].numpy())
+        place, turn = self._grasp_point(obj, kind), axes_of(state.tcp_quat[row].numpy())
         level, off = self._level(turn, state, row)
         ahead = turn.T @ (place - state.tcp_pos[row].numpy())
         lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
@@ -177,7 +183,7 @@ class GraspingExpert(Expert):
         target = int(state.target[row])
         if self._round[int(state.kinds[row, target])]:
             return None
-        axes = _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.objects_quat[row, target].numpy())
         level = np.abs(axes[2]).argsort()[:2]
         half = state.kind_sizes[row, int(state.kinds[row, target])].numpy()[level]
         square = np.ptp(half) < SQUARE_M
@@ -214,7 +220,7 @@ class GraspingExpert(Expert):
         _, turn = self._grasps.pose(state.joint_target[row].numpy())
         fit, down = np.eye(3), self._advance(-way[2])
         if (slot := self._slots[int(state.target_kind[row])]) is not None:
-            fit = slot.fit(_axes(state.objects_quat[row, int(state.target[row])].numpy()), self._yaw(slot))
+            fit = slot.fit(axes_of(state.objects_quat[row, int(state.target[row])].numpy()), self._yaw(slot))
             if np.hypot(*way[:2]) > FIT_M or angle_of(fit) > FIT_RAD:
                 down = min(down, -way[2] - HOVER_M)
         way[2] = -down
@@ -267,7 +273,7 @@ class GraspingExpert(Expert):
         target = int(state.target[row])
         if self._ball[int(state.kinds[row, target])]:
             return STRAIGHT_DOWN
-        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.tcp_quat[row].numpy()).T @ axes_of(state.objects_quat[row, target].numpy())
         index = int(np.abs(axes[2]).argmax())
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
@@ -276,7 +282,7 @@ class GraspingExpert(Expert):
         target, slot = int(state.target[row]), self._slots[int(state.target_kind[row])]
         if slot is None or slot.between is None:
             return ()
-        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.tcp_quat[row].numpy()).T @ axes_of(state.objects_quat[row, target].numpy())
         side = axes[:, 0 if np.abs(axes[2]).argmax() != 0 else 1]
         return tuple(_rounded(side, ROUND_RAD))
 
@@ -326,7 +332,7 @@ class GraspingExpert(Expert):
         legs = start[..., None, :] + share * way
         velocity = np.broadcast_to(way / np.maximum(steps, 1.0)[..., None, None] / CONTROL_STEP_S, legs.shape)
         when = np.asarray(begun)[..., None] + share[:, 0] * steps[..., None]
-        part = _of_rows(self._beside.passed, person, legs, when, velocity)
+        part = of_rows(self._beside.passed, person, legs, when, velocity)
         return steps * (1 / part).mean(axis=-1), risk
 
     def _onward(self, way: Array, goals: Array, cost: Array, waiting: float) -> float:
@@ -337,30 +343,7 @@ class GraspingExpert(Expert):
 
     def _gap(self, postures: Array, when: Array, person: Array) -> Array:
         """Return the least distance (..., S) m of `postures` (..., S, 6) to the capsules of people then."""
-        return _of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
-
-
-def _of_rows(function: Callable[..., Array], person: Array, postures: Array, when: Array, *more: Array) -> Array:
-    """Return `function` of `postures` (..., 6), `when` (...,) and `more` (..., 6) beside people.
-
-    They are `person` (D,), or (N, 1, D) where each of N rows has its own.
-    """
-    if person.ndim > 1:
-        each = zip(person[:, 0], postures, np.broadcast_to(when, postures.shape[:-1]), *more, strict=True)
-        return np.stack([_of_rows(function, *row) for row in each])
-    shape = postures.shape[:-1]
-    flat = [np.ascontiguousarray(each.reshape(-1, each.shape[-1])) for each in (postures, *more)]
-    return function(flat[0], np.broadcast_to(when, shape).ravel(), *flat[1:], person[BODIES:]).reshape(shape)
-
-
-def _axes(quaternion: Array) -> Array:
-    """Return the axes (3, 3) of a unit quaternion (4,), w first."""
-    w, x, y, z = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+        return of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
 
 
 def _rounded(values: Array, unit: float) -> Array:
