@@ -76,7 +76,7 @@ class _Known:
         self.upright = np.tile(home, (len(UPRIGHT_PANS_RAD), 1))
         self.upright[:, 0] = UPRIGHT_PANS_RAD
         self.postures: dict[tuple[tuple[float, ...], bool], Array] = {}
-        self.passages: dict[Goal, dict[int, NDArray[np.bool_]]] = {}
+        self.passages: dict[Goal, dict[tuple[int, int], bool]] = {}
 
 
 class Expert:
@@ -130,15 +130,15 @@ class Expert:
         joints = state.joint_target.numpy()
         goals = self._goals_of(state)
         margin, pace = self._margin_and_pace(state)
-        people = np.column_stack([*nearest_person(state), margin, pace])
-        price = RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit
+        people, price = self._people(state, margin, pace), self._price(state)
 
         nearest = np.stack([self._postures(goal)[:NEAREST] for goal in goals])
         steps, risk = self._weigh(joints[:, None], nearest, people[:, None])
         best = (steps + price[:, None] * risk).argmin(axis=1)
         target = nearest[np.arange(len(best)), best]
         for row, choice in enumerate(best):
-            if risk[row, choice] > NEGLIGIBLE or not self._cell.free(joints[row], target[row]):
+            slowed = steps[row, choice] > self._steps(joints[row], target[row], people[row]) + 1.0
+            if slowed or risk[row, choice] > NEGLIGIBLE or not self._cell.free(joints[row], target[row]):
                 target[row] = self._deliberate(joints[row], people[row], goals[row], price[row])
         move = target - joints
         largest = np.abs(move).max(axis=-1, keepdims=True)
@@ -163,6 +163,18 @@ class Expert:
         pace = comfortable_pace(state.level, self._comfort).clamp(min=SLOWEST)
         return torch.where(there, margin, 0.0).numpy(), torch.where(there, pace, 1.0).numpy()
 
+    def _people(self, state: State, margin: Array, pace: Array) -> Array:
+        """Return the people (N, 5) as `_weigh` takes them: x, y, yaw, and the margin and pace (N,) of the level."""
+        return np.column_stack([*nearest_person(state), margin, pace])
+
+    def _price(self, state: State) -> Array:
+        """Return the price (N,) of a certain collision in control steps."""
+        return np.asarray(RISK_STEPS + (LAST_RISK_STEPS - RISK_STEPS) * state.steps.numpy() / self._limit)
+
+    def _wait(self, person: Array) -> float:
+        """Return the price of waiting beside `person` (D,) in control steps."""
+        return WAIT_STEPS
+
     def _deliberate(self, joints: Array, person: Array, goal: Goal, price: float) -> Array:
         """Return the end (6,) of the first leg: a posture of the goal, or one on the way or to wait in."""
         postures = self._postures(goal, more=True)
@@ -178,13 +190,12 @@ class Expert:
         first = first_steps + price * first_risk
         steps_on = self._steps(ways[:, None], postures[safest], person)
         clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))  # from here, `direct` is the cost
-        clear[: len(self._here.upright)] &= self._clear(goal, safest)
         there = np.clip(first_steps + FORESIGHT_STEPS / 2, 1.0, FORESIGHT_STEPS)
         exposed = self._risk(ways[:, None], there[:, None], person)
-        waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed
+        waiting = self._wait(person) + steps_on.min(axis=1) + price * exposed
         least = first + np.minimum(np.where(clear, steps_on, np.inf).min(axis=1), waiting)
 
-        # Best first: a way counts as if the legs after it were safe, until it is the best and they are weighed.
+        # Best first: legs after a way count as free and safe, until it is the best and they are weighed.
         targets = np.concatenate([postures, ways])
         queue = [(cost, choice) for choice, cost in enumerate(np.concatenate([direct, least]))]
         heapify(queue)
@@ -194,12 +205,22 @@ class Expert:
             if choice in unweighed:
                 unweighed.remove(choice)
                 way = choice - len(postures)
+                if way < len(self._here.upright):
+                    clear[way] &= self._clear(goal, safest, way)
                 goals = safest[clear[way] & (steps_on[way] < waiting[way])]
                 on, risk_on = self._weigh(ways[way], postures[goals], person, first_steps[way])
-                heappush(queue, (first[way] + min((on + price * risk_on).min(initial=np.inf), waiting[way]), choice))
+                onward = self._onward(ways[way], postures[goals], on + price * risk_on, waiting[way])
+                heappush(queue, (first[way] + onward, choice))
             elif self._cell.free(joints, targets[choice]):
                 return targets[choice]
         return self._cell.escape(joints)
+
+    def _onward(self, way: Array, goals: Array, cost: Array, waiting: float) -> float:
+        """Return what it costs to go on from `way` (6,): to the cheapest of `goals` (K, 6) at `cost` (K,), or to wait.
+
+        Legs that are not checked for the cell count as free.
+        """
+        return float(min(cost.min(initial=np.inf), waiting))
 
     def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
         """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps.
@@ -218,17 +239,18 @@ class Expert:
 
     def _risk(self, postures: Array, when: Array, person: Array) -> Array:
         """Return the greatest chance (...,) that the person meets `postures` (..., S, 6) in `when` (..., S) steps."""
-        gap = self._gap(self._body.spheres(postures), person[..., None, None, :])
+        gap = self._gap(postures, when, person)
         gap = gap - CLEARANCE_M - person[..., 3, None] - self._drift * when
         z = np.maximum(gap, 0.0) / np.maximum(self._sigma * np.sqrt(when), 1e-6)
         # Within 10 % of the chance that Brownian motion has passed z standard deviations by then.
         return np.asarray((np.exp(-0.5 * z**2) / (1.0 + z)).max(axis=-1))
 
-    def _gap(self, spheres: Array, person: Array) -> Array:
-        """Return the least distance (...,) m of spheres (..., P, 3) to a person (..., 1, 5), whose x, y and yaw count.
+    def _gap(self, postures: Array, when: Array, person: Array) -> Array:
+        """Return the least distance (..., S) m of `postures` (..., S, 6) to a person, whose x, y and yaw count.
 
-        The person is a cylinder of the trunk's width between two swinging arms.
+        The person is a cylinder of the trunk's width between two swinging arms, wherever `when` (..., S) is.
         """
+        spheres, person = self._body.spheres(postures), person[..., None, None, :]
         x, y = spheres[..., 0] - person[..., 0], spheres[..., 1] - person[..., 1]
         cos, sin = np.cos(person[..., 2]), np.sin(person[..., 2])
         ahead, aside = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
@@ -284,10 +306,13 @@ class Expert:
             postures = np.concatenate([postures, turned[np.abs(turned[:, 0]) < UPRIGHT_PANS_RAD[-1]]])
         return postures
 
-    def _clear(self, goal: Goal, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (V, K): whether the leg from upright to each `chosen` (K,) of `_postures(goal, more=True)` is free."""
+    def _clear(self, goal: Goal, chosen: NDArray[np.int64], way: int) -> NDArray[np.bool_]:
+        """Return (K,) whether the leg from an upright way to each `chosen` (K,) of the goal's postures is free.
+
+        They are those of `_postures(goal, more=True)`.
+        """
         known, postures = self._here.passages.setdefault(goal, {}), self._postures(goal, more=True)
         for index in chosen:
-            if index not in known:
-                known[index] = np.array([self._cell.free(way, postures[index]) for way in self._here.upright])
-        return np.stack([known[index] for index in chosen], axis=1)
+            if (way, index) not in known:
+                known[way, index] = self._cell.free(self._here.upright[way], postures[index])
+        return np.array([known[way, index] for index in chosen])

@@ -19,7 +19,7 @@ from hrl_comfort.policies.draws import OF_POLICIES, uniform
 from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.external import SB3, Function, ObservationPolicy, from_function, from_sb3
 from hrl_comfort.policies.graph import NO_GRIPPER, ONNX, read_onnx
-from hrl_comfort.policies.grasping import GraspingExpert
+from hrl_comfort.policies.hand.expert import GraspingExpert
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.predictive_sampling import PredictiveSampling
 from hrl_comfort.policies.remembering import Remembering

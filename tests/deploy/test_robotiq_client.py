@@ -52,6 +52,19 @@ def test_the_fingers_follow_a_set_point_over_a_socket_and_a_grip_is_told() -> No
     assert server.values["SPE"] == 255 and server.values["FOR"] == round(255 * 20 / 215)
 
 
+@pytest.mark.parametrize("reads", range(len(ROUND)))
+def test_a_grip_is_told_with_the_position_where_the_fingers_hold(reads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = HandReading(46 / 255, Fingers.MOVE)
+    hand = connected(FakeRobotiq(lambda: state), monkeypatch)
+    assert settled(hand) == state
+    for _ in range(reads):
+        hand.read()
+    state = HandReading(105 / 255, Fingers.GRIP)
+    told = [hand.read() for _ in range(2 * len(ROUND))]
+    assert state in told
+    assert all(reading == state for reading in told if reading.fingers == Fingers.GRIP)
+
+
 def test_set_points_in_a_row_leave_room_for_questions(monkeypatch: pytest.MonkeyPatch) -> None:
     server = FakeRobotiq(still)
     hand = connected(server, monkeypatch)

@@ -115,7 +115,8 @@ def exhaustive(expert: Expert, joints: Array, person: Array, goal: Goal, price: 
     first_steps, first_risk = expert._weigh(joints, ways, person)
     steps_on, risk_on = expert._weigh(ways[:, None], postures[safest], person, first_steps[:, None])
     clear = np.tile(first_steps[:, None] > 1.0, (1, len(safest)))
-    clear[: len(expert._here.upright)] &= expert._clear(goal, safest)
+    for way in range(len(expert._here.upright)):
+        clear[way] &= expert._clear(goal, safest, way)
     onward = np.where(clear, steps_on + price * risk_on, np.inf).min(axis=1)
     exposed = expert._weigh(ways, ways, person, first_steps + FORESIGHT_STEPS / 2)[1]
     waiting = WAIT_STEPS + steps_on.min(axis=1) + price * exposed

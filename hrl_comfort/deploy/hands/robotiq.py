@@ -37,7 +37,8 @@ FAULTS = {
 class RobotiqHand:
     """A hand that has been activated; its fingers stay where they are until they are told.
 
-    There is one request at a time. `read` and `send` do not wait for its answer.
+    There is one request at a time. `read` and `send` do not wait for its answer. A grip is told once the position has
+    been asked for after it: the one asked for before is where the fingers were as they closed.
 
     Args:
       host: address of the robot's controller.
@@ -51,6 +52,7 @@ class RobotiqHand:
         self._where, self._pending, self._data, self._turn = f"{host}:{PORT}", "", "", 0
         self._told = self._asked = -1
         self._values = dict.fromkeys(ROUND, 0)
+        self._located = False
         self._since_s = 0.0
         try:
             self._socket = socket.create_connection((host, PORT), ANSWER_S)
@@ -85,6 +87,8 @@ class RobotiqHand:
             raise ConnectionError(f"the gripper has not answered {self._pending!r} for {age:.2g} s")
         values = self._values
         fingers = Fingers(values["OBJ"]) if values["OBJ"] in list(Fingers) else Fingers.MOVE
+        if fingers == Fingers.GRIP and not self._located:
+            fingers = Fingers.MOVE
         return HandReading(values["POS"] / MOST, fingers, self._trouble())
 
     def send(self, closed: float) -> None:
@@ -117,7 +121,10 @@ class RobotiqHand:
             self._request()
 
     def _request(self) -> None:
-        """Send a new set-point of the fingers, if there is one and the latest request was not for that, or ask on."""
+        """Ask where the fingers grip, send a new set-point unless the latest request did, or ask on."""
+        if self._values["OBJ"] == Fingers.GRIP and not self._located:
+            self._send("GET POS")
+            return
         if self._asked != self._told and not self._pending.startswith("SET"):
             self._send(f"SET POS {self._asked}")
             self._told = self._asked
@@ -161,6 +168,9 @@ class RobotiqHand:
             return False
         if kind == "GET":
             self._values[name] = self._number(words[1])
+            if name in ("OBJ", "POS"):
+                gripped = self._values["OBJ"] == Fingers.GRIP
+                self._located = gripped and (self._located or name == "POS")
         self._data = ""
         return True
 

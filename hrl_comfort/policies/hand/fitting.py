@@ -85,3 +85,13 @@ def about_vertical(angle: float) -> Array:
 def angle_of(turn: Array) -> float:
     """Return the angle of a turn (3, 3), rad."""
     return float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
+
+
+def axes_of(quaternion: Array) -> Array:
+    """Return the axes (3, 3) of a unit quaternion (4,), w first."""
+    w, x, y, z = quaternion
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip

@@ -14,8 +14,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
-from hrl_comfort.policies.expert import NEAREST, Expert, Goal
-from hrl_comfort.policies.fitting import FIT_M, FIT_RAD, HOVER_M, SQUARE_M, Slot, angle_of, level_turns, slots
+from hrl_comfort.policies.expert import NEAREST, SAMPLES, WAIT_STEPS, Expert, Goal
+from hrl_comfort.policies.hand.beside import WAITING, Beside, of_rows, people_of
+from hrl_comfort.policies.hand.fitting import (
+    FIT_M,
+    FIT_RAD,
+    HOVER_M,
+    SQUARE_M,
+    Slot,
+    angle_of,
+    axes_of,
+    level_turns,
+    slots,
+)
+from hrl_comfort.policies.hand.postures import GoalPostures
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m
 from hrl_comfort.tasks import State, Subtask
@@ -50,8 +62,10 @@ OPENED, EMPTY = 0.05, 0.98
 """Position up to which fingers are open, and from which they have closed on nothing."""
 NEARER = (1.0, 0.75, 0.5)
 """Parts of BACK_M and ABOVE_M that are tried for postures in front of an object and above its place."""
-GOALS = 3
-"""Postures for a goal; some may be blocked."""
+TOUCH_STEPS = 100.0
+"""Price of a certain touch in control steps behind the shield, where people step back from an arm that rests."""
+STANDING_M_S, STANDING_STEPS, IMPATIENCE = 0.2, 600.0, 0.5
+"""Speed below which people stand, price of waiting for them behind the shield, in steps, and its growth in each."""
 STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
 """The vertical in the frame of a tool that points down."""
 
@@ -70,6 +84,8 @@ class GraspingExpert(Expert):
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         super().__init__(scene, config, subtask)
         self._grasps, self._scene = Grasps(scene), scene
+        self._goal_postures, self._beside = GoalPostures(scene, self._grasps), Beside(scene, config)
+        self._shielded = config.safety.kind != "none"
         shapes = [each.shape for each in config.cell.objects.values()]
         self._round, self._ball = ([each in kind for each in shapes] for kind in (ROUND, BALL))
         self._slots = slots(config.cell)
@@ -116,7 +132,7 @@ class GraspingExpert(Expert):
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""
         kind = int(state.target_kind[row])
-        place, turn = self._grasp_point(obj, kind), _axes(state.tcp_quat[row].numpy())
+        place, turn = self._grasp_point(obj, kind), axes_of(state.tcp_quat[row].numpy())
         level, off = self._level(turn, state, row)
         ahead = turn.T @ (place - state.tcp_pos[row].numpy())
         lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
@@ -167,7 +183,7 @@ class GraspingExpert(Expert):
         target = int(state.target[row])
         if self._round[int(state.kinds[row, target])]:
             return None
-        axes = _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.objects_quat[row, target].numpy())
         level = np.abs(axes[2]).argsort()[:2]
         half = state.kind_sizes[row, int(state.kinds[row, target])].numpy()[level]
         square = np.ptp(half) < SQUARE_M
@@ -204,7 +220,7 @@ class GraspingExpert(Expert):
         _, turn = self._grasps.pose(state.joint_target[row].numpy())
         fit, down = np.eye(3), self._advance(-way[2])
         if (slot := self._slots[int(state.target_kind[row])]) is not None:
-            fit = slot.fit(_axes(state.objects_quat[row, int(state.target[row])].numpy()), self._yaw(slot))
+            fit = slot.fit(axes_of(state.objects_quat[row, int(state.target[row])].numpy()), self._yaw(slot))
             if np.hypot(*way[:2]) > FIT_M or angle_of(fit) > FIT_RAD:
                 down = min(down, -way[2] - HOVER_M)
         way[2] = -down
@@ -257,7 +273,7 @@ class GraspingExpert(Expert):
         target = int(state.target[row])
         if self._ball[int(state.kinds[row, target])]:
             return STRAIGHT_DOWN
-        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.tcp_quat[row].numpy()).T @ axes_of(state.objects_quat[row, target].numpy())
         index = int(np.abs(axes[2]).argmax())
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
 
@@ -266,44 +282,68 @@ class GraspingExpert(Expert):
         target, slot = int(state.target[row]), self._slots[int(state.target_kind[row])]
         if slot is None or slot.between is None:
             return ()
-        axes = _axes(state.tcp_quat[row].numpy()).T @ _axes(state.objects_quat[row, target].numpy())
+        axes = axes_of(state.tcp_quat[row].numpy()).T @ axes_of(state.objects_quat[row, target].numpy())
         side = axes[:, 0 if np.abs(axes[2]).argmax() != 0 else 1]
         return tuple(_rounded(side, ROUND_RAD))
 
     def _solve(self, goal: tuple[float, ...], more: bool) -> Array:
-        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand.
-
-        Above a place, where many of them are out of reach, it is one unless there are to be `more`.
-        """
+        """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
+        if more:
+            return self._postures(goal)
         kind, at = int(goal[1]), np.array(goal[2:5])
         slot = self._slots[kind]
         place = self._grasp_point(at, kind)
         self._grasps.stand(self._layout)
-        home = self._here.home
-        found: list[Array] = []
+        home, found = self._here.home, np.empty((0, len(self._range)))
         for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
             if goal[0] == PICK:
                 turns = list(approaches(place, *goal[5:]))
-                found = self._grasps.found(place, turns, home, GOALS, back_m=part * BACK_M)
+                found = self._goal_postures.found(place, turns, home, NEAREST, back_m=part * BACK_M)
             else:
                 turns = level_turns(place, np.array(goal[5:]), slot, self._yaw(slot) if slot else 0.0)
-                found = self._grasps.found(place, turns, home, GOALS if more else 1, up_m=part * ABOVE_M)
-            if found:
-                break
-        else:
-            return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
-        found.sort(key=lambda posture: float(np.abs(posture - home).max()))
-        return np.array(found)[np.arange(NEAREST) % len(found)]
+                found = self._goal_postures.found(place, turns, home, NEAREST, up_m=part * ABOVE_M)
+            if len(found):
+                return found[np.arange(NEAREST) % len(found)]
+        return np.tile(home, (NEAREST, 1))  # out of reach: nothing can be done, until time is up
 
+    # ---- people ----------------------------------------------------------------------------------------
 
-def _axes(quaternion: Array) -> Array:
-    """Return the axes (3, 3) of a unit quaternion (4,), w first."""
-    w, x, y, z = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    def _people(self, state: State, margin: Array, pace: Array) -> Array:
+        """Return people as `Expert._people`, the price of waiting, and capsules, which count in the place of axes."""
+        standing = (state.humans_vel.norm(dim=-1) < STANDING_M_S).all(dim=-1).numpy()
+        wait = np.full(len(standing), WAIT_STEPS)
+        if self._shielded:
+            wait = np.where(standing, STANDING_STEPS, WAIT_STEPS) + IMPATIENCE * state.steps.numpy()
+        return np.column_stack([super()._people(state, margin, pace), wait, people_of(state)])
+
+    def _wait(self, person: Array) -> float:
+        return float(person[WAITING])
+
+    def _price(self, state: State) -> Array:
+        return np.full(len(state.steps), TOUCH_STEPS) if self._shielded else super()._price(state)
+
+    def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
+        """See `Expert._weigh`; legs take longer where the shield slows the arm."""
+        steps, risk = super()._weigh(start, end, person, begun)
+        if not self._shielded:
+            return steps, risk
+        share = np.arange(1, SAMPLES + 1)[:, None] / SAMPLES
+        way = (end - start)[..., None, :]
+        legs = start[..., None, :] + share * way
+        velocity = np.broadcast_to(way / np.maximum(steps, 1.0)[..., None, None] / CONTROL_STEP_S, legs.shape)
+        when = np.asarray(begun)[..., None] + share[:, 0] * steps[..., None]
+        part = of_rows(self._beside.passed, person, legs, when, velocity)
+        return steps * (1 / part).mean(axis=-1), risk
+
+    def _onward(self, way: Array, goals: Array, cost: Array, waiting: float) -> float:
+        """See `Expert._onward`; every leg is checked, or the arm would go to and fro between ways that lead nowhere."""
+        order = [index for index in np.argsort(cost) if cost[index] < waiting]
+        free = (float(cost[index]) for index in order if self._cell.free(way, goals[index]))
+        return next(free, waiting)
+
+    def _gap(self, postures: Array, when: Array, person: Array) -> Array:
+        """Return the least distance (..., S) m of `postures` (..., S, 6) to the capsules of people then."""
+        return of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
 
 
 def _rounded(values: Array, unit: float) -> Array:

@@ -1,0 +1,87 @@
+"""The expert's goal postures grasp squarely at bounded cost; behind the shield it waits for nobody for ever."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_comfort.composition.compose import compose_environment
+from hrl_comfort.config import EnvConfig
+from hrl_comfort.policies.expert import NEAREST
+from hrl_comfort.policies.hand.expert import GraspingExpert
+from hrl_comfort.policies.hand.postures import DISTINCT_RAD, SEEDS, GoalPostures
+from hrl_comfort.safety.separation import Separation
+from hrl_comfort.scene.grippers import GRIPPERS
+from hrl_comfort.scene.workcell import scene_of
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.variation.grasps import BACK_M, CLEAR_M, CLOSE_M, TILTS_RAD, Grasps, approaches, rise_m
+
+SHIELDED = ("human=still", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
+BESIDE_OBJECT = ("human.spawns_m=[[0.61,0.43]]", "human.held_out=[]", "human.spawn=points", "human.spawn_jitter_m=0")
+
+
+def cell(*words: str) -> EnvConfig:
+    return compose_environment("train", ["cell=grasp", *words])
+
+
+@pytest.mark.parametrize("robot", ["ur3e", "ur5e", "ur10e"])
+@pytest.mark.parametrize("gripper", GRIPPERS)
+def test_goal_postures_are_distinct_and_lead_straight_to_a_grasp_with_level_pads(robot: str, gripper: str) -> None:
+    scene = scene_of(cell("task=pick", f"robot={robot}", f"gripper={gripper}"))
+    grasps = Grasps(scene)
+    postures, place = GoalPostures(scene, grasps), np.array([0.28, 0.20, 0.04 + rise_m(scene, 0)])
+    turns = list(approaches(place))
+    found = postures.found(place, turns, scene.home, NEAREST, back_m=BACK_M)
+    assert len(found) == NEAREST
+    assert all(np.abs(one - other).max() > DISTINCT_RAD for one, other in combinations(found, 2))
+    for posture in found:
+        at, axes = grasps.pose(posture)
+        assert place == pytest.approx(at + BACK_M * axes[:, 2], abs=2 * CLOSE_M + 0.01 * BACK_M)
+        assert abs(axes[2, 0]) < 0.02, "the line from pad to pad is level"
+        assert -axes[2, 2] > np.cos(TILTS_RAD[-1]) - 0.01
+        assert grasps.free(posture, away=True)
+        grasp = grasps.reach(posture, place, min(turns, key=lambda turn: float(np.linalg.norm(turn - axes))))
+        assert grasp is not None and grasps.free(grasp)
+
+
+def test_a_carried_object_keeps_clear_of_the_elbow_of_a_2f_85() -> None:
+    scene = scene_of(cell("task=place", "gripper=robotiq_2f85"))
+    grasps, arm = Grasps(scene), Separation(scene).arm
+    place = np.array([0.28, -0.20, 0.04 + rise_m(scene, 0)])
+    found = GoalPostures(scene, grasps).found(place, list(approaches(place)), scene.home, NEAREST, up_m=0.12)
+    hand, inner = (np.flatnonzero(each) for each in (arm.link == arm.joints - 1, arm.link <= 2))
+    share = np.linspace(0.0, 1.0, 20)
+    for posture in found:
+        first, second = arm.pose(posture[None]).ends[..., 0].transpose(2, 1, 0)
+        points = first[:, None] + share[:, None] * (second - first)[:, None]  # (C, 20, 3)
+        apart = np.linalg.norm(points[hand, None, :, None] - points[None, inner, None], axis=-1).min(axis=(2, 3))
+        assert (apart - arm.radius[hand, None] - arm.radius[inner]).min() > CLEAR_M / 2
+
+
+def test_a_plan_solves_inverse_kinematics_a_bounded_number_of_times_and_none_for_a_goal_that_is_known() -> None:
+    config = cell("task=pick", "human=none", "task.object=ball")
+    engine = Engine(config, 2, 0)
+    expert, state = GraspingExpert(engine.scene, config, engine.episodes.subtask), engine.reset()
+    expert.act(state)
+    solves, turns = expert._goal_postures.solves, 64
+    assert 0 < solves <= 2 * 2 * SEEDS * turns
+    for _ in range(3):
+        state = engine.step(expert.act(state).numpy()).state
+    assert expert._goal_postures.solves == solves
+
+
+def test_the_expert_passes_slowly_by_somebody_who_stands_beside_the_object_for_ever() -> None:
+    config = cell("task=pick", "task.object=ball", *SHIELDED, *BESIDE_OBJECT)
+    engine = Engine(config, 1, 0)
+    expert, state = GraspingExpert(engine.scene, config, engine.episodes.subtask), engine.reset()
+    assert torch.linalg.vector_norm(state.humans_pos[0, 0] - torch.tensor([0.61, 0.43])) < 0.05
+    for _ in range(config.task.max_episode_steps // config.task.action_repeat):
+        result = engine.step(expert.act(state).numpy())
+        state = result.state
+        assert not state.unsafe_contact.any()
+        if result.done.any():
+            break
+    assert result.success.all()
