@@ -25,4 +25,5 @@ class Key(ISeedSequence):
 
 def random_stream(first: int, second: int) -> np.random.Generator:
     """Return the generator of the stream of a key, two numbers below 2⁶⁴."""
-    return np.random.Generator(np.random.Philox(Key(first, second)))
+    key = Key(first, second)
+    return np.random.Generator(np.random.Philox(key))  # type: ignore[arg-type]  # numpy's stubs know SeedSequence alone
