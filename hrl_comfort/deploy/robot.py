@@ -154,7 +154,7 @@ class RobotEngine(Engine):
                 asked = np.append(asked / max(1.0, np.abs(asked).max() / APPROACH_SHARE), opened)
                 state = self._control_step(asked[None]).state
                 if bool(self.episodes.subtask.failure(state)):
-                    hit = [name for name in (*COLLISIONS, "unsafe_contact") if bool(getattr(state, name))]
+                    hit = [name for name in ("touching", *COLLISIONS, "unsafe_contact") if bool(getattr(state, name))]
                     raise StoppedError(f"on the way to the start: {hit[0].replace('_', ' ')}")
                 left_steps -= 1
                 if not left_steps:

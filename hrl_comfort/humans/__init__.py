@@ -207,6 +207,8 @@ def spawns_apart(
     Raises:
       ConfigError: no room was found for them.
     """
+    if len(people) == 1:
+        return first[None]
     others = [(person, KeepOut(keep_out.centres, person.keep_out_m)) for person in people[1:]]
     for apart_m in np.repeat(APART_M, SPAWN_ROUNDS):
         taken = [first]

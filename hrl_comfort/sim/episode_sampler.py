@@ -17,6 +17,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.objects import check_slots, turned
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts, unseen_left_out
 from hrl_comfort.sim.variation.layouts import Layout, Layouts
+from hrl_comfort.sim.variation.random_streams import random_stream
 from hrl_comfort.sim.variation.randomisation import draws
 from hrl_comfort.tasks import Start, Subtask
 
@@ -167,8 +168,7 @@ class EpisodeSampler:
                 noise = np.concatenate([noise, later.random((self.horizon - self._plain_horizon, humans.NOISE))])
         else:
             motion_id = int(self._evaluation.motion_id.take(row, mode="wrap"))
-            stream = np.random.Philox(key=np.array([motion_id, humans.MOTION_STREAM], dtype=np.uint64))
-            noise = np.random.Generator(stream).random((self.horizon, humans.NOISE))
+            noise = random_stream(motion_id, humans.MOTION_STREAM).random((self.horizon, humans.NOISE))
         others = [self.generator(row, episode, stream) for stream in self._streams]
         noise = np.stack([noise, *self._walks(row, episode, motion_id)], axis=1)
         levels = self.generator(row, episode, LEVEL_STREAM)
@@ -225,8 +225,7 @@ class EpisodeSampler:
         for index, stream in enumerate(self._streams, start=1):
             rng = self.generator(row, episode, stream + 1)
             if motion_id >= 0:
-                key = np.array([motion_id, humans.MOTION_STREAM + index], dtype=np.uint64)
-                rng = np.random.Generator(np.random.Philox(key=key))
+                rng = random_stream(motion_id, humans.MOTION_STREAM + index)
             yield rng.random((self.horizon, humans.NOISE))
 
     def _layout(self, row: int, rng: np.random.Generator) -> Layout:
@@ -279,7 +278,10 @@ class EpisodeSampler:
             own = np.array(cell.places[name].slots_m if count > 1 else [[0.0, 0.0]])
             slots[name] = own[rng.permutation(len(own))[:count]]
         jitter = task.object_jitter_m * rng.uniform(-1, 1, (count, 2))
-        offsets = np.stack([np.stack([slots[each.arrives_at], jitter], axis=1) for each in kinds], axis=1)
+        offsets = np.empty((count, len(kinds), 2, 2))
+        offsets[:, :, 1] = jitter[:, None]
+        for index, each in enumerate(kinds):
+            offsets[:, index, 0] = slots[each.arrives_at]
         random = task.object == RANDOM
         chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
         chosen[0] = kind
@@ -307,10 +309,10 @@ class EpisodeSampler:
 
     def generator(self, row: int, episode: int, stream: int = 0) -> np.random.Generator:
         """Return the generator of one stream of an episode's random numbers."""
-        key = [(self.seed << 32) + row, (stream << 48) + episode]
+        first = (self.seed << 32) + row
         if self._evaluation is not None:
-            key[0] = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
-        return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
+            first = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
+        return random_stream(first, (stream << 48) + episode)
 
     def _spawn_and_points(self, row: int, rng: np.random.Generator, layout: Layout) -> tuple[int, Array, Array]:
         human, task = self._config.human, self._config.task

@@ -217,11 +217,13 @@ def _stopped(
         return Crowd((walk,), limbs, ends), way
     touched = np.flatnonzero(gap <= 0.0)
     walk = begin_retreat(walk, touched)
-    stood = before.rows(touched)
-    gap = gap[touched]
-    share = share_walked(gaps(arm, now.pose.ends[..., touched], person, now.person[..., touched]).min(axis=0), gap)
+    room = gaps(arm, now.pose.ends[..., touched], person, now.person[..., touched]).min(axis=0)
+    share = share_walked(room, gap[touched])
     stops = np.flatnonzero(share < 1.0)
-    at, stood = touched[stops], stood.rows(stops)
+    if not len(stops):
+        return Crowd((walk,), limbs, ends), way
+    at = touched[stops]
+    stood = before.rows(at)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
     limbs[at] = limbs_of(scene, held)

@@ -72,10 +72,8 @@ class Rollout:
 
     def sense(self, bodies: Array, control: Array) -> Array:
         """See `Physics`. Readings are those before a step is integrated: other masses make no difference to them."""
-        sensed = self._threads.rollout(
-            self._scene.model, self._data, state_of(bodies), control[:, None], control_spec=CONTROL_SPEC
-        )[1]
-        return sensed[:, 0]
+        models = [self._scene.model] * len(control)
+        return self._rolled_out(models, state_of(bodies), np.ascontiguousarray(control[:, None]))[1][:, 0]
 
     def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """See `Physics`."""
@@ -99,16 +97,24 @@ class Rollout:
         models = [self._scene.model] * len(control)
         if self.models:
             models = self.models if rows is None else [self.models[row] for row in rows]
+        states, sensed = self._rolled_out(models, self._now[at], control)
+        self._now[at] = states[:, -1]
+        self._passed.append(states)
+        return sensed
+
+    def _rolled_out(self, models: list[mujoco.MjModel], begin: Array, control: Array) -> tuple[Array, Array]:
+        """Return states (r, T, nstate) and readings (r, T, nsensor) after T steps of `control` (r, T, ncontrol).
+
+        The cells, one of each of `models`, are in the states `begin` (r, nstate) before.
+        """
         n, steps = control.shape[:2]
         states, sensed = np.empty((n, steps, self._scene.nstate)), np.empty((n, steps, self._scene.model.nsensordata))
         # The checks of the shapes would take a sixth as long as one cell's physics.
         self._threads.rollout(
-            models, self._data, self._now[at], control, control_spec=CONTROL_SPEC, skip_checks=True, nstep=steps,
+            models, self._data, begin, control, control_spec=CONTROL_SPEC, skip_checks=True, nstep=steps,
             state=states, sensordata=sensed,
         )  # fmt: skip
-        self._now[at] = states[:, -1]
-        self._passed.append(states)
-        return sensed
+        return states, sensed
 
     def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
         """See `Physics`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,8 @@ class Plan:
             increment = self._hand.increments(joint_target, action)
         asked = increment / CONTROL_STEP_S
         times = state.steps.numpy()[:, None] + np.arange(self.steps)
-        arm = cache(partial(self._separation.arm.points, state.joint_pos.numpy(), state.joint_vel.numpy()))
+        joints_now = state.joint_pos.numpy(), state.joint_vel.numpy()
+        arm = cache(lambda: self._separation.arm.points(*joints_now))
         discs = self._sampler.keep_out(draw.points, draw.goals)
         tool = np.ascontiguousarray(state.tcp_pos.numpy()[:, :2])
         holds = self._subtask.object_at(ObjectAt.TOOL, state.stage).numpy()

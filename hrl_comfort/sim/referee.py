@@ -69,6 +69,8 @@ class Referee:
     @subtask.setter
     def subtask(self, subtask: Subtask) -> None:
         self._rules = Rules(subtask, self.weights)
+        comfort = self._config.comfort
+        self._limiting = replace(comfort, beta=0.0) if subtask.repeats else comfort
 
     def first(self, sensed: Array, planned: Planned, known: dict[str, Tensor]) -> State:
         """Return the state (r) in which episodes begin: from readings (r, nsensor), and fields that are drawn."""
@@ -104,8 +106,7 @@ class Referee:
 
     def max_episode_steps(self, level: Tensor) -> Tensor:
         """Return the time limits (N,) in control steps at levels (N,)."""
-        comfort = replace(self._config.comfort, beta=0.0) if self.subtask.repeats else self._config.comfort
-        return max_episode_steps(level, self._config.task.max_episode_steps, comfort)
+        return max_episode_steps(level, self._config.task.max_episode_steps, self._limiting)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs."""

@@ -17,7 +17,7 @@ from hrl_comfort.sim.step_result import tensors
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
-COLLISIONS = {"touching": "human", "table_collision": "table", "self_collision": "self"}
+COLLISIONS = {"table_collision": "table", "self_collision": "self"}
 """Field of State -> sensors whose contact it reports."""
 MEASURED = ("joint_pos", "joint_vel", "tcp_pos")
 
@@ -49,6 +49,7 @@ class Sensors:
         `known` are fields that are drawn, the joints at home (r, J) rad and the kinds of the objects (r, B) among them.
         """
         read = self._read(sensed[:, None], planned, known["joint_home"].numpy())
+        read["touching"] = self._felt(sensed[:, None], "human")
         if self._hand is not None:
             read |= self._hand.first(sensed[:, None], known["kinds"].numpy())
         fields = tensors({name: np.ascontiguousarray(value[:, 0]) for name, value in read.items()})

@@ -13,6 +13,7 @@ from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.safety.allowances import LARGEST_NOISE, MOST_LOST
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.variation.random_streams import random_stream
 from hrl_comfort.sim.variation.randomisation import Servos, Values, draws
 from hrl_comfort.sim.variation.tracker import Tracker
 
@@ -33,6 +34,12 @@ def actions(count: int, rows: int, seed: int = 0) -> np.ndarray:
 
 def values_of(world: np.ndarray, *overrides: str) -> Values:
     return Values(config(*overrides).randomise, world)
+
+
+@pytest.mark.parametrize("key", [(0, 0), (3, 5), (850_000 << 32, (42 << 48) + 7), (2**64 - 1, 2**64 - 1)])
+def test_a_random_stream_is_that_of_numpy_with_the_same_key(key: tuple[int, int]) -> None:
+    theirs = np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64)))
+    np.testing.assert_array_equal(random_stream(*key).random(9), theirs.random(9))
 
 
 @pytest.mark.parametrize("world", [(), SHIELDED])

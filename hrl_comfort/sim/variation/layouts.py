@@ -18,6 +18,7 @@ from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.workcell import Scene, tool_at
 from hrl_comfort.sim.variation.grasps import Grasps, rise_m
 from hrl_comfort.sim.variation.postures import Postures
+from hrl_comfort.sim.variation.random_streams import random_stream
 from hrl_comfort.tasks import Start
 
 Array = NDArray[np.float64]
@@ -127,8 +128,7 @@ class Layouts:
         if (split, number) in self._known:
             return self._known[split, number]
         vary = self._cell.vary
-        key = np.array([SPLITS.index(split), number], dtype=np.uint64)
-        rng = np.random.Generator(np.random.Philox(key=key))
+        rng = random_stream(SPLITS.index(split), number)
         for _ in range(ATTEMPTS):
             found = self._drawn(vary, number, rng)
             if found is not None:

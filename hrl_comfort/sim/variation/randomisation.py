@@ -35,6 +35,8 @@ def draws(config: RandomiseConfig, joints: int, rng: np.random.Generator) -> tup
     """
     readings, frames = READINGS if config.sensors else 0, FRAMES if config.tracker else 0
     numbers = rng.random(len(SINGLE) + 1 + 2 * joints)
+    if not readings and not frames:
+        return numbers, np.empty((0, 2 * joints)), np.empty((0, 3))
     noise = np.clip(rng.standard_normal((readings, 2 * joints)), -LARGEST_NOISE, LARGEST_NOISE)
     lost, offset = rng.random((frames, 1)), rng.standard_normal((frames, 2))
     length = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9)
