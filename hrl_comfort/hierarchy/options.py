@@ -24,8 +24,9 @@ NONE = -1
 
 
 class Termination(Enum):
-    """Ways in which an option ends: as its own termination says, in a failure of the task, cut short, or so that the top
-    may go on with it or choose another.
+    """Ways in which an option ends: as its own termination says, in a failure of the task, cut short, or interrupted.
+
+    Where it is interrupted, the top may go on with it or choose another.
     """
 
     SUCCESS = "success"
