@@ -136,7 +136,10 @@ def pooled(folder: Path) -> Entry:
         raise ConfigError(f"{folder}: two of its entries are of the same policies; give one for each training seed")
     count = f"{len(seeds)} seed" + "s" * (len(seeds) > 1)
     parts = {part: _over_seeds([entry["parts"][part] for entry in seeds]) for part in seeds[0]["parts"]}
-    return {"policy": f"{folder.name}, {count}", "changed": told[0][0], "parts": parts}
+    whole: Entry = {"policy": f"{folder.name}, {count}", "changed": told[0][0], "parts": parts}
+    if "top" in seeds[0]:
+        whole["top"] = seeds[0]["top"]
+    return whole
 
 
 def _over_seeds(seeds: Sequence[Sequence[Level]]) -> list[Level]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -69,9 +70,8 @@ def check(part: EvaluateConfig) -> None:
     for name, source in part.policies.items():
         if name != "meta_controller":
             check_steps(part, name, source)
-    engine = Engine(environment(part), 1, 0)
-    make_executor(part, None, engine, part.first_seed)
-    engine.close()
+    with closing(Engine(environment(part), 1, 0)) as engine:
+        make_executor(part, None, engine, part.first_seed)
 
 
 def check_steps(config: EvaluateConfig, name: str, source: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
     for told, untold in zip(own, others, strict=True):
         if told.get("policies") != untold.get("policies"):
             raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
-    told_points = [points(entry, part, PERSON)[None] for entry in own]
+    told_points = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
     fixed_points = [[*points(entry, part, PERSON).values()] for entry in others]
     line = cells(beside_mixes(told_points, fixed_points, max))
     return markdown([WORK[part], "person's level, told", "the same, at fixed levels", "difference"], [line[:-1]])
@@ -46,7 +46,8 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     seed does more work than every rival, no mix is as productive, and the line says so.
 
     Raises:
-      ConfigError: an entry is damaged, lacks the part or the discomfort, or rivals have no training seed in common.
+      ConfigError: an entry is damaged, lacks the part, a level or the discomfort, or rivals have no training seed in
+        common.
     """
     own, beside = of_seeds(folder), [of_each_seed(rival) for rival in rivals]
     seeds = [seed for seed in sorted(own) if all(seed in each or None in each for each in beside)]
@@ -56,8 +57,10 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     theirs = {seed: [points(each.get(seed) or each[None], part, Y) for each in beside] for seed in seeds}
     lines = []
     for level in mine[seeds[0]]:
-        mixed = [[IDLE, *(each[level] for each in theirs[seed] if level in each)] for seed in seeds]
-        lines.append([str(level), *cells(beside_mixes([mine[seed][level] for seed in seeds], mixed, min))])
+        mixed = [[IDLE, *(at_level(each, level, folder) for each in theirs[seed])] for seed in seeds]
+        lines.append(
+            [str(level), *cells(beside_mixes([at_level(mine[seed], level, folder) for seed in seeds], mixed, min))]
+        )
     heads = ["avoidable discomfort, s a minute", "of the best mix of rivals", "difference", "difference, %"]
     return markdown(["level", WORK[part], *heads], lines)
 
@@ -75,6 +78,15 @@ def points(entry: Entry, part: str, quantity: str) -> dict[int | None, tuple[flo
     if not all(row.get(quantity) for row in rows):
         raise ConfigError(f"the entry of {entry['policy']!r} has no {quantity}; measure it again")
     return {row["level"]: (row[X]["mean"], row[quantity]["mean"]) for row in rows}
+
+
+def at_level(found: Mapping[int | None, tuple[float, float]], level: int | None, folder: Path) -> tuple[float, float]:
+    """Return the point at a level of those `found`; raise ConfigError if it was not measured there."""
+    if level not in found:
+        there = ", ".join("of the person" if each is None else str(each) for each in found)
+        missing = "the person's own level" if level is None else f"level {level}"
+        raise ConfigError(f"{folder} and what it is compared with: {missing} was not measured, but {there}")
+    return found[level]
 
 
 def beside_mixes(

@@ -129,14 +129,14 @@ TIMED = ("target_distance", "target_distance_one_sided", "minimum_distance")
 def distance_term(distance: Tensor, level: Tensor, config: ComfortConfig, home: Tensor | None = None) -> Tensor:
     """Return F_conf1 (...,) at distance (...,) m and level (...,), by `config.form` and `config.threshold`.
 
-    With the distance `home` (...,) m of an arm at home, only what is lost by being nearer than that counts. TIMED forms
-    also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
+    With the distance `home` (...,) m of an arm at home, only what is lost by being nearer than that counts, never more
+    than 0. TIMED forms also cost time_penalty (C_l - 1) / (N_c - 1) a control step.
     """
     form, threshold, _ = forms(config)
     theta = threshold(level, config)
     term = form(distance, theta, config)
     if home is not None:
-        term = term - form(torch.maximum(distance, home), theta, config)
+        term = (term - form(torch.maximum(distance, home), theta, config)).clamp(max=0.0)
     return term - config.time_penalty * ease(level, config) if config.form in TIMED else term
 
 

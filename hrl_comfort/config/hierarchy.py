@@ -32,9 +32,6 @@ class MetaControllerConfig:
     `kitting`, the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
-    interruption_steps: Annotated[int, within(1, 100_000)] | None
-    """`sort`, `shift`, `kitting`: control steps after which a skill is interrupted (Sutton, Precup and Singh 1999), so
-    that the controller may go on with it or choose another option; null: never."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
     up. In `sort`, `shift` and `kitting` there is no limit."""

@@ -22,7 +22,7 @@ from hrl_comfort.tasks import State
 
 TERMINATIONS = tuple(Termination)
 """Meaning of the numbers in `EndedOptions.termination`."""
-_SUCCESS, _FAILURE, _PREEMPTED, _INTERRUPTED = range(len(TERMINATIONS))
+_SUCCESS, _FAILURE, _PREEMPTED = range(len(TERMINATIONS))
 CAUSES = tuple(Cause)
 """Meaning of the numbers in `EndedOptions.cause`."""
 
@@ -165,25 +165,21 @@ class OptionExecutor:
         back to an earlier stage (the object is lost) and where the episode is truncated.
         """
         state, begun = result.state, self._begun(result.state)
-        succeeded, late, lost, interrupted = (torch.zeros_like(self._preempted) for _ in range(4))
+        succeeded, late, lost = (torch.zeros_like(self._preempted) for _ in range(3))
         for index, option in enumerate(self.table.options):
             mine = self.table.option[self.option] == index
             succeeded |= mine & self._ends(index, state)
             lost |= mine & option.fallen_back(state, begun)
-            if option.interruption is not None:
-                interrupted |= mine & (begun.lasted >= option.interruption)
             if option.time_limit is not None:
                 limit = max_episode_steps(result.level, option.time_limit, self._episodes.config.comfort)
-                late |= mine & (begun.lasted + self._before(option.interruption) >= limit)
+                late |= mine & (begun.lasted >= limit)
         # The success of the whole episode is that of whichever option was running.
         succeeded = (succeeded & ~lost) | result.success
-        cut_short = result.done | late | lost
-        ended = succeeded | cut_short | result.failed | interrupted
-        termination = torch.full_like(self.option, _INTERRUPTED)
-        termination[cut_short] = _PREEMPTED
+        ended = succeeded | result.done | result.failed | late | lost
+        termination = torch.full_like(self.option, _PREEMPTED)
         termination[succeeded] = _SUCCESS
         termination[result.failed] = _FAILURE
-        self._preempted = ended & (termination != _SUCCESS) & (termination != _INTERRUPTED) & ~result.terminated
+        self._preempted = ended & (termination != _SUCCESS) & ~result.terminated
         given_up = torch.zeros_like(ended)
         if self.retries is not None:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
@@ -195,7 +191,6 @@ class OptionExecutor:
         failed, preempted = termination == _FAILURE, termination == _PREEMPTED
         holds = [(preempted, Cause.EPISODE_OVER), (preempted & late, Cause.TIME_LIMIT)]
         holds += [(preempted & lost, Cause.OBJECT_LOST), (failed, Cause.OTHER_FAILURE)]
-        holds += [(termination == _INTERRUPTED, Cause.INTERRUPTION)]
         if bool(failed.any()):
             names = reversed(self._episodes.subtask.failures)
             holds += [(failed & result.begun(name), OF_FAILURES.get(name, Cause.OTHER_FAILURE)) for name in names]
@@ -210,10 +205,6 @@ class OptionExecutor:
         kept = self._preempted[rows]
         yield
         self._preempted = self._preempted.index_copy(0, rows, kept)
-
-    def _before(self, interruption: int | None) -> Tensor:
-        """Return (N,) int64: control steps of the runs in a row before the one in force, of an interrupted option."""
-        return (self.attempt - 1).clamp(min=0) * (interruption or 0)
 
     def _begun(self, state: State) -> Begun:
         return Begun(self.stage, state.steps - self.started)

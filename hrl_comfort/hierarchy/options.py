@@ -24,15 +24,11 @@ NONE = -1
 
 
 class Termination(Enum):
-    """Ways in which an option ends: as its own termination says, in a failure of the task, cut short, or interrupted.
-
-    Where it is interrupted, the top may go on with it or choose another.
-    """
+    """Ways in which an option ends: as its own termination says, in a failure of the task, or cut short."""
 
     SUCCESS = "success"
     FAILURE = "failure"
     PREEMPTED = "preempted"
-    INTERRUPTED = "interrupted"
 
 
 class Cause(Enum):
@@ -49,7 +45,6 @@ class Cause(Enum):
     """Of a user's own task."""
     TIME_LIMIT = "time limit"
     """Its own, not that of the episode."""
-    INTERRUPTION = "interruption"
     EPISODE_OVER = "episode over"
 
 
@@ -113,9 +108,6 @@ class Option:
     and the policy sees stage 0."""
     time_limit: int | None = None
     """Control steps after which it is preempted; more where `comfort` lets an episode last longer. None: never."""
-    interruption: int | None = None
-    """Control steps after which the top decides whether it goes on; its time limit is over all runs in a row. None: it
-    is never interrupted."""
     max_runs: int | None = None
     """Times in a row that it can be chosen; None: any number."""
     recovers: bool = False
@@ -126,17 +118,10 @@ class Option:
         return state.stage < (begun.stage if self.stages is None else self.stages.start(begun.stage))
 
 
-def skill(
-    subtask: Subtask,
-    policy: Act,
-    time_limit: int | None,
-    first: int = 0,
-    round_stages: int = 0,
-    interruption: int | None = None,
-) -> Option:
+def skill(subtask: Subtask, policy: Act, time_limit: int | None, first: int = 0, round_stages: int = 0) -> Option:
     """Return the option that does a subtask, from stage `first` on of a longer task."""
     stages = Stages(first, first + len(subtask.stages), round_stages)
-    return Option(subtask.name, policy, stages.in_force, stages.done, stages, time_limit, interruption)
+    return Option(subtask.name, policy, stages.in_force, stages.done, stages, time_limit)
 
 
 def lasts(steps: int) -> Terminates:

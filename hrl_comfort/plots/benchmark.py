@@ -37,8 +37,8 @@ def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
             for axis, level in zip(row, levels, strict=False):
                 draw(axis, at_level(entries, part, level), looks)
                 axis.set(title=f"{part}, level {level}", xlabel="avoidable discomfort (s a minute)")
-                axis.set(xlim=(0, None), ylim=(0, None))
                 axis.margins(0.08)
+                axis.set(xlim=(0, None), ylim=(0, None))
             row[0].set(ylabel=WORK[part])
             for axis in row[len(levels) :]:
                 axis.remove()

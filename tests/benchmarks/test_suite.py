@@ -253,6 +253,11 @@ def test_an_entry_is_compared_with_the_best_mix_of_rivals_at_equal_throughput(tm
         throughput.of_rivals("shift", ours, [tmp_path / "seven"])
     with pytest.raises(ConfigError, match=r"the entry of '0' has no part kitting; it has shift"):
         throughput.of_rivals("kitting", ours, [scripted])
+    short = write_seeds(tmp_path / "short", [[8.0]]) / "0"
+    with pytest.raises(ConfigError, match=r"level 1 was not measured"):
+        throughput.of_rivals("shift", ours, [short])
+    with pytest.raises(ConfigError, match=r"the person's own level was not measured"):
+        throughput.of_a_told_robot("shift", ours, ours)
 
 
 def test_an_entry_without_avoidable_discomfort_is_not_compared(tmp_path: Path) -> None:

@@ -121,6 +121,13 @@ def test_what_an_arm_at_home_would_lose_costs_nothing() -> None:
     assert (fast == -config.time_penalty).all()
 
 
+@pytest.mark.parametrize("form", sorted(terms.FORMS))
+def test_being_nearer_than_an_arm_at_home_is_never_paid(form: str) -> None:
+    config = comfort(form=form, min_m=0.2, max_m=1.0, time_penalty=0.0)
+    arm = torch.linspace(0.05, 1.5, 30, dtype=torch.float64)
+    assert (terms.distance_term(arm, torch.full_like(arm, 6), config, 2 * arm) <= 0).all()
+
+
 def test_an_arm_that_rests_at_home_is_paid_no_discomfort_beside_a_person() -> None:
     words = ("human=still", "comfort=distance_and_speed", "comfort.source=fixed", "comfort.level=1", "task.start=ik")
     paid = {}

@@ -37,6 +37,7 @@ def test_goal_postures_are_distinct_and_lead_straight_to_a_grasp_with_level_pads
     found = postures.found(place, turns, scene.home, NEAREST, back_m=BACK_M)
     assert len(found) == NEAREST
     assert all(np.abs(one - other).max() > DISTINCT_RAD for one, other in combinations(found, 2))
+    assert len(found)
     for posture in found:
         at, axes = grasps.pose(posture)
         assert place == pytest.approx(at + BACK_M * axes[:, 2], abs=2 * CLOSE_M + 0.01 * BACK_M)
@@ -54,6 +55,7 @@ def test_a_carried_object_keeps_clear_of_the_elbow_of_a_2f_85() -> None:
     found = GoalPostures(scene, grasps).found(place, list(approaches(place)), scene.home, NEAREST, up_m=0.12)
     hand, inner = (np.flatnonzero(each) for each in (arm.link == arm.joints - 1, arm.link <= 2))
     share = np.linspace(0.0, 1.0, 20)
+    assert len(found)
     for posture in found:
         first, second = arm.pose(posture[None]).ends[..., 0].transpose(2, 1, 0)
         points = first[:, None] + share[:, None] * (second - first)[:, None]  # (C, 20, 3)

@@ -152,25 +152,6 @@ def test_an_options_time_grows_with_the_episodes_where_speed_counts(state: State
     assert given_up == {0: 100, 1: 20, 2: 10}
 
 
-def interrupted(after: int, limit: int) -> OptionTable:
-    parts = [(subtask(n), constant(v)) for n, v in (("pick", 0.1), ("place", 0.2), ("return", 0.3))]
-    return OptionTable([skill(part, act, limit, k, interruption=after) for k, (part, act) in enumerate(parts)])
-
-
-def test_an_interrupted_option_goes_on_if_it_is_chosen_again_and_its_time_runs_on(state: State) -> None:
-    results = [outcome(at(state, [k] * 3, [0] * 3), NO, NO, NO) for k in (5, 10, 15)]
-    _, steps = played(results, interrupted(after=5, limit=15))
-    row = [(r.attempt, r.termination, r.cause) for step in steps for r in step.runs if r.row == 0]
-    assert row == [
-        (1, "interrupted", "interruption"), (2, "interrupted", "interruption"), (3, "preempted", "time limit"),
-    ]  # fmt: skip
-
-
-def test_an_option_that_is_done_as_it_is_interrupted_succeeds(state: State) -> None:
-    _, steps = played([outcome(at(state, [5] * 3, [1, 0, 0]), NO, NO, NO)], interrupted(after=5, limit=15))
-    assert [r.termination for r in steps[0].runs] == ["success", "interrupted", "interrupted"]
-
-
 def test_a_finished_cycle_ends_with_success(state: State) -> None:
     yes = ~NO
     results = [outcome(at(state, [5 * stage] * 3, [stage] * 3), NO, NO, NO) for stage in (1, 2)]

@@ -15,7 +15,6 @@ from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
-from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.learned import save_controller
 from hrl_comfort.hierarchy.observation import observation_dim
@@ -46,20 +45,6 @@ def rows(tmp_path: Path, *overrides: str) -> list[dict[str, str]]:
     folder = evaluate(shift(f"output='{tmp_path}'", *overrides))
     with (folder / "episodes.csv").open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def test_a_controller_may_choose_another_object_where_a_pick_is_interrupted() -> None:
-    asked = shift("human=none", "task.objects=2", "task.max_episode_steps=300", "meta_controller.interruption_steps=5")
-    engine = Engine(environment(asked), 1, 0)
-    executor, _ = make_executor(asked, None, engine, 0)
-    engine.reset()
-    picks = [executor.table.position(f"pick_{number}") for number in (1, 2)]
-    chosen = iter([picks[0], picks[1]])
-    steps = execute(engine, executor, Top("both", lambda decision: torch.tensor([next(chosen, picks[1])])))
-    runs = [run for _, step in zip(range(2), steps, strict=False) for run in step.runs]
-    assert [(run.option, run.termination) for run in runs[:2]] == [(f"pick_{k}", "interrupted") for k in (1, 2)]
-    assert engine.episodes.state is not None and engine.episodes.state.target.tolist() == [1]
-    engine.close()
 
 
 def test_a_shift_lasts_its_time_and_objects_of_both_kinds_keep_arriving() -> None:
