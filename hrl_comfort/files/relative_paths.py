@@ -50,7 +50,8 @@ def resolved(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     def change(path: str) -> str:
         if os.path.isabs(path):
             return path
-        joined = os.path.join(folder, os.path.relpath(path, origin))
+        # `relpath` leaves out a way down into the working directory, where the run folder may not be.
+        joined = os.path.join(folder, path if origin == "." else os.path.relpath(path, origin))
         tidy = os.path.normpath(joined)
         return tidy if _real(tidy) == _real(joined) else joined
 
