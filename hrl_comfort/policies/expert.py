@@ -225,7 +225,7 @@ class Expert:
     def _weigh(self, start: Array, end: Array, person: Array, begun: Array | float = 0.0) -> tuple[Array, Array]:
         """Return control steps and collision chance (...,) of straight legs that begin in `begun` steps.
 
-        `person` (..., 5) is their x, y, yaw, and the margin and pace that the level asks for.
+        `person` (..., D) are rows of `_people`.
         """
         steps = self._steps(start, end, person)
         share = np.arange(1, SAMPLES + 1) / SAMPLES

@@ -153,6 +153,16 @@ def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
             publish()
 
 
+def test_a_result_is_made_anew_by_a_module_that_would_go_on_with_what_is_there(checkout: Path) -> None:
+    code = "import sys\nopen(sys.argv[1], 'a').write('2\\n')\n"
+    (checkout / "goes_on.py").write_text(code, encoding="utf-8")
+    commit(checkout)
+    entry = MADE.model_copy(update={"draw": ["python -m goes_on runs/made.csv"]})
+    remake.remake("made", entry, train=False, jobs=1)
+    assert (checkout / "runs" / "made.csv").read_text(encoding="utf-8") == "2\n"
+    assert record.read_record("made") is not None
+
+
 def test_a_command_that_fails_publishes_nothing(checkout: Path) -> None:
     with pytest.raises(ConfigError, match="python -m nothing failed"):
         remake.remake("made", MADE, train=False, jobs=1)

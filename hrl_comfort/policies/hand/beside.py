@@ -1,4 +1,4 @@
-"""How fast the shield lets an arm go beside people, foreseen for the legs of a plan."""
+"""Speeds that the shield leaves an arm beside people, foreseen for the legs of a plan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SLOWEST = 0.05
 FORESEEN_STEPS = 12.0
 """Control steps for which people go on as they walk; then they count as standing there. Many turn before long."""
 WAITING, BODIES = 5, 6
-"""Where the price of waiting, and the capsules of people, are in the rows of people that the expert weighs."""
+"""Columns of the price of waiting, and of the first capsule, in the rows of people that the expert weighs."""
 CAPSULE = 7
 """Numbers of a capsule in State.humans_body; its walk (2) m/s follows."""
 
@@ -45,10 +45,10 @@ class Beside:
         rating = RATINGS.get(config.robot.name, {}).get(config.robot.rating)
         self._acceleration = np.array(rating.acceleration_rad_s2) if rating else np.full(self._arm.joints, np.inf)
 
-    def gaps(self, postures: Array, when: Array, people: Array) -> tuple[Array, Array]:
-        """Return the ends (3, C, 2, n) m of the arm's capsules, and their distances (C, n) m from `people` (Q * 9,).
+    def gaps(self, postures: Array, when: Array, people: Array) -> tuple[list[Array], Array]:
+        """Return what `kernels.speeds` takes of the arm's pose, and distances (C, n) m of its capsules from people.
 
-        The arm is in `postures` (n, J) in `when` (n,) control steps.
+        `people` (Q * 9,) are as of `people_of`; the arm is in `postures` (n, J) rad in `when` (n,) control steps.
         """
         capsules = people.reshape(-1, CAPSULE + 2)
         ahead = np.minimum(when, FORESEEN_STEPS) * CONTROL_STEP_S
