@@ -42,8 +42,6 @@ class GoalPostures:
         places, turns = self._arm.tool_pose(library)
         down = turns[:, 2, 2] < -DOWNWARD
         self._library, self._places, self._turns = library[down], places[down], turns[down]
-        self.solves = 0
-        """Problems of inverse kinematics solved so far."""
 
     def found(
         self, place: Array, turns: Sequence[Array], home: Array, count: int, back_m: float = 0.0, up_m: float = 0.0
@@ -79,7 +77,6 @@ class GoalPostures:
         (Wampler, IEEE Trans. Systems, Man, and Cybernetics 16(1), 1986, 10.1109/TSMC.1986.289285).
         """
         joints = joints.copy()
-        self.solves += len(joints)
         if not len(joints):
             return joints, np.zeros(0, dtype=bool)
         for _ in range(ITERATIONS):
