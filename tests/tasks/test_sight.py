@@ -149,3 +149,15 @@ def test_clearance_is_one_at_a_touch_points_there_and_ends_where_nothing_is_near
     torch.testing.assert_close(near[:, 0], down)
     torch.testing.assert_close(near[:, 1].norm(dim=-1), torch.full((24,), 0.5, dtype=near.dtype))
     assert (near[:, 1, 2].abs() < 1e-6).all() and not near[:, 2].any()
+
+
+@pytest.mark.parametrize("below", [-1e-9, 0.0, 0.3])
+def test_at_a_top_and_below_it_the_way_out_is_up(below: float) -> None:
+    task, state = seen()
+    top = torch.zeros(24, 1, state.tops.shape[-1], dtype=state.tops.dtype)
+    top[..., 3:5] = 0.5
+    end = torch.tensor([0.0, 0.0, -below], dtype=top.dtype).expand(24, 1, 3)
+    arm = torch.cat([end, end, torch.full_like(end[..., :1], 0.05)], dim=-1)
+    near = task.observations["clearances"](state.with_(tops=top, arm_body=arm)).reshape(24, 3)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=near.dtype).expand(24, 3)
+    torch.testing.assert_close(near / near.norm(dim=-1, keepdim=True), up)

@@ -29,6 +29,8 @@ NEAR_M, ALONG = 0.3, 5
 """Distance from which on nothing is near a part of the arm, and points along the part that are measured."""
 AWAY_M = 100.0
 """Largest coordinate, m, and speed, m/s, that is reckoned with; nobody is farther away."""
+LEAST_M = 1e-9
+"""Length of the vector to a top from a point on it; no vector is shorter."""
 
 
 def turned(state: State, vectors: Tensor) -> Tensor:
@@ -96,7 +98,8 @@ def clearances(state: State) -> Tensor:
     points = arm[:, :, None, :3] + shares * (arm[:, :, None, 3:6] - arm[:, :, None, :3])
     vector = to_tops(points.flatten(1, 2), state.tops)
     # Below a top the way out is up, which this least rise says where the vector is 0.
-    vector = torch.cat([vector[..., :2], vector[..., 2:].clamp(max=0.0) + 1e-9], dim=-1)
+    rise = vector[..., 2:].clamp(max=0.0)
+    vector = torch.cat([vector[..., :2], torch.where(rise > -2 * LEAST_M, LEAST_M, rise + LEAST_M)], dim=-1)
     vector = vector.unflatten(1, (arm.shape[1], ALONG)).flatten(2, 3)
     length = vector_norm(vector, dim=-1)
     apart, nearest = length.min(dim=-1)
