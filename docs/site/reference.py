@@ -99,13 +99,13 @@ def metrics() -> str:
         "`group_by`. Each metric has `mean` and `ci95`; one without a value is absent.",
         _two("metric", COLUMNS["summary"], "over"),
         "## Figures",
-        "The JSON file beside a figure. `levels`, `speed` and `plane` have these three times: for `all`, `seen` and "
-        "`unseen` spawn points. Changes are computed within each training seed or spawn point.",
+        "The JSON file beside a figure. `levels`, `speed` and `plane` repeat these keys for `all`, `seen` and `unseen` "
+        "spawn points. Changes are computed within each training seed or spawn point.",
         _two("key", COLUMNS["figures"]),
         "## Intervals",
         "`ci95` is a 95 % interval, in every file, table and figure. With two or more training seeds it is Student's t "
-        "over the seeds' own numbers: it is about the method. With one training seed or none it is the percentile "
-        "bootstrap over spawn points (2,000 resamples, fixed seed): it is about that policy. It is null where fewer "
+        "over each seed's mean: it describes the method. With one training seed or none it is the percentile "
+        "bootstrap over spawn points (2,000 resamples, fixed seed): it describes that policy. It is null where fewer "
         "than two seeds or spawn points are there, or where all agree.",
     ]
     return _linked(parts)

@@ -89,7 +89,7 @@ HEADLINE = (
     "unsafe_contacts_per_h",
 )  # fmt: skip
 """Quantities of the short table."""
-ANSWERS = ("arm_distance_mean_m", "tool_speed_beside_m_s", "objects_per_min")
+ANSWERS = ("arm_distance_mean_m", "excess_closeness_mean_m", "tool_speed_beside_m_s", "objects_per_min")
 """Quantities that a level is meant to change."""
 
 
@@ -206,30 +206,24 @@ def name_of(entry: Entry) -> str:
     return entry["policy"] + "*" * bool(entry["changed"])
 
 
-def responses(part: str, folder: Path, off: Path) -> str:
-    """Return what levels change, in %, over training seeds: the first against the last, and each against comfort off.
+def responses(part: str, folder: Path) -> str:
+    """Return the quantities that levels are meant to change, at each level, and the first level's change to the last.
 
-    Each seed of `folder` is compared with that of `off`, at the same level.
+    Numbers are over training seeds; the change is of each seed, in %, and left out where a first value is not positive.
 
     Raises:
-      ConfigError: an entry is damaged or lacks the part, or the folders have no seed or not the same levels in common.
+      ConfigError: an entry is damaged or lacks the part, or the seeds' levels differ.
     """
-    mine, others = ([levels_in(entry, part) for entry in each] for each in pairs(folder, off))
-    runs = Clusters.of_runs(len(mine))
-    ends = [mine[0][at]["level"] for at in (0, -1)]
-    if any([levels[at]["level"] for at in (0, -1)] != ends for levels in (*mine, *others)):
-        raise ConfigError(f"{folder} and {off}: their entries must be of the same levels")
-    lines = []
+    seeds, lines = [levels_in(entry, part) for entry in of_seeds(folder).values()], []
+    runs, levels = Clusters.of_runs(len(seeds)), [at["level"] for at in seeds[0]]
+    if any([at["level"] for at in seed] != levels for seed in seeds):
+        raise ConfigError(f"{folder}: its entries must be of the same levels")
     for name in ANSWERS:
-        shown, line, owns = quantity(name, part), [], []
-        for at in (0, -1):
-            own, without = means(mine, name, at), means(others, name, at)
-            line += [cell(runs.estimate(each), shown.scale, shown.digits) for each in (own, without)]
-            line.append(cell(runs.estimate(own / without - 1), 100))
-            owns.append(own)
-        lines.append([shown.label, *line, cell(runs.estimate(owns[1] / owns[0] - 1), 100)])
-    heads = [head for level in ends for head in (f"level {level}", f"comfort off, {level}", "change, %")]
-    return markdown(["", *heads, f"level {ends[0]} to {ends[1]}, %"], lines)
+        shown, values = quantity(name, part), [means(seeds, name, at) for at in range(len(levels))]
+        first, last = values[0], values[-1]
+        change = cell(runs.estimate(last / first - 1), 100) if (first > 0).all() else "–"
+        lines.append([shown.label, *(cell(runs.estimate(each), shown.scale, shown.digits) for each in values), change])
+    return markdown(["", *(f"level {level}" for level in levels), f"level {levels[0]} to {levels[-1]}, %"], lines)
 
 
 def differences(part: str, folder: Path, other: Path, names: Sequence[str] = tuple(QUANTITIES)) -> str:

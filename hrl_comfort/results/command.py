@@ -26,7 +26,9 @@ def results(config: ResultsConfig) -> None:
             remake(name, each, config.train, config.jobs)
         for line in looks.merge():
             print(line)
-    for name, each in chosen("verify", config.verify, lambda name, each: bool(each.evaluate and read_record(name))):
+    for name, each in chosen(
+        "verify", config.verify, lambda name, each: bool(each.keeps_episodes() and read_record(name))
+    ):
         wrong = verify(name, each)
         if wrong:
             raise ConfigError(f"verify={name}: {wrong}")

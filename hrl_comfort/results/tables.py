@@ -138,6 +138,12 @@ def of_two(table: Callable[[str, Path, Path], str]) -> Callable[[str], str]:
     return make
 
 
+def responses(asked: str) -> str:
+    """Return what levels change in a part of an entry with training seeds: the part, and the entry."""
+    part, name = asked.split()
+    return entries.responses(part, folder_of(name))
+
+
 def beside_rivals(asked: str) -> str:
     """Return what a part of an entry is worth at equal throughput: the part, the entry and its rivals."""
     part, name, *rivals = asked.split()
@@ -151,7 +157,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "entries in brief": of_entries(*entries.HEADLINE),
     "without shield": without_shield,
     "with less without shield": by_shield,
-    "responses": of_two(entries.responses),
+    "responses": responses,
     "closed loop": of_two(throughput.of_a_told_robot),
     "equal throughput": beside_rivals,
     "bench env": of_rows(env.table),

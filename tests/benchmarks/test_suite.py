@@ -213,12 +213,12 @@ def test_entries_are_compared_level_by_level_and_seed_by_seed(tmp_path: Path) ->
     assert first[-1] == "1.00" and last[-1] == "-2.00"
 
 
-def test_levels_are_compared_with_each_other_and_with_comfort_off_seed_by_seed(tmp_path: Path) -> None:
+def test_levels_are_compared_with_each_other_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
-    off = write_seeds(tmp_path / "off", [[8.0, 4.0], [10.0, 5.0], [99.0, 99.0]])
-    *_, row = cells_of(entries.responses("shift", ours, off))
-    assert row == ["objects a minute", "4.50 [-1.85, 10.85]", "9.00 [-3.71, 21.71]", "-50.0",
-                     "11.25 [-4.63, 27.13]", "4.50 [-1.85, 10.85]", "150.0", "150.0"]  # fmt: skip
+    *_, row = cells_of(entries.responses("shift", ours))
+    assert row == ["objects a minute", "4.50 [-1.85, 10.85]", "11.25 [-4.63, 27.13]", "150.0"]
+    still = write_seeds(tmp_path / "still", [[0.0, 10.0], [5.0, 12.5]])
+    assert cells_of(entries.responses("shift", still))[-1][-1] == "–"
 
 
 def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput(tmp_path: Path) -> None:
