@@ -227,7 +227,7 @@ def test_handover_lets_a_place_begin_with_what_the_hand_of_the_pick_holds(
 
 def test_a_policy_that_was_trained_without_a_hand_says_so() -> None:
     trained = str(Path(__file__).parents[2] / "runs" / "reference" / "comfort_shift" / "levels0" / "pick")
-    config = compose_environment("evaluate", [f"policy={trained}", "gripper=two_finger"])
+    config = compose_environment("evaluate", [f"policy={trained}", "gripper=two_finger", "safety.clearance_m=null"])
     assert config.robot.gripper.name == "two_finger"
     engine = Engine(config, 1, 0)
     with pytest.raises(ConfigError, match="was trained with gripper=none; choose that"):
