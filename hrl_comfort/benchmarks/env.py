@@ -29,7 +29,7 @@ _SHIELDED = (
 )  # fmt: skip
 WORLDS = {
     "shielded": ("task=cycle", *_SHIELDED, "task.observation=sight"),
-    "shift": ("task=shift", *_SHIELDED, "comfort=distance_and_speed", "task.observation=proximity"),
+    "shift": ("task=shift", *_SHIELDED, "comfort=distance_and_speed", "task.observation=sight"),
 }
 """World beside the one that is configured -> what configures it."""
 COLUMNS = ("world", "num_envs", "loop", "round", "policy_steps_per_s")

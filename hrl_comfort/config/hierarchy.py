@@ -13,8 +13,8 @@ RULES = ("nearest", "free", "due", "cautious", "patient")
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
-META_OBSERVATIONS = ("default", "proximity", "jobs")
-OBSERVED = {"default": (18, 9), "proximity": (15, 9), "jobs": (15, 12)}
+META_OBSERVATIONS = ("default", "jobs")
+OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
 
 
@@ -88,7 +88,7 @@ class MetaControllerAgentConfig:
     own: dict[str, Any]
     """Keys that only this learner has."""
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
-    """The person in the observation: position and facing (`default`), or nearness to the tool (`proximity`, `jobs`).
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`jobs`).
     All have the person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for
     the person nearest to each, and the time until each order is due."""
     options: Annotated[int, within(1, 1e9)]

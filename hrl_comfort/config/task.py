@@ -10,7 +10,7 @@ from pydantic import Field
 from hrl_comfort.config.cell import CellConfig
 from hrl_comfort.config.checks import XYZ, ConfigError, choice, one_of, within
 
-OBSERVATIONS = ("default", "proximity", "set_points", "sight", "paper")
+OBSERVATIONS = ("default", "set_points", "sight", "paper")
 SORTING = ("sort", "shift", "kitting")
 """Tasks of several objects."""
 RANDOM = "random"

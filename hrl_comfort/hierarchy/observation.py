@@ -6,18 +6,19 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
+from hrl_comfort.comfort.trajectory import PERSONAL_M
 from hrl_comfort.config import SORTING, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, one_of
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS, OBSERVED
 from hrl_comfort.hierarchy.jobs import jobs_of
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.observations.standard import human, joint_error, nearness, seen_nearest, tool
+from hrl_comfort.tasks.observations.standard import human, joint_error, seen_nearest, tool
 from hrl_comfort.tasks.subtask import StateFunction
 
 ROUND = len(CYCLE.stages)
 """Stages of one object's round: pick, place, return."""
-OF_TASK = implemented(SORTING, {"sort": "default", "shift": "proximity", "kitting": "jobs"})
+OF_TASK = implemented(SORTING, {"sort": "default", "shift": "jobs", "kitting": "jobs"})
 """Layout of the observation that `observer` takes by default, by task."""
 SOON_S = 20.0
 """Time until an order is due that is seen as 1, the largest."""
@@ -33,10 +34,10 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     """Return (N, observation_dim(layout, B)).
 
     The person seen nearest to the tool (2) and their facing direction (2, zero where their position is
-    clipped) or, with the layout `proximity`, their nearness to the tool (1); tool (3), joints from home (6), stage of
-    the round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the
-    person's distance from both (2), whether it is placed and whether it is the target (2). With the layout `jobs` also
-    how fast the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1).
+    clipped) or, with the layout `jobs`, their nearness to the tool (1); tool (3), joints from home (6), stage of the
+    round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the person's
+    distance from both (2), whether it is placed and whether it is the target (2). With the layout `jobs` also how fast
+    the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1).
     """
     place = state.object_places
     person = human(state)[:, None, None]
@@ -83,3 +84,12 @@ def _position_and_facing(state: State) -> Tensor:
     yaw = state.humans_yaw
     facing = torch.stack([yaw.cos(), yaw.sin()], dim=-1) * state.humans_shown[..., None]
     return torch.cat([human(state), seen_nearest(state, facing)], dim=-1)
+
+
+def nearness(state: State) -> Tensor:
+    """Return (N, 1): nearness of the human as seen: 1 at the tool, 0 from `PERSONAL_M` on and beside nobody.
+
+    It has no direction, so that a policy cannot learn the places of training by heart.
+    """
+    distance = (human(state) - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True)
+    return (1 - distance / PERSONAL_M).clamp(min=0.0)

@@ -79,9 +79,7 @@ def test_controllers_above_one_set_of_skills_are_told_apart_by_their_training_se
 
 def test_what_a_policy_observes_does_not_keep_evaluations_from_being_compared() -> None:
     one, other = evaluation([1.5]), evaluation([1.4])
-    one.config["task"], other.config["task"] = (
-        {"objects": 2, "observation": name} for name in ("default", "proximity")
-    )
+    one.config["task"], other.config["task"] = ({"objects": 2, "observation": name} for name in ("default", "sight"))
     assert "a - b" in controllers({"a": [one], "b": [other]})["differences"]
     other.config["task"] = {"objects": 3, "observation": "default"}
     with pytest.raises(ConfigError, match="differ in task; compare like with like"):

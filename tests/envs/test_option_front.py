@@ -123,7 +123,7 @@ def test_other_choices_are_refused() -> None:
         made(frameskip=1)
     with pytest.raises(ConfigError, match=r"gamma=1\.5"):
         made(gamma=1.5)
-    with pytest.raises(ConfigError, match="observation='all' is not allowed; choose one of default, proximity, jobs"):
+    with pytest.raises(ConfigError, match="observation='all' is not allowed; choose one of default, jobs"):
         made(observation="all")
     with pytest.raises(ConfigError, match=r"policies='expert' must be a mapping"):
         made(policies="expert")

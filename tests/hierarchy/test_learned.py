@@ -59,7 +59,7 @@ def test_a_trained_controller_is_saved_and_sorts(tmp_path, layout: str) -> None:
     ):
         load_choice(str(tmp_path / "old.pt"), 10, names)
     checkpoint.save(tmp_path / "layout.pt", {**old, "spec": {**old["spec"], "observation": "x"}})
-    with pytest.raises(ConfigError, match="is damaged: its observation is 'x', not default or proximity"):
+    with pytest.raises(ConfigError, match="is damaged: its observation is 'x', not default or jobs"):
         load_choice(str(tmp_path / "layout.pt"), 10, names)
     broken = {name: torch.full_like(value, torch.nan) for name, value in old["network"].items()}
     checkpoint.save(tmp_path / "nan.pt", {**old, "network": broken})

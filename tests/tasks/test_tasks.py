@@ -37,7 +37,7 @@ def test_no_episode_starts_solved_or_in_contact(task: str) -> None:
     assert not subtask(task).failure(state).any()
 
 
-@pytest.mark.parametrize("layout", ["default", "proximity", "set_points"])
+@pytest.mark.parametrize("layout", ["default", "sight", "set_points"])
 @pytest.mark.parametrize("task", TASKS)
 def test_observation_is_finite_and_of_the_order_of_one(task: str, layout: str) -> None:
     observation = subtask(task, layout).observe(beginning(task))
@@ -54,16 +54,6 @@ def test_set_points_tell_a_late_arm_what_it_is_still_to_do() -> None:
     # Five steps of 2 degrees were commanded; after 0.1 s nothing of them has come where it takes 0.2 s.
     torch.testing.assert_close(pending[0], torch.full((4, 6), math.radians(10.0)).double(), atol=2e-3, rtol=0)
     assert (pending[1] < pending[0] - math.radians(5.0)).all()
-
-
-def test_nearness_tells_how_near_the_person_is_not_where() -> None:
-    state = beginning("pick", 1)
-    seen = subtask("pick", "proximity")
-    there = [state.tcp_pos[:, None, :2] + torch.tensor(xy) for xy in ([0.3, 0.0], [0.0, -0.3])]
-    places = [state.with_(humans_seen=each) for each in there]
-    left, right = (seen.observe(place) for place in places)
-    torch.testing.assert_close(left, right)
-    torch.testing.assert_close(left[:, -1], torch.full((1,), 1 - 0.3 / 1.2).double())
 
 
 def test_paper_observation_has_18_numbers_and_hides_the_object_once_held() -> None:

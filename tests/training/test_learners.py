@@ -196,7 +196,6 @@ def test_skills_go_on_from_the_policies_of_a_chain_each_in_its_stage(tmp_path: P
     ("words", "joints", "stage"),
     [
         (["task=cycle"], range(12, 18), range(36, 39)),
-        (["task=cycle", "task.observation=proximity"], range(12, 18), range(31, 34)),
         (["task=cycle", "task.observation=sight"], range(10, 16), range(78, 81)),
         (["task=cycle", "robot=tests.scene.test_mjcf_arm:SEVEN"], range(14, 21), range(40, 43)),
     ],

@@ -5,11 +5,11 @@ from __future__ import annotations
 from hrl_comfort.config.checks import implemented
 from hrl_comfort.config.task import OBSERVATIONS
 from hrl_comfort.tasks.observations.sight import sight
-from hrl_comfort.tasks.observations.standard import paper, proximity, set_points, standard
+from hrl_comfort.tasks.observations.standard import paper, set_points, standard
 
 LAYOUTS = implemented(
     OBSERVATIONS,
-    {"default": standard, "proximity": proximity, "set_points": set_points, "sight": sight, "paper": paper},
+    {"default": standard, "set_points": set_points, "sight": sight, "paper": paper},
 )
 """Layout by its name: stages -> terms."""
 

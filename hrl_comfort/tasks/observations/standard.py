@@ -16,8 +16,6 @@ from hrl_comfort.tasks.subtask import ObjectAt, Stage, StateFunction, by_stage
 
 HORIZON_M = 2.0
 """Largest coordinate of the human that is observed; the arm reaches about 0.7 m."""
-PERSONAL_M = 1.2
-"""Reach of personal space (Hall 1966); `nearness` is zero beyond it."""
 SERVO_SPEED = math.radians(100.0)
 """rad/s: 2 degrees every 20 ms."""
 
@@ -80,15 +78,6 @@ def human_from_tool(state: State) -> Tensor:
     return torch.cat([offset, offset.norm(dim=-1, keepdim=True)], dim=-1)
 
 
-def nearness(state: State) -> Tensor:
-    """Return (N, 1): nearness of the human as seen: 1 at the tool, 0 from `PERSONAL_M` on and beside nobody.
-
-    It has no direction, so that a policy cannot learn the places of training by heart.
-    """
-    distance = (human(state) - state.tcp_pos[:, :2]).norm(dim=-1, keepdim=True)
-    return (1 - distance / PERSONAL_M).clamp(min=0.0)
-
-
 def share(state: State) -> Tensor:
     """Return (N, 1): the part of the speed asked for that the shield passed last."""
     return state.share[:, None]
@@ -129,12 +118,6 @@ def standard(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
     if len(stages) > 1:
         terms["stage"] = stage_in_force(stages)
     return terms
-
-
-def proximity(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
-    """Return the project's observation with nearness in the place of the human's position."""
-    terms = {name: term for name, term in standard(stages).items() if name not in ("human", "human_from_tool")}
-    return {**terms, "nearness": nearness}
 
 
 def set_points(stages: tuple[Stage, ...]) -> dict[str, StateFunction]:
