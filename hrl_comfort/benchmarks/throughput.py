@@ -103,8 +103,8 @@ def beside_mixes(
 def cells(rows: NDArray[np.float64]) -> list[str]:
     """Return the cells of a line: means (n, 3) of `beside_mixes` over seeds, and the difference, also in %."""
     runs, (work, own, mix) = Clusters.of_runs(len(rows)), rows.T
-    told = [cell(runs.estimate(each), digits=2) for each in (work, own)]
+    shown = [cell(runs.estimate(each), digits=2) for each in (work, own)]
     if beyond := int(np.isnan(mix).sum()):
-        return [*told, f"{BEYOND}: {beyond} of {len(rows)} seeds", "–", "–"]
+        return [*shown, f"{BEYOND}: {beyond} of {len(rows)} seeds", "–", "–"]
     share = cell(runs.estimate(own / mix - 1), 100) if (mix > 0).all() else "–"
-    return [*told, *(cell(runs.estimate(each), digits=2) for each in (mix, own - mix)), share]
+    return [*shown, *(cell(runs.estimate(each), digits=2) for each in (mix, own - mix)), share]

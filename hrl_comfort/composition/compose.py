@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any, TypeVar
 
 from hydra.errors import HydraException
-from omegaconf import ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from hrl_comfort.composition.own_files import with_own_files
@@ -94,6 +94,8 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
         node = OmegaConf.masked_copy(node, [field.name for field in dataclasses.fields(cls)])
     elif cls is HierarchyTrainConfig:
         words, node.hierarchy.controller = node.hierarchy.controller, None
+    elif cls is BenchmarkConfig and (tasks := _suite_of(node)):
+        node = composed(root, _of_part(tasks[0], overrides))
     config = freeze(cls, node)
     if isinstance(config, EnvConfig):
         for group, section in NAMES.items():
@@ -116,15 +118,21 @@ def _validated(cls: type[C], root: str, overrides: list[str]) -> C:
 
 
 def _parts(tasks: Iterable[str], root: str, overrides: list[str]) -> dict[str, EvaluateConfig]:
-    """Return the configuration of each task of a suite, beside its people unless `overrides` name others."""
-    chosen = {parse(line).key_or_group: parse(line).value() for line in overrides}
+    """Return the configuration of each task of a suite."""
+    return {name: _validated(EvaluateConfig, root, _of_part(name, overrides)) for name in tasks}
+
+
+def _of_part(task: str, overrides: list[str]) -> list[str]:
+    """Return the overrides of a task of a suite, beside its people unless `overrides` name others."""
+    chosen = {line.key_or_group: line.value() for line in map(parse, overrides)}
     if "task" in chosen:
         raise ConfigError(f"task={chosen['task']} does not go with the benchmark; choose among its tasks by suite=")
-    found = {}
-    for name in tasks:
-        people = [] if "human" in chosen else [f"human={SUITE[name]}"]
-        found[name] = _validated(EvaluateConfig, root, [f"task={name}", *people, *overrides])
-    return found
+    return [f"task={task}", *([] if "human" in chosen else [f"human={SUITE[task]}"]), *overrides]
+
+
+def _suite_of(node: DictConfig) -> list[str]:
+    """Return the tasks that a benchmark's `suite` names; what is no task is refused when it is frozen."""
+    return [name for name in node.suite if name in SUITE] if isinstance(node.suite, ListConfig) else []
 
 
 def _with_controller(config: HierarchyTrainConfig, words: Iterable[str]) -> HierarchyConfig:

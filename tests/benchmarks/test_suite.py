@@ -56,6 +56,7 @@ def test_the_suite_is_two_tasks_in_one_cell_each_beside_its_people() -> None:
         assert (each.task.max_step_deg, each.task.max_episode_steps) == (1.4, 3000)
         assert list(each.cell.places) == ["left", "middle", "right"] and each.human.partitioned
     assert list(asked("suite=[shift]").parts) == ["shift"]
+    assert asked("suite=[shift]", "task.objects=2").parts["shift"].task.objects == 2  # kitting has six
     assert {each.human.motion for each in asked("human=still").parts.values()} == {"still"}
 
 
