@@ -107,8 +107,8 @@ def worked(engine: Engine, executor: OptionExecutor, top: Top, names: NDArray[np
     for step in execute(engine, executor, top):
         paid += step.result.reward_terms * step.active[:, None]
         if isinstance(top, Judged):
-            ended = torch.tensor([run.row for run in step.runs], dtype=torch.int64)
-            regret[ended] += top.regret[ended]
+            for run in step.runs:
+                regret[run.row] += top.regret(run)
     engine.close()
     terms = [dict(zip(engine.episodes.reward_names, row, strict=True)) for row in paid.tolist()]
     values = [

@@ -25,7 +25,8 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import part_name
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.hydra_conf import ALONE, composed, freeze
+from hrl_comfort.config.hierarchy import OF_OPTIONS
+from hrl_comfort.config.hydra_conf import ALONE, composed, freeze, run_folder
 from hrl_comfort.config.overrides import (
     NAMES,
     ROOTS,
@@ -38,7 +39,7 @@ from hrl_comfort.config.overrides import (
     parse,
 )
 from hrl_comfort.config.suite import SUITE
-from hrl_comfort.files.run_config import trained_environment
+from hrl_comfort.files.run_config import load_config, trained_environment
 
 C = TypeVar("C", bound=CommandConfig)
 _ALL_BUT_ENGINE = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name != "engine")
@@ -55,7 +56,8 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
 def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
     """Return the configuration `root` with Hydra `overrides`.
 
-    With a policy that belongs to a run, the sections AS_TRAINED default to those of the run. Overrides win. A process
+    With a policy that belongs to a run, the sections AS_TRAINED default to those of the run, and the options to those
+    that a learned controller was trained with. Overrides win. A process
     reads the files of `conf/` once for the same choices.
 
     Raises:
@@ -74,6 +76,7 @@ def _frozen(cls: type[C], root: str, overrides: Iterable[str]) -> C:
         known = check_overrides(root, with_own_files(overrides))
         try:
             run = _run_of(known) if root in AS_TRAINED else None
+            known = [*_as_learned(known), *known]
             return _validated(cls, root, known if run is None else _with_sections(root, run, known))
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(one_line(error)) from error
@@ -152,6 +155,19 @@ def _run_of(overrides: list[str]) -> EnvConfig | None:
     # The environment of a learned controller comes before those of its skills.
     sources = [value for key, value in sorted(given.items(), key=lambda item: item[0] != "policies.meta_controller")]
     return next((found for source in sources if (found := trained_environment(str(source)))), None)
+
+
+def _as_learned(overrides: list[str]) -> list[str]:
+    """Return overrides that set OF_OPTIONS as in the training of the learned controller, if its run is there."""
+    given = {o.key_or_group: o.value() for o in map(parse, overrides)}
+    source = given.get("policies.meta_controller")
+    if source is None or "learned" not in (given.get("meta_controller"), given.get("meta_controller.name")):
+        return []
+    folder = run_folder(str(source))
+    config = None if folder is None else load_config(folder)
+    if not isinstance(config, MetaControllerTrainConfig):
+        return []
+    return [override(f"meta_controller.{key}", getattr(config.meta_controller, key)) for key in OF_OPTIONS]
 
 
 def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]:

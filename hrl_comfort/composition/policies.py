@@ -102,4 +102,5 @@ def with_policy(config: StudioConfig, source: str) -> StudioConfig:
             policies={option: str(Path(source) / option) for option in options},
             meta_controller=replace(controller, name=name, options=list(options)),
         )
-    return replace(config, policy=source, policies={}, meta_controller=replace(config.meta_controller, name="none"))
+    lone = replace(config.meta_controller, name="none", interruption_steps=None)
+    return replace(config, policy=source, policies={}, meta_controller=lone)

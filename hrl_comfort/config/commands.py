@@ -140,6 +140,7 @@ class EvaluateConfig(EnvConfig):
         super().__post_init__()
         if self.disturbance != "none":
             self._check_disturbance()
+        self.meta_controller.check(self.task.name)
         chained = self.meta_controller.name != "none"
         if chained and self.policy is not None:
             raise ConfigError(
@@ -160,8 +161,7 @@ class EvaluateConfig(EnvConfig):
             self._check_levels()
         first, last, most = SPLITS[self.split]
         between("episodes", self.episodes, 1, most if self.terminal_states is None else 10**6)
-        if self.episode_seed is not None:
-            between("episode_seed", self.episode_seed, first, last)
+        between("episode_seed", self.first_seed, first, last)
 
     @property
     def first_seed(self) -> int:

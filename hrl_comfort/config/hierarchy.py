@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
 from hrl_comfort.config.learning import NoKeys
+from hrl_comfort.config.task import SORTING
 
 RULES = ("nearest", "free", "due", "cautious", "patient")
 """Built-in meta-controllers that work, by a function of a decision."""
@@ -16,6 +17,8 @@ ORACLE = "oracle"
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
+OF_OPTIONS: dict[str, Any] = {"level_override": [], "max_waits": None, "interruption_steps": None}
+"""Keys of the options of SORTING, with the values that change nothing; a learned controller keeps those it had."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,9 @@ class MetaControllerConfig:
     `kitting`, the options `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
+    interruption_steps: Annotated[int, within(1, 100_000)] | None
+    """`sort`, `shift`, `kitting`: control steps after which a skill is interrupted, so that the controller decides
+    whether it goes on; null: never. Kept for a `learned` controller as `max_waits` is."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
     up. In `sort`, `shift` and `kitting` there is no limit."""
@@ -44,6 +50,14 @@ class MetaControllerConfig:
     them."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
+
+    def check(self, task: str) -> None:
+        """Raise ConfigError if skills are to be interrupted where there is nothing to choose instead."""
+        if (steps := self.interruption_steps) is not None and (task not in SORTING or self.name in ("none", "idle")):
+            raise ConfigError(
+                f"meta_controller.interruption_steps={steps} is for a controller of skills in task="
+                f"{', '.join(SORTING)}, not for meta_controller={self.name} in task={task}; choose null"
+            )
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,7 @@ class HierarchyTrainConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.meta_controller.check("cycle")
         for key, value, default in (
             ("task.name", self.task.name, "pick"),
             ("task.start", self.task.start, "ik"),

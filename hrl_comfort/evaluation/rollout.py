@@ -114,7 +114,7 @@ def _run_batch(
             time.sleep(max(0.0, due - time.monotonic()))
         runs = executed.runs
         if judged is not None:
-            runs = [replace(run, regret=rounded(float(judged.regret[run.row]))) for run in runs]
+            runs = [replace(run, regret=rounded(judged.regret(run))) for run in runs]
         recorder.add(executed.result, executed.active, executed.ended, runs)
         ended = [*before, *recorder.outcomes]
         show(len(ended), success_of(ended))

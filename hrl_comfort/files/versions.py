@@ -26,6 +26,8 @@ LEARNERS = {"agent": "sac", "meta_controller_agent": "dqn"}
 """Learners, by section, when they had no names."""
 CONTROLLER = {"balls": "objects"}
 """Keys that were renamed in the `spec` of a controller's file."""
+CONTROLLER_BEFORE = {"interruption_steps": None}
+"""Value, by key of that `spec`, before the key came."""
 EXECUTOR = {"_first": "stage"}
 """Parts of a controller's training in progress: the first stage of an option stands for the one at which it started."""
 COLUMNS = {

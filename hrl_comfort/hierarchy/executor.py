@@ -22,7 +22,7 @@ from hrl_comfort.tasks import State
 
 TERMINATIONS = tuple(Termination)
 """Meaning of the numbers in `EndedOptions.termination`."""
-_SUCCESS, _FAILURE, _PREEMPTED = range(len(TERMINATIONS))
+_SUCCESS, _FAILURE, _PREEMPTED, _INTERRUPTED = range(len(TERMINATIONS))
 CAUSES = tuple(Cause)
 """Meaning of the numbers in `EndedOptions.cause`."""
 
@@ -33,12 +33,19 @@ class EndedOptions:
 
     rows: Tensor
     """(N,) bool, the option has ended."""
+    interrupted: Tensor
+    """(N,) bool, it has not, but the top is to decide whether it goes on (Sutton, Precup and Singh 1999, section 4)."""
     termination: Tensor
-    """(N,) int64, index into TERMINATIONS; 0 where the option has not ended."""
+    """(N,) int64, index into TERMINATIONS; 0 where the top does not decide."""
     cause: Tensor
     """(N,) int64, index into CAUSES; 0 where the option has not ended."""
     given_up: Tensor
     """(N,) bool, an option ran out of time once more than `retries` allows: the episode is over."""
+
+    @property
+    def deciding(self) -> Tensor:
+        """(N,) bool, the top is to decide, unless the episode is over."""
+        return self.rows | self.interrupted
 
 
 @dataclass(frozen=True)
@@ -65,14 +72,14 @@ class OptionExecutor:
       retries: consecutive further attempts of an option that ran out of time; None: any number.
     """
 
-    _TENSORS = ("option", "started", "stage", "attempt", "_preempted")
+    _FLAGS = ("_preempted", "_interrupted")
+    _TENSORS = ("option", "started", "decided", "stage", "attempt", *_FLAGS)
 
     def __init__(self, table: OptionTable, episodes: Episodes, retries: int | None = None) -> None:
         self.table, self.retries, self._episodes = table, retries, episodes
-        for name in ("option", "started", "stage", "attempt"):
-            setattr(self, name, torch.zeros(episodes.rows, dtype=torch.int64))
-        self._preempted = torch.zeros(episodes.rows, dtype=torch.bool)
-        """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
+        for name in self._TENSORS:
+            kind = torch.bool if name in self._FLAGS else torch.int64
+            setattr(self, name, torch.zeros(episodes.rows, dtype=kind))
 
     def anew(self) -> OptionExecutor:
         """Return an executor for the next episodes."""
@@ -88,10 +95,16 @@ class OptionExecutor:
     """(N,) int64, index of the choice in force."""
     started: Tensor
     """(N,) int64, control step of the episode at which it started."""
+    decided: Tensor
+    """(N,) int64, control step at which it was chosen last: when it started or, if it goes on, was interrupted."""
     stage: Tensor
     """(N,) int64, stage of the task at which it started."""
     attempt: Tensor
     """(N,) int64, how often it has been started in a row."""
+    _preempted: Tensor
+    """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
+    _interrupted: Tensor
+    """(N,) bool, the option in force is interrupted; the top has not decided since."""
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what an exact continuation needs."""
@@ -100,6 +113,8 @@ class OptionExecutor:
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Continue from `state_dict`."""
         saved = renamed(saved, EXECUTOR)
+        # Of a time when no option was interrupted.
+        saved = {"decided": saved["started"], "_interrupted": torch.zeros_like(saved["_preempted"]), **saved}
         for name in self._TENSORS:
             setattr(self, name, saved[name])
 
@@ -127,8 +142,23 @@ class OptionExecutor:
         rows = torch.ones_like(self._preempted) if deciding is None else deciding
         return Decision(state, self.table, self.available(state), rows, self._episodes.config.comfort.levels)
 
+    def goes_on(self, chosen: Tensor) -> Tensor:
+        """Return (N,) bool: the option in force is interrupted, and goes on as it is `chosen` (N,) again."""
+        state = self._episodes.state
+        assert state is not None
+        return self._interrupted & (chosen == self.option) & (state.steps > 0)
+
+    def left(self, rows: Tensor, chosen: Tensor) -> list[OptionRun]:
+        """Return the runs that end as the top, in `rows` (N,) bool, has `chosen` (N,) others where it interrupted."""
+        state = self._episodes.state
+        assert state is not None
+        leaving = torch.nonzero(rows & self._interrupted & ~self.goes_on(chosen)).squeeze(-1).tolist()
+        return [self._run(row, Termination.INTERRUPTED, Cause.INTERRUPTED, int(state.steps[row])) for row in leaving]
+
     def begin(self, rows: Tensor, chosen: Tensor) -> State:
         """Start the choices `chosen` (N,) in `rows` (N,) bool; return the state, the objects chosen as targets.
+
+        An interrupted option that is chosen again goes on: its time, stage and attempt stay.
 
         Raises:
           ValueError: one of them cannot start now.
@@ -139,6 +169,8 @@ class OptionExecutor:
         if bool((rows & ~allowed).any()):
             row = int(torch.nonzero(rows & ~allowed)[0])
             raise ValueError(f"row {row}: option {self.table.names[int(chosen[row])]} cannot start now")
+        self.decided = torch.where(rows, state.steps, self.decided)
+        rows, self._interrupted = rows & ~self.goes_on(chosen), self._interrupted & ~rows
         again = torch.where((chosen == self.option) & (state.steps > 0), self.attempt + 1, 1)
         self.attempt = torch.where(rows, again, self.attempt)
         self.option = torch.where(rows, chosen, self.option)
@@ -159,17 +191,19 @@ class OptionExecutor:
         return self.table.act(self.option, self._episodes.observed(state), everyone if acting is None else acting)
 
     def ended(self, result: StepResult) -> EndedOptions:
-        """Return the options that ended with a decision, and how.
+        """Return the options that ended with a decision, and how, and those that are interrupted.
 
         An option succeeds where its termination says so, and is preempted at its time limit, where the task falls
         back to an earlier stage (the object is lost) and where the episode is truncated.
         """
         state, begun = result.state, self._begun(result.state)
-        succeeded, late, lost = (torch.zeros_like(self._preempted) for _ in range(3))
+        succeeded, late, lost, interrupted = (torch.zeros_like(self._preempted) for _ in range(4))
         for index, option in enumerate(self.table.options):
             mine = self.table.option[self.option] == index
             succeeded |= mine & self._ends(index, state)
             lost |= mine & option.fallen_back(state, begun)
+            if option.interruption_steps is not None:
+                interrupted |= mine & (state.steps - self.decided >= option.interruption_steps)
             if option.time_limit is not None:
                 limit = max_episode_steps(result.level, option.time_limit, self._episodes.config.comfort)
                 late |= mine & (begun.lasted >= limit)
@@ -180,11 +214,13 @@ class OptionExecutor:
         termination[succeeded] = _SUCCESS
         termination[result.failed] = _FAILURE
         self._preempted = ended & (termination != _SUCCESS) & ~result.terminated
+        self._interrupted = interrupted & ~ended
         given_up = torch.zeros_like(ended)
         if self.retries is not None:
             given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
         cause = self._causes(result, termination, lost, late)
-        return EndedOptions(ended, torch.where(ended, termination, 0), torch.where(ended, cause, 0), given_up)
+        termination = torch.where(ended, termination, self._interrupted * _INTERRUPTED)
+        return EndedOptions(ended, self._interrupted, termination, torch.where(ended, cause, 0), given_up)
 
     def _causes(self, result: StepResult, termination: Tensor, lost: Tensor, late: Tensor) -> Tensor:
         """Return indices into CAUSES (N,) of options that end so, `late` at their limit, their object `lost`."""
@@ -202,9 +238,10 @@ class OptionExecutor:
     @contextmanager
     def held(self, rows: Tensor) -> Iterator[None]:
         """Keep what is known of `rows` (r,) int64 as it is while options of others end."""
-        kept = self._preempted[rows]
+        kept = {name: getattr(self, name)[rows] for name in self._FLAGS}
         yield
-        self._preempted = self._preempted.index_copy(0, rows, kept)
+        for name, flag in kept.items():
+            setattr(self, name, getattr(self, name).index_copy(0, rows, flag))
 
     def _begun(self, state: State) -> Begun:
         return Begun(self.stage, state.steps - self.started)
@@ -216,15 +253,11 @@ class OptionExecutor:
 
     def run_of(self, row: int, ended: EndedOptions, end_step: int) -> OptionRun:
         """Return the run that ended in `row`."""
-        return OptionRun(
-            row,
-            self.table.names[int(self.option[row])],
-            int(self.attempt[row]),
-            int(self.started[row]),
-            end_step,
-            TERMINATIONS[int(ended.termination[row])].value,
-            CAUSES[int(ended.cause[row])].value,
-        )
+        return self._run(row, TERMINATIONS[int(ended.termination[row])], CAUSES[int(ended.cause[row])], end_step)
+
+    def _run(self, row: int, termination: Termination, cause: Cause, end_step: int) -> OptionRun:
+        option, attempt, started = (int(each[row]) for each in (self.option, self.attempt, self.started))
+        return OptionRun(row, self.table.names[option], attempt, started, end_step, termination.value, cause.value)
 
 
 @dataclass(frozen=True)
@@ -241,13 +274,14 @@ class ExecutedStep:
     ended: Tensor
     """(N,) bool: rows whose episode ended with it, or was given up."""
     runs: list[OptionRun]
-    """Option runs that ended with it."""
+    """Option runs that ended with it, or before it, as the top chose another option."""
 
 
 def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[ExecutedStep]:
     """Yield decision after decision until the episode of every row, begun by `engine.reset`, has ended.
 
-    `top` decides wherever an option has ended; if it decides for all cells together, these wait for one another.
+    `top` decides wherever an option has ended or is interrupted; if it decides for all cells together, these wait for
+    one another.
     """
     state = engine.episodes.state
     assert state is not None
@@ -255,8 +289,10 @@ def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[Exec
     deciding = active
     top.begin(deciding)
     while bool(active.any()):
+        left: list[OptionRun] = []
         if bool(deciding.any()) and not (top.together and bool((active & ~deciding).any())):
             chosen = torch.where(deciding, top(executor.decision(state, deciding)), executor.option)
+            left = executor.left(deciding, chosen)
             state = executor.begin(deciding, chosen)
             deciding = torch.zeros_like(active)
         acting, held = active & ~deciding, torch.nonzero(deciding).squeeze(-1)
@@ -267,8 +303,8 @@ def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[Exec
         state = engine.episodes.state
         assert state is not None
         rows = torch.nonzero(options.rows & acting).squeeze(-1).tolist()
-        runs = [executor.run_of(row, options, int(state.steps[row])) for row in rows]
+        runs = [*left, *(executor.run_of(row, options, int(state.steps[row])) for row in rows)]
         ended = acting & (result.done | options.given_up)
         yield ExecutedStep(result, action, option, acting, ended, runs)
         active = active & ~ended
-        deciding = (deciding | (options.rows & acting)) & active
+        deciding = (deciding | (options.deciding & acting)) & active

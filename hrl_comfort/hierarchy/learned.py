@@ -15,13 +15,14 @@ from hrl_comfort.agents.tops.options import make_network, make_scores
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import section
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS, TOP_LEARNERS, MetaControllerAgentConfig
-from hrl_comfort.files.versions import CONTROLLER, renamed
+from hrl_comfort.files.versions import CONTROLLER, CONTROLLER_BEFORE, renamed
 from hrl_comfort.hierarchy.decision import PROBABILITY, Decision
 from hrl_comfort.hierarchy.observation import meta_observation, observation_dim
 from hrl_comfort.policies.actor import WIDEST
 
 SPEC: dict[str, tuple[type, ...]] = {
     "names": (list,), "levels": (int,), "objects": (int,), "max_waits": (int, type(None)),
+    "interruption_steps": (int, type(None)),
     "observation": (str,), "observation_dim": (int,), "hidden": (list,),
 }  # fmt: skip
 """Fields of the `spec` in a meta-controller's file, and the types of each."""
@@ -73,18 +74,20 @@ class Learned:
         return scores.masked_fill(~decision.mask, -torch.inf)
 
 
-def load_choice(source: str, levels: int, options: list[str], max_waits: int | None = None) -> Learned:
+def load_choice(
+    source: str, levels: int, options: list[str], max_waits: int | None = None, interruption_steps: int | None = None
+) -> Learned:
     """Return the trained meta-controller in `source`, a run folder or a meta_controller.pt.
 
     Raises:
       ConfigError: the file is missing, damaged or of an earlier version, or the controller was trained for other
-        options or another limit of waits.
+        options, another limit of waits or another time until an option is interrupted.
     """
     state, key = checkpoint.load(choice_file(Path(source))), f"policies.meta_controller={source!r}"
     spec, weights = state.get("spec"), state.get("network")
     if not isinstance(spec, dict) or not isinstance(weights, dict):
         raise ConfigError(f"{key} is not a trained controller; its folder holds meta_controller.pt")
-    spec = renamed(spec, CONTROLLER)
+    spec = {**CONTROLLER_BEFORE, **renamed(spec, CONTROLLER)}
     for name, kinds in SPEC.items():
         if name not in spec or type(spec[name]) not in kinds:
             raise ConfigError(
@@ -96,9 +99,10 @@ def load_choice(source: str, levels: int, options: list[str], max_waits: int | N
             f"{key} chooses among {names} at {spec['levels']} levels; "
             f"here there are {options} at {levels} (meta_controller.level_override, task.objects)"
         )
-    if spec["max_waits"] != max_waits:
-        trained, here = ("null" if each is None else each for each in (spec["max_waits"], max_waits))
-        raise ConfigError(f"{key} was trained with meta_controller.max_waits={trained}; here it is {here}")
+    for name, asked in {"max_waits": max_waits, "interruption_steps": interruption_steps}.items():
+        if spec[name] != asked:
+            trained, here = ("null" if each is None else each for each in (spec[name], asked))
+            raise ConfigError(f"{key} was trained with meta_controller.{name}={trained}; here it is {here}")
     layout = spec["observation"]
     if layout not in META_OBSERVATIONS:
         raise ConfigError(f"{key} is damaged: its observation is {layout!r}, not {' or '.join(META_OBSERVATIONS)}")

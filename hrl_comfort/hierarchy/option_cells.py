@@ -120,11 +120,13 @@ class OptionCells(Cells):
 class OptionGym(CellGym):
     """One cell; a step is an option, from its start to its end (a semi-Markov decision process).
 
+    With `meta_controller.interruption_steps` a step may end before the option, which goes on if it is chosen again.
+
     Action: index of an option of `names`, in [0, K). Observation (D,) float32, `meta_observation`. The reward is the
     sum of the rewards of the option's control steps, each discounted by `gamma` a control step from its start; with 1,
     the default, their plain sum. A value of the next observation is to be discounted by `gamma ** info["duration"]`.
 
-    `info` holds `duration`, control steps of the option; `action_mask` (K,) bool, options that can start next;
+    `info` holds `duration`, control steps of the step; `action_mask` (K,) bool, options that can start next;
     `option`, which ran: the first that could where the one chosen could not; `termination`, an index into
     `executor.TERMINATIONS`; and values of `step_columns` of the episode so far. Seeds and episodes are as of `CellGym`.
 

@@ -48,9 +48,10 @@ class OptionEnv(EnvBase):
 
     Action (N,) int64 in [0, K): the option to start in the rows that decide; elsewhere it is ignored.
     A step returns `observation` (N, D) float32; `action_mask` (N, K) bool, options that can start now;
-    `deciding` (N, 1) bool, rows whose option has ended; for these `reward` (N, 1), its rewards discounted by
-    gamma a control step from its start (0 elsewhere), `steps_to_next_obs` (N, 1) int64, its control steps, and
-    `termination` (N, 1) int64, an index into `executor.TERMINATIONS`; `success` (N, 1) bool of the episode.
+    `deciding` (N, 1) bool, rows whose option has ended, or is interrupted and goes on if it is chosen again; for these
+    `reward` (N, 1), its rewards discounted by gamma a control step since it was chosen (0 elsewhere),
+    `steps_to_next_obs` (N, 1) int64, its control steps since, and `termination` (N, 1) int64, an index into
+    `executor.TERMINATIONS`; `success` (N, 1) bool of the episode.
     """
 
     batch_locked = True

@@ -24,11 +24,12 @@ NONE = -1
 
 
 class Termination(Enum):
-    """Ways in which an option ends: as its own termination says, in a failure of the task, or cut short."""
+    """Ways in which an option ends: as its own termination says, in a failure, cut short, or left for another."""
 
     SUCCESS = "success"
     FAILURE = "failure"
     PREEMPTED = "preempted"
+    INTERRUPTED = "interrupted"
 
 
 class Cause(Enum):
@@ -45,6 +46,8 @@ class Cause(Enum):
     """Of a user's own task."""
     TIME_LIMIT = "time limit"
     """Its own, not that of the episode."""
+    INTERRUPTED = "interrupted"
+    """The top chose another option."""
     EPISODE_OVER = "episode over"
 
 
@@ -108,6 +111,9 @@ class Option:
     and the policy sees stage 0."""
     time_limit: int | None = None
     """Control steps after which it is preempted; more where `comfort` lets an episode last longer. None: never."""
+    interruption_steps: int | None = None
+    """Control steps after which the top decides anew, and may choose it again: then it goes on. None: it is never
+    interrupted."""
     max_runs: int | None = None
     """Times in a row that it can be chosen; None: any number."""
     recovers: bool = False
@@ -118,10 +124,17 @@ class Option:
         return state.stage < (begun.stage if self.stages is None else self.stages.start(begun.stage))
 
 
-def skill(subtask: Subtask, policy: Act, time_limit: int | None, first: int = 0, round_stages: int = 0) -> Option:
+def skill(
+    subtask: Subtask,
+    policy: Act,
+    time_limit: int | None,
+    first: int = 0,
+    round_stages: int = 0,
+    interruption_steps: int | None = None,
+) -> Option:
     """Return the option that does a subtask, from stage `first` on of a longer task."""
     stages = Stages(first, first + len(subtask.stages), round_stages)
-    return Option(subtask.name, policy, stages.in_force, stages.done, stages, time_limit)
+    return Option(subtask.name, policy, stages.in_force, stages.done, stages, time_limit, interruption_steps)
 
 
 def lasts(steps: int) -> Terminates:

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.hierarchy.decision import Decision, Top
-from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun, execute
+from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.hierarchy.tops import due
 from hrl_comfort.sim.engine import Engine
 
@@ -23,7 +24,7 @@ class Oracle:
     """Values of the options of the cells of `engine`, run by `executor`."""
 
     def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
-        self._engine, self._executor = engine, executor
+        self._engine, self.executor = engine, executor
         self._latest: tuple[Decision, Tensor] | None = None
         """The decision judged last, and its values: they take long."""
 
@@ -52,7 +53,7 @@ class Oracle:
     def _returns(self, rows: Tensor, tried: Tensor) -> Tensor:
         """Return the returns (r,) of copies of `rows` (r,) that begin with the options `tried` (r,)."""
         engine = self._engine.copies(rows)
-        executor = self._executor.copies(engine.episodes, rows)
+        executor = self.executor.copies(engine.episodes, rows)
         assert engine.episodes.state is not None
         end = engine.episodes.state.steps + round(HORIZON_S / CONTROL_STEP_S)
         first, returns = torch.ones(len(rows), dtype=torch.bool), torch.zeros(len(rows), dtype=torch.float64)
@@ -72,7 +73,7 @@ class Oracle:
 
 
 class Judged(Top):
-    """A `top` whose choices an `oracle` judges: `regret` (N,) is the value of the best option less that of the latest.
+    """A `top` whose choices an `oracle` judges by the value of the best option less that of the one chosen.
 
     Raises:
       ConfigError: as `Top`.
@@ -80,12 +81,20 @@ class Judged(Top):
 
     def __init__(self, top: Top, oracle: Oracle) -> None:
         super().__init__(top.name, top, top.begin, together=True)
-        self._oracle, self.regret = oracle, torch.zeros(0)
+        self._oracle = oracle
+        self._regret = self._before = torch.zeros(oracle.executor.option.shape, dtype=torch.float64)
+        """(N,) of the option in force, over the decisions in which it was chosen, and of the one before."""
 
     def __call__(self, decision: Decision) -> Tensor:
         """See `Top`."""
         chosen, values = super().__call__(decision), self._oracle.values(decision)
         lost = values.max(dim=1).values - values.gather(1, chosen[:, None]).squeeze(1)
-        before = self.regret if len(self.regret) else torch.zeros_like(lost)
-        self.regret = torch.where(decision.deciding, lost, before)
+        self._before = self._regret
+        lost = lost + torch.where(self._oracle.executor.goes_on(chosen), self._before, 0.0)
+        self._regret = torch.where(decision.deciding, lost, self._before)
         return chosen
+
+    def regret(self, run: OptionRun) -> float:
+        """Return the regret of a run that ended with the latest step of `execute`."""
+        interrupted = run.cause == Cause.INTERRUPTED.value  # another was chosen since
+        return float((self._before if interrupted else self._regret)[run.row])

@@ -38,14 +38,17 @@ def options_of(config: EvaluateConfig) -> MakeOptions:
 
 @dataclass(frozen=True)
 class Ran:
-    """Options after a step, (N,) each; those of rows that have not ended are of the latest decision."""
+    """Options after a step, (N,) each; those of rows that have not ended are of the latest decision.
+
+    An interrupted option has ended here: it is chosen anew, and what it earned and how long it ran count from then on.
+    """
 
     ended: Tensor
-    """bool, the option has ended."""
+    """bool, the option has ended, or is interrupted."""
     reward: Tensor
-    """float64, rewards of the option's control steps, each discounted by gamma a control step from its start."""
+    """float64, rewards of the option's control steps, each discounted by gamma a control step since it was chosen."""
     duration: Tensor
-    """int64, control steps of the option."""
+    """int64, control steps since it was chosen."""
     termination: Tensor
     """int64, index into `executor.TERMINATIONS`."""
     columns: dict[str, Tensor]
@@ -68,7 +71,7 @@ class Ran:
 
 
 class SemiMDP:
-    """Options begun by `begin` and run by `step` in the cells of `engine`, whose episodes the caller begins.
+    """Options chosen by `begin` and run by `step` in the cells of `engine`, whose episodes the caller begins.
 
     Args:
       engine: of N cells.
@@ -80,7 +83,7 @@ class SemiMDP:
         self.engine, self.executor, self.gamma = engine, executor, gamma
         rows = engine.num_envs
         self.returns = torch.zeros(rows, dtype=torch.float64)
-        """(N,) rewards of the option in force so far, discounted."""
+        """(N,) rewards of the option in force since it was chosen, discounted."""
         self.earned = torch.zeros(rows, dtype=torch.float64)
         """(N,) rewards of the last step, undiscounted."""
         self._termination = torch.zeros(rows, dtype=torch.int64)
@@ -117,11 +120,11 @@ class SemiMDP:
             if not bool(acting.any()) or not (together or not bool(ended.any())):
                 break
         ended = rows if together else ended
-        duration = self.state.steps - self.executor.started
+        duration = self.state.steps - self.executor.decided
         return Ran(ended, self.returns, duration, self._termination, dict(self._columns))
 
     def _decide(self, acting: Tensor) -> Tensor:
-        """Run a decision of the rows `acting` (N,) bool; return those of them whose option has ended with it."""
+        """Run a decision of the rows `acting` (N,) bool; return those of them that are to decide after it."""
         held = torch.nonzero(~acting).squeeze(-1)
         action = self.executor.act(self.state, acting).numpy()
         with self.engine.held(held) if len(held) else nullcontext(), self.executor.held(held):
@@ -133,12 +136,12 @@ class SemiMDP:
         for name in ("decision_steps", "human_distance"):
             del columns[name]
         self._columns = {name: torch.where(acting, new, self._columns.get(name, new)) for name, new in columns.items()}
-        return options.rows & acting
+        return options.deciding & acting
 
     def _earn(self, result: StepResult, acting: Tensor) -> None:
-        """Add the rewards of a decision, discounted from the start of each row's option."""
+        """Add the rewards of a decision, discounted from the choice of each row's option."""
         count = result.valid.shape[1]
-        passed = (result.state.steps - result.decision_steps - self.executor.started)[:, None] + torch.arange(count)
+        passed = (result.state.steps - result.decision_steps - self.executor.decided)[:, None] + torch.arange(count)
         valid = result.valid & acting[:, None]
         paid = torch.where(valid, result.step_rewards, 0.0)
         self.returns = self.returns + (torch.where(valid, self.gamma ** passed.double(), 0.0) * paid).sum(dim=1)

@@ -55,7 +55,8 @@ def sorting_table(
             )
     limit, waits = meta_controller.time_limit_steps, meta_controller.max_waits
     acts = [make_policy(policies[part.name], part, scene, config, seed) for part in SKILLS]
-    skills = [skill(part, acts[k], limit, k, ROUND) for k, part in enumerate(SKILLS)]
+    period = meta_controller.interruption_steps
+    skills = [skill(part, acts[k], limit, k, ROUND, period) for k, part in enumerate(SKILLS)]
     home, at_home = Expert(scene, config, RETURN), RETURN_STAGE.done
     # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
     # does not retreat, for a place is trained to begin where a pick ends.

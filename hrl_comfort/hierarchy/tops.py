@@ -168,8 +168,8 @@ def learned(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
         raise ConfigError("policies.meta_controller is not given; meta_controller=learned needs it")
     from hrl_comfort.hierarchy.learned import load_choice  # seconds, for torchrl
 
-    found, limit = config.policies["meta_controller"], config.meta_controller.max_waits
-    return load_choice(found, config.comfort.levels, table.names, limit)
+    found, here = config.policies["meta_controller"], config.meta_controller
+    return load_choice(found, config.comfort.levels, table.names, here.max_waits, here.interruption_steps)
 
 
 def with_waits(rule: Choose) -> MakeTop:

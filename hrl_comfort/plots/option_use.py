@@ -22,6 +22,7 @@ CAUSES: dict[str, dict[str, str]] = {
     "time limit": {"facecolor": "#888888"},
     "episode over": {"facecolor": "white", "hatch": "...."},
     "object lost": {"facecolor": "white", "hatch": "/////"},
+    "interrupted": {"facecolor": "white", "hatch": "-----"},
     "contact": {"facecolor": ORANGE},
     "unsafe contact": {"facecolor": VERMILLION, "hatch": "xxxx"},
     "hit table": {"facecolor": BLACK},

@@ -45,7 +45,7 @@ FAILURE = {
 COUNTED = {"contact": "with a contact", "unsafe_contact": "with an unsafe contact", "drops": "drops"}
 """Columns of episodes.csv that the table of endings counts too, whatever ended the episode."""
 HEADS = [each.label for each in HEADLINE.values()]
-OPTION_ENDS = ["success", "failure", "preempted"]
+OPTION_ENDS = ["success", "failure", "preempted", "interrupted"]
 
 
 def headline(runs: Sequence[Run]) -> list[dict[str, str]]:

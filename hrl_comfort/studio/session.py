@@ -230,8 +230,8 @@ class Session:
         clip = decision_clip(self.engine, before, result)
         self.seconds += clip.duration_s
         if not self.over:
-            if runs:
-                self._begin()
+            if bool(options.deciding):
+                runs += self._begin()
             else:
                 self._decide()
         return Step(clip, before, result, runs, self.over)
@@ -281,15 +281,17 @@ class Session:
         self.engine.close()
         self._configured.close()
 
-    def _begin(self, chosen: Tensor | None = None) -> None:
-        """Start the option `chosen` (1,), by default that of the top."""
+    def _begin(self, chosen: Tensor | None = None) -> list[OptionRun]:
+        """Start the option `chosen` (1,), by default that of the top; return the run that it interrupts, if any."""
         decision = self.executor.decision(self.state)
         chosen = self._top(decision) if chosen is None else chosen
         values = self._top.values(decision)
         told = [] if values is None else zip(self.options, values[0].tolist(), decision.mask[0].tolist(), strict=True)
         self.values = {name: value for name, value, able in told if able}
+        left = self.executor.left(ROW, chosen)
         self.executor.begin(ROW, chosen)
         self._decide()
+        return left
 
     def _decide(self) -> None:
         with torch.no_grad():

@@ -151,6 +151,7 @@ class ControllerTraining(TrainingLoop):
             "objects": self.config.task.objects,
             "names": self.collector.env.executor.table.names,
             "max_waits": self.config.meta_controller.max_waits,
+            "interruption_steps": self.config.meta_controller.interruption_steps,
         }
         agent = self.config.meta_controller_agent
         save_controller(self.folder / "meta_controller.pt", self.learner, agent, self._observation_dim, spec)

@@ -88,6 +88,7 @@ def test_the_top_and_the_level_told_belong_to_the_entry() -> None:
     words = ("policy=expert", "meta_controller=cautious", "meta_controller.level_override=[3]")
     config = part(*words, task="kitting")
     assert suite.changed(config) == {} and suite.top_of(config)["meta_controller.max_waits"] == 6
+    assert suite.changed(part("policy=expert", "meta_controller.interruption_steps=20", task="kitting")) == {}
     said = "expert meta_controller.name='cautious' meta_controller.level_override=[3] meta_controller.max_waits=6"
     assert suite.name_of(config) == said
     assert suite.changed(part("policy=expert", "meta_controller.time_limit_steps=7")) != {}

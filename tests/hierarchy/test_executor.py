@@ -95,6 +95,7 @@ def played(
     table: OptionTable,
     retries: int = 1,
     comfort: ComfortConfig = COMFORT,
+    top: Top = IN_ORDER,
 ) -> tuple[list[Array], list[ExecutedStep]]:
     """Execute the options where decisions lead to `results`; return the actions and what was executed."""
     episodes = SimpleNamespace(rows=3, state=at(results[0].state, [0] * 3, [0] * 3), observed=lambda state: state)
@@ -109,7 +110,7 @@ def played(
 
     executor = OptionExecutor(table, episodes, retries)  # type: ignore[arg-type]
     engine = SimpleNamespace(episodes=episodes, num_envs=3, step=step)
-    return actions, list(islice(execute(engine, executor, IN_ORDER), len(results)))  # type: ignore[arg-type]
+    return actions, list(islice(execute(engine, executor, top), len(results)))  # type: ignore[arg-type]
 
 
 def test_rows_run_different_options_and_report_how_each_ended(state: State) -> None:
