@@ -127,7 +127,8 @@ class GraspingExpert(Expert):
         if self._releasing[stage]:
             return self._place(state, row, obj)
         away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
-        return self._retreat(state, row) if away < RETREAT_M else Step(OPEN)
+        holds = held and state.grip_target[row] > FIRM
+        return self._retreat(state, row) if away < RETREAT_M and not holds else Step(OPEN)
 
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""
