@@ -98,3 +98,26 @@ def test_no_object_arrives_in_the_hand_or_in_another_object() -> None:
 def test_slots_too_few_or_too_near_to_each_other_are_refused(words: tuple[str, ...], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         Engine(environment(asked(*words, "policy=expert", "meta_controller=none")), 1, 0)
+
+
+def test_what_somebody_fetches_leaves_its_place_and_its_order_opens_anew() -> None:
+    words = ("task=kitting", "cell=bench_hand", "human=still", "policy=expert", "meta_controller=none")
+    engine = Engine(environment(asked(*words)), 1, 0)
+    state = engine.reset()
+    assert state.kinds.tolist() == [list(range(6))]
+    ends = torch.cat([state.objects, state.object_places], dim=1)[..., :2]
+    assert ((ends[:, :, None] - ends[:, None]).norm(dim=-1) + torch.eye(12) > 0.12).all(), "each has slots of its own"
+    placed = torch.zeros(1, 6, dtype=torch.bool)
+    placed[0, 3] = True
+    there = state.object_places[:, 3].clone()
+    before = state.with_(placed=placed, objects=state.objects.index_copy(1, torch.tensor([3]), there[:, None]))
+    draw, orders = engine.episodes.draw, engine.episodes.subtask
+    told = torch.from_numpy(draw.arrivals), torch.from_numpy(draw.turns), orders
+    arrivals, kinds = Arrivals(engine.scene), before.kinds[:, 0]
+    alone = before.with_(humans_pos=torch.full_like(before.humans_pos, 50.0))
+    assert torch.equal(arrivals.go_on(alone, kinds, *told).objects, alone.objects)
+    beside = before.with_(humans_pos=there[:, None, :2].clone(), humans_vel=torch.zeros_like(before.humans_vel))
+    after = arrivals.go_on(beside, kinds, *told)
+    assert not after.placed.any() and torch.equal(after.kinds, before.kinds)
+    torch.testing.assert_close(after.objects, state.objects, atol=1e-3, rtol=0)
+    engine.close()
