@@ -8,6 +8,7 @@ import torch
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
@@ -120,4 +121,21 @@ def test_what_somebody_fetches_leaves_its_place_and_its_order_opens_anew() -> No
     after = arrivals.go_on(beside, kinds, *told)
     assert not after.placed.any() and torch.equal(after.kinds, before.kinds)
     torch.testing.assert_close(after.objects, state.objects, atol=1e-3, rtol=0)
+    engine.close()
+
+
+def test_objects_arrive_in_dm_control_as_in_the_engine() -> None:
+    config = environment(asked("task=shift", "task.objects=2", "policy=expert", "meta_controller=none"))
+    engine, env = Engine(config, 1, 3), make_environment(config, 3)
+    engine.reset()
+    env.reset()
+    for episodes in (engine.episodes, env.task.episodes):
+        episodes.measured(stage=np.array([3]), placed=np.array([[True, False]]))
+    action = np.append(np.zeros(6), -1.0)
+    for _ in range(4):
+        batch = engine.step(action[None]).state
+        env.step(action)
+        one = env.task.episodes.state
+        assert all(torch.equal(getattr(batch, name), getattr(one, name)) for name in ("joint_pos", "objects", "kinds"))
+    assert not batch.placed.any() and not batch.diverged.any()
     engine.close()
