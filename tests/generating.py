@@ -146,7 +146,7 @@ def random_state(rng: np.random.Generator, exponents: tuple[int, int]) -> State:
         "humans_shown": torch.from_numpy(rng.random((ROWS, 1)) < 0.5),
         **{name: torch.from_numpy(rng.random(ROWS) < 0.5) for name in FLAGS},
     }
-    names = [field.name for field in dataclasses.fields(State)]
+    names = [field.name for field in dataclasses.fields(State) if field.name != "object_slots"]
     state = State(**{name: whole.get(name, numbers_of(SIZES.get(name, (3,)))) for name in names})
     if rng.random() < 0.3:
         away = torch.tensor([[FAR_AWAY_M, 0.0]], dtype=torch.float64).expand(ROWS, 1, 2)

@@ -53,11 +53,6 @@ class EnvConfig(CommandConfig):
 
     def __post_init__(self) -> None:
         task, cell = self.task, self.cell
-        if self.robot.gripper.holds and task.name in SORTING:
-            raise ConfigError(
-                f"task.name={task.name} puts several objects in one place, which does not go with "
-                f"robot.gripper.name={self.robot.gripper.name}; choose gripper=none, or task=cycle"
-            )
         if task.start == PREGRASP and not self.robot.gripper.holds:
             raise ConfigError(
                 "task.start=pregrasp puts a hand in front of an object; choose gripper=two_finger, or task.start=ik"
@@ -67,7 +62,7 @@ class EnvConfig(CommandConfig):
                 f"cell.vary.layouts={cell.vary.layouts} are not made for grasps; with robot.gripper.name="
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
-        check_objects(task, cell)
+        check_objects(task, cell, self.robot.gripper.holds)
         if self.engine.processes > 1:
             self._check_processes()
 

@@ -148,8 +148,16 @@ class RewardConfig:
     """Factor of the weight `home` (Eq. 1 of the paper)."""
 
 
-def check_objects(task: TaskConfig, cell: CellConfig) -> None:
-    """Raise ConfigError where a task does not go with the objects of a cell."""
+def slot_users(task: TaskConfig, cell: CellConfig, place: str) -> list[int]:
+    """Return the indices of the objects that may arrive or belong at a place; those of `kitting` have given kinds."""
+    users = [place in (each.arrives_at, each.belongs_at) for each in cell.objects.values()]
+    if task.name == "kitting":
+        return [index for index, used in enumerate(users) if used]
+    return list(range(task.objects)) if any(users) else []
+
+
+def check_objects(task: TaskConfig, cell: CellConfig, hand: bool) -> None:
+    """Raise ConfigError where a task does not go with the objects of a cell; with a `hand` places need slots, too."""
     one_of("task.object", task.object, (RANDOM, *cell.kinds))
     if task.name == "kitting" and task.objects != len(cell.kinds):
         raise ConfigError(
@@ -158,9 +166,11 @@ def check_objects(task: TaskConfig, cell: CellConfig) -> None:
         )
     if task.observation == "paper" and len(cell.kinds) < 2:
         raise ConfigError(f"task.observation=paper shows the places of two kinds; cell.objects has {cell.kinds[0]}")
-    for name in sorted({each.arrives_at for each in cell.objects.values()}):
-        if task.objects > (slots := len(cell.places[name].slots_m)):
+    arrive = sorted({each.arrives_at for each in cell.objects.values()})
+    for name in cell.places if hand else arrive:
+        needed = len(slot_users(task, cell, name)) if hand else task.objects
+        if needed > (slots := len(cell.places[name].slots_m)):
+            fewer = "" if task.name == "kitting" else f", or choose task.objects={slots}"
             raise ConfigError(
-                f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots, or choose "
-                f"task.objects={slots}"
+                f"task.objects={task.objects}, but cell.places.{name}.slots_m has {slots}; add slots{fewer}"
             )

@@ -92,6 +92,10 @@ def refuse(config: DeployConfig) -> None:
         raise ConfigError(
             f"task.name={begins} begins with an object in the hand, which deploy does not; choose task=cycle"
         )
+    if config.robot.gripper.holds and config.task.objects > 1:
+        raise ConfigError(
+            f"task.objects={config.task.objects}: deploy follows one object of a gripper; choose task=cycle"
+        )
     if config.robot.gripper.holds and name == "ur" and config.episodes > 1:
         raise ConfigError(
             f"episodes={config.episodes} would need somebody who lays the objects for each one; choose episodes=1"

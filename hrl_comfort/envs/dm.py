@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import glfw
@@ -59,6 +60,17 @@ class CellPhysics(Physics):
         if substep < len(self._after) - 1:
             mujoco.mj_setState(self.model.ptr, self.data.ptr, self._after[substep], STATE_SPEC)
             mujoco.mj_forward(self.model.ptr, self.data.ptr)
+
+    def change(self, change: Callable[[Array], None]) -> None:
+        """Let `change` alter the state (1, nstate) in place."""
+        model, data = self.model.ptr, self.data.ptr
+        state = np.zeros((1, mujoco.mj_stateSize(model, STATE_SPEC)))
+        mujoco.mj_getState(model, data, state[0], STATE_SPEC)
+        before = state.copy()
+        change(state)
+        if not np.array_equal(state, before):
+            mujoco.mj_setState(model, data, state[0], STATE_SPEC)
+            mujoco.mj_forward(model, data)
 
     @property
     def contexts(self) -> Any:
@@ -131,6 +143,7 @@ class CellTask(control.Task):
         self.outcome = self.episodes.advance(physics.sensed[None])
         substeps = self.episodes.config.substeps
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
+        physics.change(partial(self.episodes.lay, self.outcome))
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
         """Return the action spec: (A,) in [-1, 1]."""

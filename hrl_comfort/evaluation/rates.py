@@ -35,6 +35,8 @@ class Course(Trajectory):
     protective_stops: int
     orders_missed: int | None
     """None in a task without orders."""
+    objects_lost: int | None
+    """None without a gripper: then it is told by the stages, which go back."""
 
     def touched(self) -> dict[str, Any]:
         """Return what the arm touched in the episode, by the fields of `Episode`."""
@@ -73,8 +75,9 @@ def shift_rates(course: Course, shielded: bool) -> dict[str, float | None]:
     """Return the rates of a shift by their column."""
     spent_s = (len(course.stage) - 1) * CONTROL_STEP_S
     collision = course.table_collision | course.self_collision
+    lost = course.objects_lost
     return {
-        "objects_lost": float((np.diff(course.stage) < 0).sum()),
+        "objects_lost": float((np.diff(course.stage) < 0).sum() if lost is None else lost),
         "objects_per_min": course.objects_placed * MINUTE_S / spent_s,
         "contacts_per_h": begun(course.touching) * HOUR_S / spent_s,
         "unsafe_contacts_per_h": begun(course.unsafe_contact) * HOUR_S / spent_s,

@@ -138,7 +138,7 @@ class EpisodeRecorder:
     def begin(self, state: State) -> None:
         """Begin with the first state of every row."""
         rows = len(self.entries.episode)
-        self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level", "missed")}
+        self.totals = {name: np.zeros(rows) for name in ("policy_steps", "return", "steps", "level", "missed", "lost")}
         self.seen: list[tuple[dict[str, torch.Tensor], torch.Tensor]] = []
         self._keep(state.instants(), torch.ones(rows, 1, dtype=torch.bool))
         self._found: dict[int, Episode] = {}
@@ -155,6 +155,8 @@ class EpisodeRecorder:
         self.totals["steps"] += steps
         self.totals["level"] += result.level.numpy() * steps
         self.totals["missed"] += np.where(active.numpy(), missed(result.before, result.state).numpy(), 0.0)
+        if self.config.robot.gripper.holds:
+            self.totals["lost"] += np.where(active.numpy(), result.begun("object_lost").numpy(), 0.0)
         self._keep(result.instants, valid)
         if self.config.record:
             for k, instant in enumerate(result.steps):
@@ -199,7 +201,10 @@ class EpisodeRecorder:
             stops = episode.protective_stops or 0
             kept = dict(zip(COURSE, course, strict=True), human_here=here, objects_placed=episode.objects_placed)
             late = int(self.totals["missed"][row]) if self.engine.episodes.subtask.orders else None
-            through = Course(tool=tool, people=people, **kept, protective_stops=stops, orders_missed=late)
+            fallen = int(self.totals["lost"][row]) if self.config.robot.gripper.holds else None
+            through = Course(
+                tool=tool, people=people, **kept, protective_stops=stops, orders_missed=late, objects_lost=fallen
+            )
             values = metrics(through)
             values |= discomforts(through, self.config)
             arm, person = through.arm_distance, episode.person_id
@@ -264,7 +269,7 @@ class EpisodeRecorder:
             human_beyond_bound=int(state.human_beyond_bound[row]) if shielded else None,
             drops=int(state.drops[row]) if held else None,
             slip_mm=1000 * float(state.slip[row]) if held else None,
-            object_lost=bool(state.object_lost[row]) if held else None,
+            object_lost=bool(self.totals["lost"][row] or state.object_lost[row]) if held else None,
             diverged=bool(state.diverged[row]) if held else None,
             measures={},
             max_episode_steps=self._limit(row, step),

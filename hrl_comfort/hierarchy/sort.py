@@ -10,10 +10,9 @@ from torch import Tensor
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
 from hrl_comfort.hierarchy.options import Option, OptionTable, grid, lasts, skill
-from hrl_comfort.policies.expert import Expert
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.tasks import State
+from hrl_comfort.tasks import State, subtask
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.pick import PICK
 from hrl_comfort.tasks.place import PLACE
@@ -37,7 +36,9 @@ def sorting_table(
     Raises:
       ConfigError: the division is not three, a policy is missing or does not fit, or a level is not one of the source.
     """
-    names = [skill.name for skill in SKILLS]
+    hand = config.robot.gripper.holds
+    parts = [subtask(each.name, hand=hand) for each in SKILLS]
+    names = [each.name for each in SKILLS]
     if list(meta_controller.options) != names:
         raise ConfigError(f"meta_controller.options={list(meta_controller.options)} do not sort; choose division=three")
     missing = [name for name in names if name not in policies]
@@ -54,15 +55,17 @@ def sorting_table(
                 "choose among the levels of a source, or meta_controller.level_override=[]"
             )
     limit, waits = meta_controller.time_limit_steps, meta_controller.max_waits
-    acts = [make_policy(policies[part.name], part, scene, config, seed) for part in SKILLS]
+    acts = [make_policy(policies[part.name], part, scene, config, seed) for part in parts]
     period = meta_controller.interruption_steps
-    skills = [skill(part, acts[k], limit, k, ROUND, period) for k, part in enumerate(SKILLS)]
-    home, at_home = Expert(scene, config, RETURN), RETURN_STAGE.done
+    skills = [skill(part, acts[k], limit, k, ROUND, period) for k, part in enumerate(parts)]
+    recovering = make_policy("expert", parts[-1], scene, config, seed), stop(config.task)
+    home, rest = map(_holding, recovering) if hand else recovering
+    at_home = RETURN_STAGE.done
     # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
     # does not retreat, for a place is trained to begin where a pick ends.
-    wait = Option("wait", stop(config.task), lambda state: ~has_placed(state), lasts(WAIT_STEPS), max_runs=waits)
+    wait = Option("wait", rest, lambda state: ~has_placed(state), lasts(WAIT_STEPS), max_runs=waits)
     retreat = Option(
-        "retreat", home.act, lambda state: has_placed(state) & ~at_home(state), lambda state, _: at_home(state),
+        "retreat", home, lambda state: has_placed(state) & ~at_home(state), lambda state, _: at_home(state),
         recovers=True,
     )  # fmt: skip
     choices = grid(skills, {PICK.name: config.task.objects}, meta_controller.level_override)
@@ -87,3 +90,13 @@ def stop(task: TaskConfig) -> Act:
         return torch.where(moving, back, 0.0)
 
     return act
+
+
+def _holding(act: Act) -> Act:
+    """Return the policy `act` of an arm with a hand, whose fingers stay as they are."""
+
+    def holding(state: State) -> Tensor:
+        arm = act(state)[:, : state.joint_pos.shape[1]]
+        return torch.cat([arm, 2 * state.grip_target[:, None] - 1], dim=-1)
+
+    return holding

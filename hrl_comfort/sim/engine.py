@@ -83,6 +83,7 @@ class Engine:
         sensed = [physics.run(control[at], rows) for control in controls]
         result = self.episodes.advance(sensed[0] if len(sensed) == 1 else np.concatenate(sensed, axis=1), rows)
         physics.end_decision(result.decision_steps.numpy()[at] * self.episodes.config.substeps, rows)
+        self.episodes.lay(result, physics.state)
         return result
 
     def observe(self) -> Tensor:

@@ -14,11 +14,11 @@ from hrl_comfort.comfort.sources import DRAWS
 from hrl_comfort.config import PREGRASP, RANDOM, ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.objects import check_slots, turned
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts, unseen_left_out
 from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.random_streams import random_stream
 from hrl_comfort.sim.variation.randomisation import draws
+from hrl_comfort.sim.variation.slots import Slots
 from hrl_comfort.tasks import Start, Subtask
 
 Array = NDArray[np.float64]
@@ -26,16 +26,16 @@ Array = NDArray[np.float64]
 POINT_RADIUS_M, POINT_HEIGHT_M = (0.30, 0.55), (0.15, 0.55)
 """Annulus round the base in which random points of `reach` lie."""
 TABLE_CLEARANCE_M = 0.25
-ATTEMPTS, ARRIVALS = 200, 256
+ATTEMPTS = 200
 LONGEST_STEPS = 1_000_000
 """Longest episode, control steps: the random numbers of its walk are drawn when it begins."""
 LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RANDOMISE_STREAM = 1, 2, 3, 4, 5, 6
 KEY_STREAM = 7
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
-LAYOUT_STREAM, TURN_STREAM, PERSON_STREAM = 40, 41, 42
+LAYOUT_STREAM, TURN_STREAM, PERSON_STREAM, SLOT_STREAM = 40, 41, 42, 43
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
-randomisation, layouts, turns and who rates: with or without any of them, the rest of an episode is the same."""
+randomisation, layouts, turns, who rates and slots: with or without any of them, the rest of an episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Draw:
     """(1,) number of the layout; NaN of a cell that does not vary."""
     kind_places: Array
     """(kinds, 3) m, where the centre of an object of each kind belongs."""
+    slots: Array
+    """(B, kinds, 3) m, where that of each object belongs if it is of a kind; the slots differ with a gripper alone."""
     arrivals: Array
     """(B, kinds, 3) m, centre of each object where it arrives if it is of a kind."""
     kinds: NDArray[np.int64]
@@ -70,9 +72,9 @@ class Draw:
     turns: Array
     """(B,) rad, turn of each object about the vertical as it arrives; zero without a gripper."""
     arriving: NDArray[np.int64]
-    """(ARRIVALS,) kinds of objects that arrive later, by control step modulo ARRIVALS."""
+    """(slots.ARRIVALS,) kinds of objects that arrive later, by control step modulo their number."""
     due: Array
-    """(ARRIVALS, B) s from the opening of each order until it is due, by control step modulo ARRIVALS."""
+    """(slots.ARRIVALS, B) s from the opening of each order until it is due, as `arriving`."""
     noise: Array
     """(horizon, P, NOISE) in [0, 1), for the walks at each control step."""
     traits: Array
@@ -117,7 +119,7 @@ class EpisodeSampler:
     def __init__(
         self, scene: Scene, config: EnvConfig, task: Subtask, seed: int, evaluation: EvaluationSet | None
     ) -> None:
-        check_slots(config)
+        self._slots = Slots(scene, config, task)
         self.seed = seed
         self._drawn = evaluation is None or evaluation.drawn
         self._scene, self._config, self._task, self._evaluation = scene, config, task, evaluation
@@ -178,7 +180,8 @@ class EpisodeSampler:
         own = self.generator(row, episode, TRAIT_STREAM)
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
-        arriving = self._objects(kind, self.generator(row, episode, OBJECT_STREAM))
+        slots = self._slots.drawn(self.generator(row, episode, SLOT_STREAM))
+        arriving = self._slots.objects(kind, slots, self.generator(row, episode, OBJECT_STREAM))
         turns = np.zeros(self._config.task.objects)
         if self._scene.gripper is not None:
             turns = self.generator(row, episode, TURN_STREAM).uniform(-np.pi, np.pi, len(turns))
@@ -209,8 +212,8 @@ class EpisodeSampler:
             ids = np.array(motion_id), np.array(spawn_id)
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
-                layout.tcp_home, np.array([layout.number]), layout.belongs, self._arrivals(layout, arriving[0]),
-                arriving[1], turns, *arriving[2:],
+                layout.tcp_home, np.array([layout.number]), layout.belongs, self._slots.belonging(layout, slots),
+                self._slots.arrivals(layout, arriving[0]), arriving[1], turns, *arriving[2:],
             )  # fmt: skip
             body = self._body(start, layout, rng)
             yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, key, rater)
@@ -262,44 +265,6 @@ class EpisodeSampler:
             before = before if way == 1.0 else arm[: self._joints]
             arm = at_rest(arm[None, : self._joints] + way * (layout.home - arm[: self._joints]))[0]
         return arm, before, hand
-
-    def _objects(
-        self, kind: int, rng: np.random.Generator
-    ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]:
-        """Return offsets (B, kinds, 2, 2) m of the objects in the frames of the places where kinds arrive, kinds (B,).
-
-        Offsets are those of the slot and of the jitter. An object has one slot at each place where objects arrive. The
-        kinds of later objects are the third, and when orders are due the fourth; the first kind is given.
-        """
-        task, cell = self._config.task, self._config.cell
-        count, kinds = task.objects, list(cell.objects.values())
-        slots = {}
-        for name in dict.fromkeys(each.arrives_at for each in kinds):
-            own = np.array(cell.places[name].slots_m if count > 1 else [[0.0, 0.0]])
-            slots[name] = own[rng.permutation(len(own))[:count]]
-        jitter = task.object_jitter_m * rng.uniform(-1, 1, (count, 2))
-        offsets = np.empty((count, len(kinds), 2, 2))
-        offsets[:, :, 1] = jitter[:, None]
-        for index, each in enumerate(kinds):
-            offsets[:, index, 0] = slots[each.arrives_at]
-        random = task.object == RANDOM
-        chosen = rng.integers(len(kinds), size=count) if random else np.full(count, kind)
-        chosen[0] = kind
-        later = rng.integers(len(kinds), size=ARRIVALS) if random else np.full(ARRIVALS, kind)
-        low, high = task.due_s
-        if not self._task.orders:
-            return offsets, chosen, later, np.full((ARRIVALS, count), np.inf)
-        return offsets, np.arange(count), later, low + (high - low) * rng.random((ARRIVALS, count))
-
-    def _arrivals(self, layout: Layout, offsets: Array) -> Array:
-        """Return where objects arrive (B, kinds, 3) m, for `offsets` as of `_objects`."""
-        cell = self._config.cell
-        arrivals = np.tile(layout.arrives, (len(offsets), 1, 1))
-        for index, each in enumerate(cell.objects.values()):
-            w, _, _, z = layout.places[list(cell.places).index(each.arrives_at), 3:]
-            for offset in offsets[:, index].transpose(1, 0, 2):
-                arrivals[:, index, :2] += turned(offset, 2 * np.arctan2(z, w))
-        return arrivals
 
     def keep_out(self, points: Array, goals: Array) -> humans.KeepOut:
         """Return the discs that people keep out of: round the base, and points (n, 2, 3) m or goals (n, M, 3) m."""

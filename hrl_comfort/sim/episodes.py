@@ -212,6 +212,8 @@ class Episodes:
         else:
             sizes = np.array([each.half_m for each in self.config.cell.objects.values()], dtype=np.float64)
             known["kind_sizes"] = np.repeat(sizes[None], n, axis=0)
+            if kinds.shape[1] > 1:
+                known["object_slots"] = draw.slots[rows]
         return {name: torch.from_numpy(value) for name, value in known.items()}
 
     def rewind(self, seed: int | None = None) -> None:
@@ -257,6 +259,13 @@ class Episodes:
         self.plan.end(result.decision_steps.numpy() - 1)
         self.state = result.state.with_(**tensors(self.plan.bodies(result.state.joint_pos.numpy())))
         return replace(result, state=self.state)
+
+    def lay(self, result: StepResult, physics: Array) -> None:
+        """Put the objects that arrived at the end of the decision of `result` into the `physics` (N, nstate)."""
+        if "objects" in result.moving:
+            last = np.arange(self.rows), result.decision_steps.numpy() - 1
+            arrived = (result.state.objects.numpy() != result.moving["objects"][last]).any(axis=-1)
+            self.plan.lay(result.state, arrived, physics)
 
     def values(self, rows: Any = slice(None)) -> Values:
         """Return how the cells of `rows`, all by default, differ from the model."""

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S, ConfigError, EnvConfig
+from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.tasks import ObjectAt, State, Subtask
 from hrl_comfort.tasks.kitting import fetched
 
@@ -63,15 +63,21 @@ def go_on(state: State, before: State, failed: Tensor, kinds: Tensor, arrivals: 
     return choose_target(state, rows, index, task)
 
 
-def renewed(state: State, due: Tensor, task: Subtask) -> State:
+def renewed(state: State, due: Tensor, task: Subtask, taken: Tensor | None = None) -> State:
     """Return the state after a decision with orders open anew, `due` (N, B) s from now: those fetched or missed.
 
-    Where the arm is to pick and the order that it was for is closed, it is for the first open one.
+    `taken` (N, B) are those of which the object has left its place; by default those fetched. Where the arm is to pick
+    and the order that it was for is closed, it is for the first open one.
     """
-    now, taken = state.steps[:, None] * CONTROL_STEP_S, fetched(state)
+    now, taken = state.steps[:, None] * CONTROL_STEP_S, fetched(state) if taken is None else taken
     again = taken | (~state.placed & (state.due <= now))
     if bool(again.any()):
         state = state.with_(placed=state.placed & ~taken, due=torch.where(again, now + due, state.due))
+    return choose_open(state, task)
+
+
+def choose_open(state: State, task: Subtask) -> State:
+    """Return the state in which arms that are to pick an object that is placed are to pick the first that is not."""
     closed = state.placed.gather(1, state.target[:, None]).squeeze(1) & ~state.placed.all(dim=1)
     rows = torch.nonzero(task.grasping(state.stage) & closed).squeeze(1)
     return choose_target(state, rows, (~state.placed[rows]).int().argmax(dim=1), task) if len(rows) else state
@@ -87,26 +93,3 @@ def rendered_positions(state: State, task: Subtask) -> NDArray[np.float64]:
     if placed.any():
         centres = np.where(placed[..., None], state.object_places.numpy(), centres)
     return np.where((target & held)[..., None], state.tcp_pos.numpy()[:, None], centres)
-
-
-def check_slots(config: EnvConfig) -> None:
-    """Raise ConfigError where objects could overlap."""
-    cell, jitter = config.cell, config.task.object_jitter_m
-    if config.task.objects == 1:
-        return
-    for name in dict.fromkeys(each.arrives_at for each in cell.objects.values()):
-        width = 2 * max(each.half_width_m for each in cell.objects.values() if each.arrives_at == name)
-        slots = np.array(cell.places[name].slots_m)
-        gaps = np.maximum(np.abs(slots[:, None] - slots[None]) - 2 * jitter, 0.0)
-        apart = np.linalg.norm(gaps, axis=-1)[np.triu_indices(len(slots), 1)].min()
-        if apart < width - 1e-9:
-            raise ConfigError(
-                f"task.object_jitter_m={jitter} lets objects come within {apart:.3f} m of each other; "
-                f"cell.places.{name}.slots_m must leave their width, {width:.3f} m"
-            )
-
-
-def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-    """Return `points` (n, 2) turned about the origin by `yaw` rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])

@@ -202,6 +202,11 @@ class Plan:
         ends = self._seen_ends()
         self._ends, self._pace = ends, (ends - self._ends) / ((last + 1) * CONTROL_STEP_S)
 
+    def lay(self, state: State, arrived: NDArray[np.bool_], physics: Array) -> None:
+        """See `Gripping.lay`; objects that ride on the tool are not in the physics."""
+        if self._gripping is not None:
+            self._gripping.lay(state, arrived, physics)
+
     def _seen_ends(self) -> Array:
         """Return the ends (3, Q, 2, N) m of the capsules of people as the tracker sees them now."""
         shown = self.tracker.shown

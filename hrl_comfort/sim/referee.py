@@ -15,12 +15,14 @@ from hrl_comfort.comfort.sources import Source
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.episode_sampler import ARRIVALS, Draw
+from hrl_comfort.sim.episode_sampler import Draw
+from hrl_comfort.sim.hand.arrivals import Arrivals
 from hrl_comfort.sim.objects import go_on, renewed, update_placed
 from hrl_comfort.sim.plan import Planned
 from hrl_comfort.sim.sensors import Sensors
 from hrl_comfort.sim.step_result import Rules, StepResult, compute_step, reward_weights, source_input
 from hrl_comfort.sim.variation.disturbance import Disturbance
+from hrl_comfort.sim.variation.slots import ARRIVALS
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -52,6 +54,7 @@ class Referee:
         pushing: bool,
     ) -> None:
         self._config, self._disturbance = config, disturbance
+        self._arrivals = Arrivals(scene) if scene.gripper is not None and subtask.repeats else None
         self.source = source
         weights = reward_weights(config.reward, config.comfort.scale)
         self.weights = torch.tensor([weights[name] for name in subtask.rewards], dtype=torch.float64)
@@ -99,9 +102,14 @@ class Referee:
         if self.subtask.repeats:
             now = np.arange(len(draw.arriving)), state.steps.numpy() % ARRIVALS
             drawn = torch.from_numpy(draw.arriving[now]), torch.from_numpy(draw.arrivals)
-            state = go_on(state, before, result.failed, *drawn, self.subtask)
+            taken, placed = None, state.placed
+            if self._arrivals is None:
+                state = go_on(state, before, result.failed, *drawn, self.subtask)
+            else:
+                state = self._arrivals.go_on(state, *drawn, torch.from_numpy(draw.turns), self.subtask)
+                taken = placed & ~state.placed
             if self.subtask.orders:
-                state = renewed(state, torch.from_numpy(draw.due[now]), self.subtask)
+                state = renewed(state, torch.from_numpy(draw.due[now]), self.subtask, taken)
         return result if state is result.state else replace(result, state=state)
 
     def max_episode_steps(self, level: Tensor) -> Tensor:

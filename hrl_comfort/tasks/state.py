@@ -9,7 +9,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-OF_OBJECTS = {"objects", "kinds", "kind_places", "target"}
+OF_OBJECTS = {"objects", "kinds", "kind_places", "object_slots", "target"}
 """Fields of which the properties of State are made; they are kept until one of these is replaced."""
 
 
@@ -150,11 +150,16 @@ class State:
     """(N,) bool, the physics diverged in this episode."""
     kind_sizes: Tensor = ABSENT
     """(N, kinds, 3) m, half the sides of an object of each kind."""
+    object_slots: Tensor = ABSENT
+    """(N, B, kinds, 3) m, where the centre of each of several objects belongs if it is of a kind: in a slot of its own;
+    ABSENT of one alone."""
 
     @cached_property
     def object_places(self) -> Tensor:
         """(N, B, 3) m, where the centre of each object belongs."""
-        return torch.take_along_dim(self.kind_places, self.kinds[..., None], dim=-2)
+        if self.object_slots.shape == ABSENT.shape:
+            return torch.take_along_dim(self.kind_places, self.kinds[..., None], dim=-2)
+        return torch.take_along_dim(self.object_slots, self.kinds[..., None, None], dim=-2).squeeze(-2)
 
     @cached_property
     def target_object(self) -> Tensor:
@@ -169,7 +174,9 @@ class State:
     @cached_property
     def target_place(self) -> Tensor:
         """(N, 3) m, where the centre of the target belongs."""
-        return _of_target(self.kind_places, self.target_kind)
+        if self.object_slots.shape == ABSENT.shape:
+            return _of_target(self.kind_places, self.target_kind)
+        return _of_target(self.object_places, self.target)
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields by their names."""

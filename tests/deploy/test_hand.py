@@ -257,6 +257,7 @@ def test_a_late_cycle_is_done_and_a_late_grip_that_is_lost_by_force_is_noticed()
         (["connection=ur", "confirm=ask", "connection.gripper=robotiq"], "robot.gripper.name=two_finger; choose"),
         (["connection.gripper=tool_output"], "does not go with connection=simulated and robot.gripper.name=two_finger"),
         (["task=place"], "task.name=place begins with an object in the hand"),
+        (["task=sort"], "task.objects=4: deploy follows one object"),
         (["connection=ur", "confirm=ask", "connection.gripper=robotiq", "gripper=robotiq_2f85", "episodes=2"],
          "episodes=2 would need somebody who lays the objects"),
     ],

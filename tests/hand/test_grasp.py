@@ -318,7 +318,7 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
     ("root", "words", "says"),
     [
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
-        ("train", ["gripper=two_finger", "task=shift"], "shift"),
+        ("train", ["gripper=two_finger", "task=shift"], "slots_m has 1; add slots"),
         ("train", ["gripper=three_finger"], "is not a choice"),
         ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
         ("studio", ["gripper=two_finger", "export=page.html"], "does not go with studio export=; choose gripper=none"),

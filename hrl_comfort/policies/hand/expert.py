@@ -121,13 +121,13 @@ class GraspingExpert(Expert):
         """Return what the arm of a row does next."""
         stage, target = int(state.stage[row]), int(state.target[row])
         obj = state.objects[row, target].numpy()
-        held = bool(state.pads[row, target].all())
+        holds = bool(state.pads[row, target].all() and state.grip_target[row] > FIRM)
         if self._grasping[stage]:
-            return self._lift(state, row) if held and state.grip_target[row] > FIRM else self._pick(state, row, obj)
+            return self._lift(state, row) if holds else self._pick(state, row, obj)
         if self._releasing[stage]:
             return self._place(state, row, obj)
         away = float(np.linalg.norm(obj - state.tcp_pos[row].numpy()))
-        return self._retreat(state, row) if away < RETREAT_M else Step(OPEN)
+        return self._retreat(state, row) if away < RETREAT_M and not holds else Step(OPEN)
 
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""

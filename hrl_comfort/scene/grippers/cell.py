@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
+from typing import Any
 
 import mujoco
 import numpy as np
 from dm_control import mjcf
+from numpy.typing import NDArray
 
 from hrl_comfort.config import CellConfig, ConfigError
 from hrl_comfort.scene.grippers.gripper import DRIVE, PEOPLE, Gripper
@@ -58,6 +60,34 @@ def add_guard(root: mjcf.RootElement, gripper: Gripper, cell: CellConfig, limbs:
             geom.conaffinity = 1 | PEOPLE
 
 
+def half_width_m(model: mujoco.MjModel) -> float:
+    """Return how far, m, the open hand of a planning `model` reaches from the tool's axis, near its tip.
+
+    What collides with objects counts.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    tool, farthest = data.site("robot/tcp"), 0.0
+    hand = {model.site("robot/tcp").bodyid[0]}
+    for body in range(model.nbody):
+        if model.body_parentid[body] in hand:
+            hand.add(body)
+    for geom in range(model.ngeom):
+        collides = model.geom_contype[geom] & 1 and model.geom(geom).name != f"robot/{GUARD}"
+        if collides and model.geom_bodyid[geom] in hand:
+            at = _corners(model, data, geom, tool)
+            if at[:, 2].max() > -FINGERS_M / 2:
+                farthest = max(farthest, float(np.linalg.norm(at[:, :2], axis=1).max()))
+    return farthest
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int, tool: Any) -> NDArray[np.float64]:
+    """Return the corners (8, 3) m of the box round a geom in the frame of the site `tool`."""
+    corners = model.geom_aabb[geom, :3] + np.array(list(product((-1, 1), repeat=3))) * model.geom_aabb[geom, 3:]
+    at = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T
+    return np.asarray((at - tool.xpos) @ tool.xmat.reshape(3, 3))
+
+
 def _pads_reach(root: mjcf.RootElement, gripper: Gripper, length: float) -> float:
     """Return how far, m, the open pads reach from an axis of `length` m that ends at the tool.
 
@@ -71,9 +101,7 @@ def _pads_reach(root: mjcf.RootElement, gripper: Gripper, length: float) -> floa
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, pads)):
         if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE):
             continue
-        corners = model.geom_aabb[geom, :3] + np.array(list(product((-1, 1), repeat=3))) * model.geom_aabb[geom, 3:]
-        at = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T
-        at = (at - tool.xpos) @ tool.xmat.reshape(3, 3)
+        at = _corners(model, data, int(geom), tool)
         at[:, 2] -= at[:, 2].clip(-length, 0.0)
         farthest = max(farthest, float(np.linalg.norm(at, axis=1).max()))
     return farthest

@@ -16,7 +16,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.sim.hand.fingers import Fingers
 from hrl_comfort.sim.variation.grasps import narrow_rad, rise_m
-from hrl_comfort.tasks import Start, Subtask
+from hrl_comfort.tasks import Start, State, Subtask
 
 Array = NDArray[np.float64]
 CLOSES_S = 0.5
@@ -85,13 +85,28 @@ class Gripping:
             bodies[row, model.nq + self._scene.moving[joints:] - 1 - model.nq] = start[joints : 2 * joints]
         return bodies, grip
 
+    def lay(self, state: State, arrived: NDArray[np.bool_], physics: Array) -> None:
+        """Put the objects `arrived` (N, B) where they are in the state, at rest, in the `physics` (N, nstate)."""
+        centres, turns, kinds = (getattr(state, name).numpy() for name in ("objects", "objects_quat", "kinds"))
+        count, bodies = len(self._scene.cell.objects), physics[:, 1:]
+        for row, index in np.argwhere(arrived):
+            for kind in range(count):
+                at, dof = self._where(index * count + kind)
+                bodies[row, at : at + 7], bodies[row, dof : dof + 6] = self._parked[at : at + 7], 0.0
+            at, _ = self._where(index * count + kinds[row, index])
+            bodies[row, at : at + 7] = *centres[row, index], *turns[row, index]
+
+    def _where(self, body: int) -> tuple[int, int]:
+        """Return where in a row of bodies the pose and the velocity begin of an object's body."""
+        joint = self._model.joint(self._scene.loose[body])
+        return int(joint.qposadr[0]), int(self._model.nq + joint.dofadr[0])
+
     def _absent(self, kinds: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
         """Yield where in a row of bodies the pose and the velocity begin of each object not among `kinds` (B,)."""
         count = len(self._scene.cell.objects)
-        for body, name in enumerate(self._scene.loose):
+        for body in range(len(self._scene.loose)):
             if body % count != kinds[body // count]:
-                joint = self._model.joint(name)
-                yield joint.qposadr[0], self._model.nq + joint.dofadr[0]
+                yield self._where(body)
 
     def _in_front(self, angles: Array, height: float, kind: int, off: Array, turn: float) -> Array:
         """Return the pose (7,) of an object that lies at `height` m in front of the hand at joint angles (J,) rad.

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_comfort.config import CONTROL_STEP_S, CellConfig
+from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.variation.grasps import ABOVE_M
+from hrl_comfort.sim.variation.grasps import ABOVE_M, TILTS_RAD
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.hand import CARRIED_M, FREE_STEPS, LIFT_M
 from hrl_comfort.tasks.hand.observation import turned
@@ -23,6 +24,8 @@ FLOOR_M, LOW_M = 0.15, 0.02
 there; of places lower than LOW_M over the floor nothing falls."""
 FARTHEST_M = 3.0
 """Distance from the robot's base beyond which an object is lost."""
+POSTURES = 40_000
+"""Random postures of which the farthest says how far the hand reaches."""
 FASTEST_M_S = 50.0
 """Speed above which an object moves because the physics diverged."""
 COUNTED = ("ground", "aloft_steps", "free_steps", "carried", "held_at", "slip", "drops", "object_lost", "diverged")
@@ -33,9 +36,8 @@ class HandSensors:
     """Fields of State that the sensors of a cell with a gripper give."""
 
     def __init__(self, scene: Scene) -> None:
-        self._at, self._kinds, self._floor_z = scene.sensors, len(scene.cell.objects), scene.floor_z
+        self._at, self._kinds, self._losses = scene.sensors, len(scene.cell.objects), Losses(scene)
         self._open, self._closed = scene.model.actuator_ctrlrange[len(scene.joints)]
-        self._fallen = fallen_m(scene.cell)
 
     def first(self, sensed: Array, kinds: NDArray[np.int64]) -> Fields:
         """Return the fields (n, 1, ...) of the first instants of episodes, from readings (n, 1, nsensor).
@@ -124,18 +126,38 @@ class HandSensors:
                 "held_at": held_at,
                 "slip": np.maximum(now["slip"], shifted.max(axis=-1)),
                 "drops": now["drops"] + (let_go & away).any(axis=-1),
-                "object_lost": self._lost(at, before.kinds.numpy()) | diverged[:, k],
+                "object_lost": self._losses(at, before.kinds.numpy()).any(axis=-1) | diverged[:, k],
                 "diverged": now["diverged"] | diverged[:, k],
             }
             found.append(now)
         return {name: np.stack([each[name] for each in found], axis=1) for name in COUNTED}
 
-    def _lost(self, at: Array, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (n,) whether an object of `kinds` (n, B) at (n, B, 3) m is on the floor or out of the cell."""
+
+class Losses:
+    """Objects of the cells of `scene` that are lost: on the floor, or out of the cell.
+
+    Where there are several, one that the hand cannot reach is lost, too: the others can still be served.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._floor_z, self._fallen = scene.floor_z, fallen_m(scene.cell)
+        several = len(scene.loose) > len(scene.cell.objects)
+        self._farthest = _downward_reach_m(scene) if several else FARTHEST_M
+
+    def __call__(self, at: Array, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (n, B) whether objects of `kinds` (n, B) at (n, B, 3) m are lost."""
         away = np.linalg.norm(at[..., :2], axis=-1)
         low = at[..., 2] - self._floor_z < self._fallen[kinds]
-        gone: NDArray[np.bool_] = (low | (away > FARTHEST_M)).any(axis=-1)
-        return gone
+        return np.asarray(low | (away > self._farthest))
+
+
+def _downward_reach_m(scene: Scene) -> float:
+    """Return the largest horizontal distance, m, from the base of a tool that points down as for a grasp."""
+    low, high = np.clip(scene.joint_range, -np.pi, np.pi).T
+    postures = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
+    places, turns = ArmGeometry(scene).tool_pose(postures)
+    down = turns[:, 2, 2] < -np.cos(TILTS_RAD[-1])
+    return float(np.linalg.norm(places[down, :2], axis=1).max())
 
 
 def fallen_m(cell: CellConfig) -> Array:

@@ -65,6 +65,11 @@ class Layout:
     at_place: list[Array]
     """Of each kind, postures (n, J) rad with the tool at the goal where it arrives, and where it belongs."""
 
+    def yaw(self, index: int) -> float:
+        """Return the turn of a place about the vertical, rad."""
+        w, _, _, z = self.places[index, 3:]
+        return 2 * float(np.arctan2(z, w))
+
 
 class Layouts:
     """Layouts of the cell of `scene`.

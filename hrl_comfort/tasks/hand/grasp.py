@@ -10,6 +10,7 @@ from torch.linalg import vector_norm
 from hrl_comfort.tasks.hand.observation import hand_terms, of_target
 from hrl_comfort.tasks.hand.rewards import hand_rewards
 from hrl_comfort.tasks.rewards import Progress
+from hrl_comfort.tasks.shift import WithinRound
 from hrl_comfort.tasks.state import State
 from hrl_comfort.tasks.subtask import Stage, Subtask
 
@@ -50,11 +51,12 @@ def with_hand(task: Subtask) -> Subtask:
     Terms of hand and object are the last ones of its observations and rewards.
     """
     stages = tuple(_with_hand(stage) for stage in task.stages)
-    rewards = dict(task.rewards)
-    if "progress" in rewards:
-        rewards["progress"] = Progress(stages, joint_space=False)
     further = hand_rewards(tuple(stage.grasps for stage in stages))
-    seen = replace(task, stages=stages, rewards={**rewards, **further}, losses=("object_lost",))
+    if "progress" in task.rewards:
+        further["progress"] = Progress(stages, joint_space=False)
+    if task.repeats:
+        further = {name: WithinRound(term, len(stages)) for name, term in further.items()}
+    seen = replace(task, stages=stages, rewards={**task.rewards, **further}, losses=("object_lost",))
     return seen.observing(**hand_terms())
 
 
