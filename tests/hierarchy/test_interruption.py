@@ -130,7 +130,7 @@ def test_while_an_object_is_carried_the_mask_leaves_place_and_wait_and_these_hav
 def test_an_interrupted_option_is_a_transition_of_its_own_discounted_by_its_own_time() -> None:
     gamma, choices = 0.99, {**QUICK, "reward": "sort", "comfort": "sort"}
     whole, parts = (
-        make_option_env(options_of("sort", {**choices, KEY: after}), 1, seed=3, gamma=gamma) for after in (None, 10)
+        make_option_env(options_of("sort", {**choices, KEY: after}), 1, seed=3, gamma=gamma) for after in (None, 5)
     )
     expected = whole.step(whole.reset().set("action", torch.tensor([0])))["next"]
     now, ran, earned, ends = parts.reset(), [], 0.0, []
@@ -140,7 +140,7 @@ def test_an_interrupted_option_is_a_transition_of_its_own_discounted_by_its_own_
         ran.append(int(parts.transitions(after)["steps_to_next_obs"]))
         ends.append(TERMINATIONS[int(after["termination"])])
         now = after.clone()
-    assert len(ran) > 2 and set(ran[:-1]) == {10} and sum(ran) == int(expected["steps_to_next_obs"])
+    assert len(ran) > 2 and set(ran[:-1]) == {5} and sum(ran) == int(expected["steps_to_next_obs"])
     assert set(ends[:-1]) == {Termination.INTERRUPTED} and ends[-1] is TERMINATIONS[int(expected["termination"])]
     assert earned == pytest.approx(float(expected["reward"]), rel=1e-5)
 
