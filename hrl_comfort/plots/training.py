@@ -36,6 +36,8 @@ from hrl_comfort.plots.style import (
 DIAGNOSTICS = (("return", "return", BLUE), ("q_mean", "mean Q", GREEN), ("entropy", "entropy (nats)", PURPLE))
 CONTROLLER = (("success", "success (share)", BLUE), ("steps", "steps", GREEN), ("return", "return", PURPLE))
 """Columns of a log, their labels and colours."""
+LONGEST = 40
+"""Characters of a stage's name that are drawn; a file may hold any number."""
 
 
 def _thousands(table: DataFrame) -> Floats:
@@ -59,7 +61,7 @@ def _stages(axes: Sequence[Axes], table: DataFrame) -> None:
         across = axes[-1].get_xaxis_transform()
         left = x[k - 1] if k else 0.0
         look: dict[str, Any] = {"fontsize": 7, "color": GREY, "path_effects": [OUTLINE]}
-        axes[-1].text(left, 0.04, f" {names[k]}", transform=across, **look)
+        axes[-1].text(left, 0.04, f" {names[k]}"[: LONGEST + 1], transform=across, **look)
 
 
 def learning_curves(tables: Mapping[str, DataFrame]) -> Figure:

@@ -447,6 +447,8 @@ def test_boundaries_of_curriculum_stages_are_drawn_and_named():
     dotted = [line for axis in staged.axes for line in axis.lines if line.get_linestyle() == ":"]
     assert {float(line.get_xdata()[0]) for line in dotted} == {10.0} and len(dotted) == 2
     assert [text.get_text().strip() for text in staged.axes[1].texts] == ["far", "near"]
+    damaged = training.learning_curves({"pick": table.assign(stage=["far"] * 10 + ["x" * 200_000] * 20)})
+    assert [text.get_text().strip() for text in damaged.axes[1].texts] == ["far", "x" * training.LONGEST]
 
 
 def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
