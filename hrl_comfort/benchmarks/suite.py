@@ -13,7 +13,7 @@ from hrl_comfort.analysis.summary import summarise
 from hrl_comfort.benchmarks.entries import ENTRIES, FILE, QUANTITIES, Entry, Level, committed, tables
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import BenchmarkConfig, ConfigError, EvaluateConfig
-from hrl_comfort.config.hierarchy import OF_OPTIONS
+from hrl_comfort.config.hierarchy import OPTION_KEYS
 from hrl_comfort.config.overrides import override
 from hrl_comfort.config.suite import SUITE
 from hrl_comfort.evaluation.evaluate import evaluate
@@ -28,7 +28,7 @@ from hrl_comfort.plots.benchmark import front
 from hrl_comfort.plots.style import save_png
 from hrl_comfort.sim.engine import Engine
 
-TOP = tuple(f"meta_controller.{name}" for name in ("name", *OF_OPTIONS, "order"))
+TOP = tuple(f"meta_controller.{name}" for name in ("name", *OPTION_KEYS, "order"))
 """Keys of the top, which belong to an entry as its policies do."""
 OWN = (
     "policy", "policies", "output", "engine.threads", "engine.processes", "record", "realtime", "task.observation",

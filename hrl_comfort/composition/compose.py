@@ -25,7 +25,7 @@ from hrl_comfort.config import (
 )
 from hrl_comfort.config.checks import part_name
 from hrl_comfort.config.commands import CommandConfig
-from hrl_comfort.config.hierarchy import OF_OPTIONS
+from hrl_comfort.config.hierarchy import OPTION_KEYS
 from hrl_comfort.config.hydra_conf import ALONE, composed, freeze, run_folder
 from hrl_comfort.config.overrides import (
     NAMES,
@@ -57,8 +57,8 @@ def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
     """Return the configuration `root` with Hydra `overrides`.
 
     With a policy that belongs to a run, the sections AS_TRAINED default to those of the run, and the options to those
-    that a learned controller was trained with. Overrides win. A process
-    reads the files of `conf/` once for the same choices.
+    that a learned controller was trained with. Overrides win. A process reads the files of `conf/` once for the same
+    choices.
 
     Raises:
       ConfigError: an unknown key or choice, or a value that is not allowed.
@@ -158,7 +158,7 @@ def _run_of(overrides: list[str]) -> EnvConfig | None:
 
 
 def _as_learned(overrides: list[str]) -> list[str]:
-    """Return overrides that set OF_OPTIONS as in the training of the learned controller, if its run is there."""
+    """Return overrides that set OPTION_KEYS as in the training of the learned controller, if its run is there."""
     given = {o.key_or_group: o.value() for o in map(parse, overrides)}
     source = given.get("policies.meta_controller")
     if source is None or "learned" not in (given.get("meta_controller"), given.get("meta_controller.name")):
@@ -167,7 +167,7 @@ def _as_learned(overrides: list[str]) -> list[str]:
     config = None if folder is None else load_config(folder)
     if not isinstance(config, MetaControllerTrainConfig):
         return []
-    return [override(f"meta_controller.{key}", getattr(config.meta_controller, key)) for key in OF_OPTIONS]
+    return [override(f"meta_controller.{key}", getattr(config.meta_controller, key)) for key in OPTION_KEYS]
 
 
 def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]:

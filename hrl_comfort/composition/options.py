@@ -9,7 +9,7 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.composition.policies import CYCLE, options_in
 from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig, MetaControllerTrainConfig
 from hrl_comfort.config.checks import UnknownKeyError, implemented, one_of
-from hrl_comfort.config.hierarchy import OF_OPTIONS
+from hrl_comfort.config.hierarchy import OPTION_KEYS
 from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.config.overrides import override
 from hrl_comfort.files.run_config import load_config, warn_unfinished
@@ -74,5 +74,5 @@ def _trained(task: str, run: str) -> dict[str, object]:
         )
     if config.task.name != task:
         raise ConfigError(f"run={run!r} was trained for task={config.task.name}, not {task}")
-    chosen = {f"meta_controller.{key}": getattr(config.meta_controller, key) for key in OF_OPTIONS}
+    chosen = {f"meta_controller.{key}": getattr(config.meta_controller, key) for key in OPTION_KEYS}
     return {**chosen, **_skills({**config.policies, "meta_controller": run})}

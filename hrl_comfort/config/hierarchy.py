@@ -17,7 +17,7 @@ ORACLE = "oracle"
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
-OF_OPTIONS: dict[str, Any] = {"level_override": [], "max_waits": None, "interruption_steps": None}
+OPTION_KEYS: dict[str, Any] = {"level_override": [], "max_waits": None, "interruption_steps": None}
 """Keys of the options of SORTING, with the values that change nothing; a learned controller keeps those it had."""
 
 
@@ -37,7 +37,7 @@ class MetaControllerConfig:
     level."""
     interruption_steps: Annotated[int, within(1, 100_000)] | None
     """`sort`, `shift`, `kitting`: control steps after which a skill is interrupted, so that the controller decides
-    whether it goes on; null: never. Kept for a `learned` controller as `max_waits` is."""
+    whether it goes on; null: never. A `learned` controller keeps the value of its training; any other is refused."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
     up. In `sort`, `shift` and `kitting` there is no limit."""
@@ -102,11 +102,11 @@ class MetaControllerAgentConfig:
     own: dict[str, Any]
     """Keys that only this learner has."""
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
-    """The person in the observation: position and facing (`default`), or nearness to the tool (`jobs`).
-    All have the person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for
-    the person nearest to each, and the time until each order is due."""
+    """The person in the observation: position and facing (`default`), or nearness to the tool (`jobs`). Both have the
+    person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for the person
+    nearest to each, and the time until each order is due."""
     options: Annotated[int, within(1, 1e9)]
-    """Length of the training: number of option runs, over all cells."""
+    """Length of the training: number of choices of an option, over all cells; at an interruption there is one."""
     warmup_options: Annotated[int, within(0, 1e9)]
     """Random options before the first update."""
     updates_per_option: Annotated[float, within(0.0, 16.0)]

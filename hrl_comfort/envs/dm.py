@@ -143,7 +143,8 @@ class CellTask(control.Task):
         self.outcome = self.episodes.advance(physics.sensed[None])
         substeps = self.episodes.config.substeps
         physics.back_to(int(self.outcome.decision_steps[0]) * substeps - 1)
-        physics.change(partial(self.episodes.lay, self.outcome))
+        if self.episodes.config.robot.gripper.holds:
+            physics.change(partial(self.episodes.lay, self.outcome))
 
     def action_spec(self, physics: CellPhysics) -> specs.BoundedArray:
         """Return the action spec: (A,) in [-1, 1]."""

@@ -148,7 +148,7 @@ class OptionExecutor:
         assert state is not None
         return self._interrupted & (chosen == self.option) & (state.steps > 0)
 
-    def left(self, rows: Tensor, chosen: Tensor) -> list[OptionRun]:
+    def left_runs(self, rows: Tensor, chosen: Tensor) -> list[OptionRun]:
         """Return the runs that end as the top, in `rows` (N,) bool, has `chosen` (N,) others where it interrupted."""
         state = self._episodes.state
         assert state is not None
@@ -292,7 +292,7 @@ def execute(engine: Engine, executor: OptionExecutor, top: Top) -> Iterator[Exec
         left: list[OptionRun] = []
         if bool(deciding.any()) and not (top.together and bool((active & ~deciding).any())):
             chosen = torch.where(deciding, top(executor.decision(state, deciding)), executor.option)
-            left = executor.left(deciding, chosen)
+            left = executor.left_runs(deciding, chosen)
             state = executor.begin(deciding, chosen)
             deciding = torch.zeros_like(active)
         acting, held = active & ~deciding, torch.nonzero(deciding).squeeze(-1)

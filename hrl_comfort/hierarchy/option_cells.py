@@ -25,7 +25,7 @@ Masks = NDArray[np.bool_]
 
 
 class OptionCells(Cells):
-    """N cells of which a step runs an option each, from its start to its end; rows that are done wait for the others.
+    """N cells of which a step runs an option each until it ends or is interrupted; rows that are done wait for others.
 
     Args are those of `OptionGym`.
     """
@@ -118,15 +118,15 @@ class OptionCells(Cells):
 
 
 class OptionGym(CellGym):
-    """One cell; a step is an option, from its start to its end (a semi-Markov decision process).
+    """One cell; a step runs an option until it ends (a semi-Markov decision process).
 
     With `meta_controller.interruption_steps` a step may end before the option, which goes on if it is chosen again.
 
     Action: index of an option of `names`, in [0, K). Observation (D,) float32, `meta_observation`. The reward is the
-    sum of the rewards of the option's control steps, each discounted by `gamma` a control step from its start; with 1,
+    sum of the rewards of the step's control steps, each discounted by `gamma` a control step from the choice; with 1,
     the default, their plain sum. A value of the next observation is to be discounted by `gamma ** info["duration"]`.
 
-    `info` holds `duration`, control steps of the step; `action_mask` (K,) bool, options that can start next;
+    `info` holds `duration`, control steps since the choice; `action_mask` (K,) bool, options that can start next;
     `option`, which ran: the first that could where the one chosen could not; `termination`, an index into
     `executor.TERMINATIONS`; and values of `step_columns` of the episode so far. Seeds and episodes are as of `CellGym`.
 

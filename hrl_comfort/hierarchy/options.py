@@ -17,6 +17,7 @@ from torch import Tensor
 from hrl_comfort.config import ConfigError
 from hrl_comfort.policies.load import Act
 from hrl_comfort.tasks import State, Subtask
+from hrl_comfort.tasks.state import ABSENT
 from hrl_comfort.tasks.subtask import StateFunction
 
 NONE = -1
@@ -201,9 +202,9 @@ class OptionTable:
         return self.names.index(name)
 
     def can_start(self, state: State) -> Tensor:
-        """Return (N, K) bool: the state is in the initiation set, and the object is not placed."""
+        """Return (N, K) bool: the state is in the initiation set, and the object, if any, can be picked."""
         able = torch.stack([each.initiation(state) for each in self.options], dim=-1)[:, self.option]
-        return able & ((self.object == NONE) | ~state.placed[:, self.object.clamp(min=0)])
+        return able & ((self.object == NONE) | can_be_picked(state)[:, self.object.clamp(min=0)])
 
     def act(self, chosen: Tensor, state: State, acting: Tensor) -> Tensor:
         """Return the actions (N, A) of the choices in force, `chosen` (N,) int64; rows not `acting` stand still.
@@ -223,6 +224,14 @@ class OptionTable:
                     action = wanted.new_zeros(len(option), wanted.shape[-1])
                 action[rows] = wanted
         return action
+
+
+def can_be_picked(state: State) -> Tensor:
+    """Return (N, B) bool: the object is not placed, and the hand, if there is one, holds no other."""
+    if state.pads.shape == ABSENT.shape:
+        return ~state.placed
+    held = (state.pads.all(dim=-1) | state.carried) & ~state.placed
+    return ~state.placed & (held.sum(dim=1, keepdim=True) == held.long())
 
 
 def grid(options: Sequence[Option], objects: dict[str, int], levels: Sequence[int]) -> list[Choice]:

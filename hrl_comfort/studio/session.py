@@ -288,7 +288,7 @@ class Session:
         values = self._top.values(decision)
         told = [] if values is None else zip(self.options, values[0].tolist(), decision.mask[0].tolist(), strict=True)
         self.values = {name: value for name, value, able in told if able}
-        left = self.executor.left(ROW, chosen)
+        left = self.executor.left_runs(ROW, chosen)
         self.executor.begin(ROW, chosen)
         self._decide()
         return left

@@ -145,7 +145,7 @@ class State:
     drops: Tensor = ABSENT
     """(N,) int64, how often in the episode an object left the hand farther from its place than the tolerance."""
     object_lost: Tensor = ABSENT
-    """(N,) bool, an object lies on the floor, or the physics diverged."""
+    """(N,) bool, an object lies on the floor or, of several, out of reach, or the physics diverged."""
     diverged: Tensor = ABSENT
     """(N,) bool, the physics diverged in this episode."""
     kind_sizes: Tensor = ABSENT

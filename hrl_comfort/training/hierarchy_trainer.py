@@ -25,7 +25,7 @@ from hrl_comfort.config import (
     MetaControllerTrainConfig,
     TrainConfig,
 )
-from hrl_comfort.config.hierarchy import OF_OPTIONS
+from hrl_comfort.config.hierarchy import OPTION_KEYS
 from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
@@ -213,7 +213,7 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
     if (sort := controller_config(config, folder)) is not None:
         learned = sort.meta_controller
-        nearest = replace(learned, name="nearest", **OF_OPTIONS)
+        nearest = replace(learned, name="nearest", **OPTION_KEYS)
         found.append(_evaluation(sort, nearest, folder / "sort_nearest", policies, **common))
         policies = {**policies, "meta_controller": sort.output}
         found.append(_evaluation(sort, learned, folder / "sort_learned", policies, **common))

@@ -11,8 +11,10 @@ from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
+from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.hand.arrivals import Arrivals
+from hrl_comfort.sim.hand.sensors import Losses
 
 ALONE = ("cell=grasp", "human=none", "split=validation", "output=unused")
 POLICIES = ("policies.pick=expert", "policies.place=expert", "policies.return=expert", "task.max_option_steps=400")
@@ -86,6 +88,32 @@ def test_no_object_arrives_in_the_hand_or_in_another_object() -> None:
     after = Arrivals(engine.scene).go_on(before, state.kinds[:, 0], slots, turns, engine.episodes.subtask)
     assert after.placed[:, 0].tolist() == [False, True, True]
     assert torch.equal(after.objects[1:], before.objects[1:])
+    engine.close()
+
+
+def test_what_the_hand_carries_is_not_out_of_reach() -> None:
+    scene = Engine(
+        environment(asked("task=shift", "task.objects=2", "policy=expert", "meta_controller=none")), 1, 0
+    ).scene
+    losses, kinds = Losses(scene), np.zeros((1, 2), dtype=np.int64)
+    away = np.array([[[1.5, 0.0, 0.3], [0.3, 0.0, 0.3]]])
+    assert losses(away, kinds, np.zeros((1, 2), dtype=bool)).tolist() == [[True, False]]
+    assert not losses(away, kinds, np.ones((1, 2), dtype=bool)).any()
+
+
+def test_while_the_hand_holds_an_object_no_other_can_be_picked() -> None:
+    config = asked("task=sort", "task.objects=2", *POLICIES, "meta_controller=nearest")
+    engine = Engine(environment(config), 4, 0)
+    executor, _ = make_executor(config, None, engine, 0)
+    state = engine.reset()
+    picks = [executor.table.position(name) for name in ("pick_1", "pick_2")]
+    pads, carried = torch.zeros(4, 2, 2, dtype=torch.bool), torch.zeros(4, 2, dtype=torch.bool)
+    pads[1, 0], pads[2, 1, 0], carried[3, 1] = True, True, True  # nothing; the first; one pad at the second; the second
+    able = executor.table.can_start(state.with_(pads=pads, carried=carried))[:, picks]
+    assert able.tolist() == [[True, True], [True, False], [True, True], [False, True]]
+    placed = torch.tensor([[True, False]] * 4)
+    laid = executor.table.can_start(state.with_(pads=pads, carried=carried, placed=placed))[:, picks]
+    assert laid.tolist() == [[False, True]] * 4, "what is placed is not held"
     engine.close()
 
 

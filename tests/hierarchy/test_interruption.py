@@ -105,6 +105,25 @@ def test_episodes_of_a_top_that_always_goes_on_are_the_same_to_the_bit() -> None
     plain, asked = (rollout(kitting(after, 400, "fixed")) for after in (None, 5))
     assert plain.table.equals(asked.table) and plain.options == asked.options
     assert len({run["option"] for run in plain.options}) > 2
+    assert decisions(5) > 2 * decisions(None) > 0
+
+
+def decisions(after: int | None) -> int:
+    """Return the number of choices of the top of `kitting` in 200 control steps."""
+    config, count = kitting(after, 200, "nearest"), 0
+    engine = Engine(environment(config), 1, 0)
+    executor, _ = make_executor(config, None, engine, 0)
+    engine.reset()
+
+    def choose(decision: Decision) -> Tensor:
+        nonlocal count
+        count += 1
+        return in_order(decision)
+
+    for _ in execute(engine, executor, Top("first", choose)):
+        pass
+    engine.close()
+    return count
 
 
 def test_while_an_object_is_carried_the_mask_leaves_place_and_wait_and_these_have_their_own_time() -> None:

@@ -27,6 +27,7 @@ class Arrivals:
         self._arm, self._losses = ArmGeometry(scene), Losses(scene)
         half = np.array([each.half_m for each in scene.cell.objects.values()])
         self._wide, self._high = np.linalg.norm(half[:, :2], axis=1), half[:, 2]
+        self._about = np.linalg.norm(half, axis=1)
 
     def go_on(self, state: State, kinds: Tensor, arrivals: Tensor, turns: Tensor, task: Subtask) -> State:
         """Return the state after a decision, ready for the next contact, with new objects.
@@ -37,8 +38,8 @@ class Arrivals:
         there after a failure; if it is lost, the arm is to pick again.
         """
         state = state.with_(contact=state.touching, unsafe_contact=torch.zeros_like(state.unsafe_contact))
-        lost = torch.from_numpy(self._losses(state.objects.numpy(), state.kinds.numpy()))
-        fallen = lost.gather(1, state.target[:, None]).squeeze(1) & task.releasing(state.stage)
+        lost = torch.from_numpy(self._losses(state.objects.numpy(), state.kinds.numpy(), state.carried.numpy()))
+        fallen = lost.gather(1, state.target[:, None]).squeeze(1) & task.releasing(state.stage) & ~state.diverged
         delivered = fetched(state) if task.orders else state.placed & task.grasping(state.stage)[:, None]
         due = (lost | delivered) & ~state.diverged[:, None]
         if not bool(due.any()):
@@ -51,10 +52,13 @@ class Arrivals:
         return choose_open(state.with_(object_lost=lost.any(dim=1) | state.diverged), task)
 
     def _free(self, state: State, centres: Array, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (N, B) whether objects of `kinds` (N, B) at `centres` (N, B, 3) m are clear of arm and others."""
-        there = state.kinds.numpy()
+        """Return (N, B) whether objects of `kinds` (N, B) at `centres` (N, B, 3) m are clear of arm and others.
+
+        They stand upright; the others may lie in any way.
+        """
+        about = self._about[state.kinds.numpy()][:, None] + APART_M
         away = np.abs(centres[:, :, None] - state.objects.numpy()[:, None])
-        wide, high = (half[kinds][:, :, None] + half[there][:, None] + APART_M for half in (self._wide, self._high))
+        wide, high = (half[kinds][:, :, None] + about for half in (self._wide, self._high))
         near = (np.hypot(away[..., 0], away[..., 1]) < wide) & (away[..., 2] < high)
         near[:, *np.diag_indices(near.shape[1])] = False
         ends = self._arm.pose(state.joint_pos.numpy()).ends.transpose(3, 1, 2, 0)[:, None]  # (N, 1, C, 2, 3)

@@ -30,8 +30,8 @@ class Slots:
         self._config, self._task = config, task
         self._own = scene.gripper is not None and config.task.objects > 1
         """Whether each object has a slot of its own where it belongs, too."""
-        beside = 0.0 if scene.gripper is None else half_width_m(scene.planning) + ROOM_M
-        _check_slots(config, beside)
+        if config.task.objects > 1:
+            _check_slots(config, half_width_m(scene.planning) + ROOM_M if self._own else 0.0)
 
     def drawn(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return the slots (B, 2) m of the objects at each place, in its frame; none without a gripper, or of one.
@@ -97,8 +97,6 @@ class Slots:
 def _check_slots(config: EnvConfig, beside: float) -> None:
     """Raise ConfigError where objects could overlap; with a hand, where it is not `beside` m off its neighbours."""
     cell, jitter = config.cell, config.task.object_jitter_m
-    if config.task.objects == 1:
-        return
     ends = ("arrives_at", "belongs_at") if beside else ("arrives_at",)
     there = [(getattr(each, end), each.half_width_m) for end in ends for each in cell.objects.values()]
     for name in dict.fromkeys(place for place, _ in there):
