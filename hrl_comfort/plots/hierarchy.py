@@ -22,7 +22,7 @@ from hrl_comfort.plots.style import BLACK, BLUE, CYCLE, around, of_estimates, po
 
 SHOWN_TIMELINES = 12
 """Episodes of an option timeline, where none are named."""
-MARKS = {"failure": "X", "preempted": "D", "interrupted": "|"}
+MARKS = {"failure": "X", "preempted": "D", "interrupted": "s"}
 """Marks of options that did not succeed."""
 
 
