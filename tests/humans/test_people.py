@@ -14,6 +14,7 @@ from hrl_comfort import humans
 from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.hierarchy.observation import nearness
 from hrl_comfort.humans.retreat import RETREAT_STEPS
 from hrl_comfort.policies.potential_field import PotentialField
 from hrl_comfort.policies.scripted import nearest_person, standing_limbs
@@ -25,7 +26,7 @@ from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.people import OVERLAP_M, Crowd, stop_at_contact
-from hrl_comfort.tasks.observations.standard import human, human_from_tool, nearest_alone, nearness
+from hrl_comfort.tasks.observations.standard import human, human_from_tool, nearest_alone
 from tests.humans.around import around
 
 SHIELDED = ("safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
