@@ -127,7 +127,7 @@ class HierarchyConfig:
     """Comfort levels of every evaluation, as in `evaluate`."""
     controller: Annotated[MetaControllerTrainConfig | None, BeforeValidator(lambda given: given or None)]
     """Overrides for a `train meta_controller` that runs after the options are trained, for example `['human=patrol']`;
-    it trains a controller for `task=sort`. []: no such training."""
+    its task is `sort` unless they name another. []: no such training."""
 
 
 @dataclass(frozen=True)
@@ -157,4 +157,4 @@ class HierarchyTrainConfig(TrainConfig):
             if option not in self.hierarchy.budget_fractions:
                 raise ConfigError(f"hierarchy.budget_fractions has no {option}, an option of the division")
         if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
-            raise ConfigError("hierarchy.controller= sorts with pick, place and return: choose division=three")
+            raise ConfigError("hierarchy.controller= chooses among pick, place and return: choose division=three")

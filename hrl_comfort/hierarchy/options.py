@@ -228,10 +228,15 @@ class OptionTable:
 
 def can_be_picked(state: State) -> Tensor:
     """Return (N, B) bool: the object is not placed, and the hand, if there is one, holds no other."""
+    held = in_hand(state).long()
+    return ~state.placed & (held.sum(dim=1, keepdim=True) == held)
+
+
+def in_hand(state: State) -> Tensor:
+    """Return (N, B) bool: the hand holds the object, which is not placed; none without a hand."""
     if state.pads.shape == ABSENT.shape:
-        return ~state.placed
-    held = (state.pads.all(dim=-1) | state.carried) & ~state.placed
-    return ~state.placed & (held.sum(dim=1, keepdim=True) == held.long())
+        return torch.zeros_like(state.placed)
+    return (state.pads.all(dim=-1) | state.carried) & ~state.placed
 
 
 def grid(options: Sequence[Option], objects: dict[str, int], levels: Sequence[int]) -> list[Choice]:

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
-from hrl_comfort.hierarchy.options import Option, OptionTable, grid, lasts, skill
+from hrl_comfort.hierarchy.options import Option, OptionTable, grid, in_hand, lasts, skill
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, subtask
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.pick import PICK
-from hrl_comfort.tasks.place import PLACE
+from hrl_comfort.tasks.place import PLACE, PLACE_STAGE
 from hrl_comfort.tasks.return_home import RETURN, RETURN_STAGE
 
 SKILLS = (PICK, PLACE, RETURN)
@@ -61,12 +61,13 @@ def sorting_table(
     recovering = make_policy("expert", parts[-1], scene, config, seed), stop(config.task)
     home, rest = map(_holding, recovering) if hand else recovering
     at_home = RETURN_STAGE.done
-    # After a place the arm may be fast, close above a table: it retreats, and does not wait. After a pick it
-    # does not retreat, for a place is trained to begin where a pick ends.
+    # After a place the arm may be fast, close above a table: it retreats, and does not wait. With an object it
+    # does not retreat, for a place is trained to begin where a pick ends. An interrupted pick can give way to a person.
     wait = Option("wait", rest, lambda state: ~has_placed(state), lasts(WAIT_STEPS), max_runs=waits)
+    can_retreat = has_placed if period is None else has_nothing
     retreat = Option(
-        "retreat", home, lambda state: has_placed(state) & ~at_home(state), lambda state, _: at_home(state),
-        recovers=True,
+        "retreat", home, lambda state: can_retreat(state) & ~at_home(state), lambda state, _: at_home(state),
+        interruption_steps=period, recovers=True,
     )  # fmt: skip
     choices = grid(skills, {PICK.name: config.task.objects}, meta_controller.level_override)
     return OptionTable([*choices, wait, retreat])
@@ -75,6 +76,11 @@ def sorting_table(
 def has_placed(state: State) -> Tensor:
     """Return (N,) bool: an object has just been placed; the arm is to return."""
     return state.stage % ROUND == CYCLE.stages.index(RETURN_STAGE)
+
+
+def has_nothing(state: State) -> Tensor:
+    """Return (N,) bool: no object is on the tool or in the hand."""
+    return (state.stage % ROUND != CYCLE.stages.index(PLACE_STAGE)) & ~in_hand(state).any(dim=1)
 
 
 def stop(task: TaskConfig) -> Act:

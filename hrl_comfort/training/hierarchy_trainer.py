@@ -153,7 +153,7 @@ def refined_config(
 
 
 def controller_config(config: HierarchyTrainConfig, folder: Path) -> MetaControllerTrainConfig | None:
-    """Return the configuration of the training of a meta-controller of `sort` above the options, if there is one."""
+    """Return the configuration of the training of a meta-controller above the options, if there is one."""
     controller = config.hierarchy.controller
     if controller is None:
         return None
@@ -190,7 +190,7 @@ def terminal_states_of(option: TrainConfig, config: HierarchyTrainConfig) -> str
 
 
 def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[TrainConfig]) -> list[EvaluateConfig]:
-    """Return the evaluations of every option, of their chain in `cycle`, and of the controllers of `sort` in `sort`.
+    """Return the evaluations of every option, of their chain in `cycle`, and of the controller in its task beside a rule.
 
     Beside people whose splits are kept apart the episodes are those of `validation`, else the paper's.
     """
@@ -211,12 +211,13 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         steps = config.task.max_episode_steps * EPISODE_LENGTH["cycle"]
         cycle = replace(environment(config), task=replace(config.task, name="cycle", max_episode_steps=steps))
         found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
-    if (sort := controller_config(config, folder)) is not None:
-        learned = sort.meta_controller
-        nearest = replace(learned, name="nearest", **OPTION_KEYS)
-        found.append(_evaluation(sort, nearest, folder / "sort_nearest", policies, **common))
-        policies = {**policies, "meta_controller": sort.output}
-        found.append(_evaluation(sort, learned, folder / "sort_learned", policies, **common))
+    if (controller := controller_config(config, folder)) is not None:
+        task, learned, rule = controller.task.name, controller.meta_controller, controller.meta_controller_agent.rule
+        asked = at_levels if controller.comfort.source == "random" else common
+        simple = replace(learned, name=rule or "nearest", **OPTION_KEYS)
+        found.append(_evaluation(controller, simple, folder / f"{task}_{simple.name}", policies, **asked))
+        policies = {**policies, "meta_controller": controller.output}
+        found.append(_evaluation(controller, learned, folder / f"{task}_learned", policies, **asked))
     return found
 
 
