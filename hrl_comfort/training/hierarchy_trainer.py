@@ -190,7 +190,7 @@ def terminal_states_of(option: TrainConfig, config: HierarchyTrainConfig) -> str
 
 
 def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[TrainConfig]) -> list[EvaluateConfig]:
-    """Return the evaluations of every option, of their chain in `cycle`, and of the controller in its task beside a rule.
+    """Return the evaluations of every option, of their chain in `cycle`, and of the controller beside a simple rule.
 
     Beside people whose splits are kept apart the episodes are those of `validation`, else the paper's.
     """
