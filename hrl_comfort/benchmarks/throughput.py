@@ -42,8 +42,8 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
 def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     """Return the avoidable discomfort of an entry less that of the best mix of rivals and an idle arm as productive.
 
-    There is a line a level. Numbers are over training seeds; rivals with training seeds are paired by them. Where a
-    seed does more work than every rival, no mix is as productive, and the line says so.
+    There is a line a level. Numbers are over training seeds; rivals with training seeds are paired by them. A seed that
+    does more work than every rival is compared as it rests for a part of the time, and does as much as the best of them.
 
     Raises:
       ConfigError: an entry is damaged, lacks the part, a level or the discomfort, or rivals have no training seed in
@@ -58,11 +58,18 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     lines = []
     for level in mine[seeds[0]]:
         mixed = [[IDLE, *(at_level(each, level, folder) for each in theirs[seed])] for seed in seeds]
-        lines.append(
-            [str(level), *cells(beside_mixes([at_level(mine[seed], level, folder) for seed in seeds], mixed, min))]
-        )
+        found = [at_level(mine[seed], level, folder) for seed in seeds]
+        work = cell(Clusters.of_runs(len(seeds)).estimate(np.array([each for each, _ in found])), digits=2)
+        rested = [resting(each, max(most for most, _ in points)) for each, points in zip(found, mixed, strict=True)]
+        lines.append([str(level), work, *cells(beside_mixes(rested, mixed, min))])
     heads = ["avoidable discomfort, s a minute", "of the best mix of rivals", "difference", "difference, %"]
-    return markdown(["level", WORK[part], *heads], lines)
+    return markdown(["level", WORK[part], "compared at", *heads], lines)
+
+
+def resting(point: tuple[float, float], most: float) -> tuple[float, float]:
+    """Return the throughput and avoidable discomfort of a policy that rests until it does no more work than `most`."""
+    share = min(1.0, most / point[0]) if point[0] else 1.0
+    return (min(point[0], most), share * point[1])
 
 
 def of_each_seed(folder: Path) -> dict[str | None, Entry]:

@@ -36,8 +36,9 @@ class MetaControllerConfig:
     `comfort.source` is not `none` and `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` /
     level."""
     interruption_steps: Annotated[int, within(1, 100_000)] | None
-    """`sort`, `shift`, `kitting`: control steps after which a skill is interrupted, so that the controller decides
-    whether it goes on; null: never. A `learned` controller keeps the value of its training; any other is refused."""
+    """`sort`, `shift`, `kitting`: control steps after which a skill or `retreat` is interrupted, so that the controller
+    decides whether it goes on; null: never. A `learned` controller keeps the value of its training; any other is
+    refused."""
     retries: Annotated[int, within(0, 100)]
     """Number of times in a row that an option which ran out of time may be started again before the episode is given
     up. In `sort`, `shift` and `kitting` there is no limit."""

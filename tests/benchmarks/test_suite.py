@@ -245,11 +245,11 @@ def test_an_entry_is_compared_with_the_best_mix_of_rivals_at_equal_throughput(tm
     scripted = write_seeds(tmp_path / "scripted", [[10.0, 11.0]], cost=1.6) / "0"
     low, high = cells_of(throughput.of_rivals("shift", ours, [seeded, scripted]))
     # At level 1 a mix of rest and the scripted rival costs 1.6 an object; at level 10 one seed does more than both.
-    assert low == ["1", "4.50 [-1.85, 10.85]", "4.50 [-1.85, 10.85]", "7.20 [-2.96, 17.36]", "-2.70 [-6.51, 1.11]",
-                   "-37.5"]  # fmt: skip
-    assert high[0] == "10" and float(high[3].split()[0]) == pytest.approx((1.6 * 10 + 24.0) / 2)
+    assert low == ["1", *["4.50 [-1.85, 10.85]"] * 3, "7.20 [-2.96, 17.36]", "-2.70 [-6.51, 1.11]", "-37.5"]
+    assert high[0] == "10" and float(high[4].split()[0]) == pytest.approx((1.6 * 10 + 24.0) / 2)
+    # A seed that does 12 rests for a twelfth of the time beside a rival that does 11.
     alone = cells_of(throughput.of_rivals("shift", ours, [scripted]))[1]
-    assert alone[3:] == [f"{throughput.BEYOND}: 1 of 2 seeds", "–", "–"]
+    assert [each.split()[0] for each in alone[1:]] == ["11.00", "10.50", "10.50", "16.80", "-6.30", "-37.5"]
     (write_seeds(tmp_path / "seven", [[1.0, 1.0]]) / "0").rename(tmp_path / "seven" / "7")
     with pytest.raises(ConfigError, match=r"ours has no training seed in common with its rivals"):
         throughput.of_rivals("shift", ours, [tmp_path / "seven"])
