@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.cli.main import command_of
-from hrl_comfort.config import ConfigError, ResultsConfig
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.config import ConfigError, HierarchyTrainConfig, MetaControllerTrainConfig, ResultsConfig
 from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
@@ -51,6 +53,15 @@ def test_the_commands_of_a_result_are_accepted_and_its_pages_are_there(name: str
             assert check_overrides(root_of(command), overrides)
         else:
             assert (ROOT / f"{words[1].replace('.', '/')}.py").is_file()
+
+
+def test_the_published_controller_is_the_one_that_the_experiment_trains_above_its_skills() -> None:
+    whole = compose("train_hierarchy", ["experiment=comfort_shift"])
+    published = compose("train_meta_controller", ENTRIES["comfort_shift_learned"].commands("train")[0][3:])
+    assert isinstance(whole, HierarchyTrainConfig) and isinstance(published, MetaControllerTrainConfig)
+    trained = whole.hierarchy.controller
+    assert trained is not None
+    assert replace(published, policies=trained.policies, output=trained.output) == trained
 
 
 def test_the_pages_are_filled_from_the_committed_results() -> None:
