@@ -84,11 +84,6 @@ QUANTITIES = {
     "person_rating_mean": Quantity("rating of a fitted person, 1 to 7", digits=2),
 }
 """Columns of the table; `quantity` has the labels of a part."""
-HEADLINE = (
-    "objects_per_min", "avoidable_discomfort_per_min", "tool_speed_beside_m_s", "arm_distance_mean_m",
-    "unsafe_contacts_per_h",
-)  # fmt: skip
-"""Quantities of the short table."""
 ANSWERS = ("arm_distance_mean_m", "excess_closeness_mean_m", "tool_speed_beside_m_s", "objects_per_min")
 """Quantities that a level is meant to change."""
 
@@ -178,14 +173,14 @@ def tables(entries: Sequence[Entry]) -> str:
     return "\n".join(f"{part}\n\n{table(part, entries)}" for part in there)
 
 
-def table(part: str, entries: Sequence[Entry], names: Sequence[str] = tuple(QUANTITIES)) -> str:
+def table(part: str, entries: Sequence[Entry]) -> str:
     """Return quantities of the entries that have a part, a line a level, without those that none of them has.
 
     A star marks an entry of another suite or split.
     """
     entries = [entry for entry in entries if part in entry["parts"]]
     rows: list[Any] = [at for entry in entries for at in entry["parts"][part]]
-    quantities = {name: quantity(name, part) for name in names if any(row.get(name) for row in rows)}
+    quantities = {name: quantity(name, part) for name in QUANTITIES if any(row.get(name) for row in rows)}
     return markdown(
         ["policy", "level", "shifts", *(each.label for each in quantities.values())],
         (
@@ -224,26 +219,6 @@ def responses(part: str, folder: Path) -> str:
         change = cell(runs.estimate(last / first - 1), 100) if (first > 0).all() else "–"
         lines.append([shown.label, *(cell(runs.estimate(each), shown.scale, shown.digits) for each in values), change])
     return markdown(["", *(f"level {level}" for level in levels), f"level {levels[0]} to {levels[-1]}, %"], lines)
-
-
-def differences(part: str, folder: Path, other: Path, names: Sequence[str] = tuple(QUANTITIES)) -> str:
-    """Return quantities of `folder` less those of `other`, over training seeds, a line for each level of both.
-
-    A quantity that an entry lacks is left out.
-
-    Raises:
-      ConfigError: an entry is damaged or lacks the part, or the folders have no seed in common.
-    """
-    mine, others = ([levels_in(entry, part) for entry in each] for each in pairs(folder, other))
-    runs, rows = Clusters.of_runs(len(mine)), list[Any]([at for levels in (*mine, *others) for at in levels])
-    shown = {name: quantity(name, part) for name in names if all(row.get(name) for row in rows)}
-    here, there = ({row["level"]: at for at, row in enumerate(found[0])} for found in (mine, others))
-    lines = []
-    for level in [level for level in here if level in there]:
-        gaps = {name: means(mine, name, here[level]) - means(others, name, there[level]) for name in shown}
-        numbers = [cell(runs.estimate(gap), shown[name].scale, shown[name].digits) for name, gap in gaps.items()]
-        lines.append([str(level), *numbers])
-    return markdown(["level", *(each.label for each in shown.values())], lines)
 
 
 def means(entries: Sequence[Sequence[Level]], name: str, at: int) -> NDArray[np.float64]:

@@ -17,12 +17,12 @@ from hrl_comfort.benchmarks.entries import FILE, Entry, levels_in, of_seeds, pai
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.documents import read_json
 
-X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_level_mean"
+X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_rating_mean"
 BEYOND = "more work than any of them"
 
 
 def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
-    """Return a frightened person's level beside a robot that is told of it, and beside fixed levels as productive.
+    """Return a fitted person's rating beside a robot that is told of it, and beside fixed levels as productive.
 
     The latter is the best mix of the levels of `fixed` with as much work, for each training seed.
 
@@ -36,14 +36,14 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
     told_points = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
     fixed_points = [[*points(entry, part, PERSON).values()] for entry in others]
     line = cells(beside_mixes(told_points, fixed_points, max))
-    return markdown([WORK[part], "person's level, told", "the same, at fixed levels", "difference"], [line[:-1]])
+    return markdown([WORK[part], "rating, 1 to 7, as the robot is told", "at fixed levels", "difference"], [line[:-1]])
 
 
 def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     """Return the avoidable discomfort of an entry less that of the best mix of rivals and an idle arm as productive.
 
-    There is a line a level. Numbers are over training seeds; rivals with training seeds are paired by them. A seed that
-    does more work than every rival is compared as it rests for a part of the time, and does as much as the best of them.
+    There is a line a level. Numbers are over training seeds; rivals with training seeds are paired by them. A seed
+    that does more work than every rival rests for a part of the time, so that it does as much as the best of them.
 
     Raises:
       ConfigError: an entry is damaged, lacks the part, a level or the discomfort, or rivals have no training seed in

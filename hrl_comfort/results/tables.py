@@ -15,8 +15,6 @@ from hrl_comfort.benchmarks import entries, env, throughput, tops, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
-CONTACTS = (*entries.HEADLINE, "contacts_per_h", "other_collisions_per_h")
-"""Quantities of the table of policies without the shield."""
 COLUMNS = (
     "evaluation", "seeds", "episodes", "success, % [95 %]", "seen spawns, %", "unseen spawns, %", "steps",
     "contact, %", "unsafe contact, %", "other collision, %",
@@ -93,39 +91,23 @@ def attacks(rows: pd.DataFrame) -> str:
     return markdown(["task", "people", "bound", *(head for head, *_ in columns.values())], lines)
 
 
-def folder_of(name: str, suite: str = "benchmark") -> Path:
+def folder_of(name: str) -> Path:
     """Return the folder of an entry; raise FileNotFoundError if it holds none."""
-    folder = REFERENCE / suite / name
+    folder = REFERENCE / "benchmark" / name
     if not [*folder.rglob(entries.FILE)]:
         raise FileNotFoundError(f"{folder} has no entry")
     return folder
 
 
-def of_entries(*names: str) -> Callable[[str], str]:
-    """Return what makes a table of quantities of a part and entries: `kitting all`, or the part and their names."""
-
-    def make(asked: str) -> str:
-        part, *those = asked.split()
-        if those == ["all"]:
-            those = [name for name, each in entries.committed(entries.ENTRIES).items() if part in each["parts"]]
-        found = [entries.read_entry(folder_of(name)) for name in those]
-        if not found:
-            raise FileNotFoundError(f"{entries.ENTRIES} has no entry of {part}")
-        return entries.table(part, found, *([names] if names else []))
-
-    return make
-
-
-def without_shield(asked: str) -> str:
-    """Return contacts of a part of an entry without the shield."""
-    part, name = asked.split()
-    return entries.table(part, [entries.read_entry(folder_of(name, "unshielded"))], CONTACTS)
-
-
-def by_shield(asked: str) -> str:
-    """Return what the shield changes in a part of an entry with several training seeds: with it less without it."""
-    part, name = asked.split()
-    return entries.differences(part, folder_of(name), folder_of(name, "unshielded"), CONTACTS)
+def of_entries(asked: str) -> str:
+    """Return the table of a part and entries: `kitting all`, or the part and their names."""
+    part, *those = asked.split()
+    if those == ["all"]:
+        those = [name for name, each in entries.committed(entries.ENTRIES).items() if part in each["parts"]]
+    found = [entries.read_entry(folder_of(name)) for name in those]
+    if not found:
+        raise FileNotFoundError(f"{entries.ENTRIES} has no entry of {part}")
+    return entries.table(part, found)
 
 
 def of_two(table: Callable[[str, Path, Path], str]) -> Callable[[str], str]:
@@ -153,10 +135,7 @@ def beside_rivals(asked: str) -> str:
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
-    "entries": of_entries(),
-    "entries in brief": of_entries(*entries.HEADLINE),
-    "without shield": without_shield,
-    "with less without shield": by_shield,
+    "entries": of_entries,
     "responses": responses,
     "closed loop": of_two(throughput.of_a_told_robot),
     "equal throughput": beside_rivals,

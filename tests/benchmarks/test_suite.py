@@ -151,7 +151,7 @@ def write_seeds(
 ) -> Path:
     """Write entries, one a training seed, of the objects a minute at each level.
 
-    A person's level falls with them, and each costs as much avoidable discomfort.
+    A person's rating falls with them, and each costs as much avoidable discomfort.
     """
     folder.mkdir(parents=True)
     for seed, each in enumerate(rates):
@@ -161,10 +161,10 @@ def write_seeds(
                 "shifts": 16,
                 **{
                     name: {"mean": count, "ci95": None}
-                    for name in (*entries.ANSWERS, *entries.HEADLINE, "discomfort_per_min")
+                    for name in (*entries.ANSWERS, "discomfort_per_min", "unsafe_contacts_per_h")
                 },
                 "avoidable_discomfort_per_min": {"mean": cost * count, "ci95": None},
-                "person_level_mean": {"mean": 10 - count / 2 + mood, "ci95": None},
+                "person_rating_mean": {"mean": 10 - count / 2 + mood, "ci95": None},
             }
             for number, count in enumerate(each)
         ]
@@ -208,13 +208,6 @@ def test_an_interval_of_a_rate_is_not_below_zero(tmp_path: Path) -> None:
     assert entries.pooled(tmp_path / "ours")["parts"]["shift"][0]["objects_per_min"]["ci95"][0] == 0.0
 
 
-def test_entries_are_compared_level_by_level_and_seed_by_seed(tmp_path: Path) -> None:
-    ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
-    other = write_seeds(tmp_path / "other", [[3.0, 12.0], [4.0, 14.5], [99.0, 99.0]])
-    first, last = cells_of(entries.differences("shift", ours, other, ["objects_per_min"]))
-    assert first[-1] == "1.00" and last[-1] == "-2.00"
-
-
 def test_levels_are_compared_with_each_other_seed_by_seed(tmp_path: Path) -> None:
     ours = write_seeds(tmp_path / "ours", [[4.0, 10.0], [5.0, 12.5]])
     *_, row = cells_of(entries.responses("shift", ours))
@@ -225,14 +218,14 @@ def test_levels_are_compared_with_each_other_seed_by_seed(tmp_path: Path) -> Non
 
 def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput(tmp_path: Path) -> None:
     fixed = write_seeds(tmp_path / "fixed", [[4.0, 10.0], [5.0, 12.0]])
-    told = write_seeds(tmp_path / "told", [[7.0], [9.0]], mood=0.25, changed="frightened")
+    told = write_seeds(tmp_path / "told", [[7.0], [9.0]], mood=0.25, changed="fitted")
     table = throughput.of_a_told_robot("shift", told, fixed)
     assert cells_of(table)[0] == ["8.00 [-4.71, 20.71]", "6.25 [-0.10, 12.60]", "6.00 [-0.35, 12.35]", "0.25"]
     assert [line[:2] for line in cells_of(entries.table("shift", [*entries.committed(tmp_path).values()]))][-1] == [
         "told, 2 seeds*",
         "–",
     ]
-    fast = write_seeds(tmp_path / "fast", [[14.0], [6.0]], changed="frightened")
+    fast = write_seeds(tmp_path / "fast", [[14.0], [6.0]], changed="fitted")
     assert cells_of(throughput.of_a_told_robot("shift", fast, fixed))[0][2:] == [
         f"{throughput.BEYOND}: 1 of 2 seeds",
         "–",
