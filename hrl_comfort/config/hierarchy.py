@@ -12,6 +12,8 @@ from hrl_comfort.config.task import SORTING
 RULES = ("nearest", "free", "due", "cautious", "patient")
 """Built-in meta-controllers that work, by a function of a decision."""
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
+WAITING = ("cautious", "patient", "idle")
+"""Of these, those that wait, which a chain cannot."""
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
 META_OBSERVATIONS = ("default", "jobs")
@@ -53,12 +55,29 @@ class MetaControllerConfig:
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
     def check(self, task: str) -> None:
-        """Raise ConfigError if skills are to be interrupted where there is nothing to choose instead."""
-        if (steps := self.interruption_steps) is not None and (task not in SORTING or self.name in ("none", "idle")):
+        """Raise ConfigError if the controller does not go with the task.
+
+        OPTION_KEYS and controllers that wait are for tasks in which there is something to choose from.
+        """
+        several = ", ".join(SORTING)
+        if self.name in WAITING and task not in SORTING:
             raise ConfigError(
-                f"meta_controller.interruption_steps={steps} is for a controller of skills in task="
-                f"{', '.join(SORTING)}, not for meta_controller={self.name} in task={task}; choose null"
+                f"meta_controller={self.name} is for task={several}, which have an option to wait; task={task} takes "
+                "meta_controller=nearest"
             )
+        if self.name == "idle" and self.max_waits is not None:
+            raise ConfigError(
+                f"meta_controller.max_waits={self.max_waits}: meta_controller=idle always waits; choose null"
+            )
+        for key, off in OPTION_KEYS.items():
+            given = getattr(self, key)
+            lone = self.name == "none" or (key == "interruption_steps" and self.name == "idle")
+            if given != off and (task not in SORTING or lone):
+                raise ConfigError(
+                    f"meta_controller.{key}={given} is for task={several} and a controller that chooses skills "
+                    f"there, not for meta_controller={self.name} in task={task}; choose "
+                    f"{'null' if off is None else off}"
+                )
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Observation of the learned meta-controller of `sort`: a pure function of State, lengths in metres."""
+"""Observation of the learned controller of several objects: a pure function of State, lengths in metres."""
 
 from __future__ import annotations
 

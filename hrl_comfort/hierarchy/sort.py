@@ -1,4 +1,4 @@
-"""The table of options of `sort` and `shift`."""
+"""The table of options of `sort`, `shift` and `kitting`."""
 
 from __future__ import annotations
 

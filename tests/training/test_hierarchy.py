@@ -238,7 +238,7 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
         (["hierarchy.controller=[human=arc]"], r"put human=arc in inner quotes, as in \"hierarchy\.controller=\['"),
         (["agent.demonstrator=expert", "agent.demonstrator_envs=16"], r"envs=16 must be below engine\.num_envs=16"),
         (["hierarchy.controller=['human=patrol']", "division=two"], "choose division=three"),
-        (["meta_controller.interruption_steps=5"], r"interruption_steps=5 is for a controller .* in task=cycle"),
+        (["meta_controller.interruption_steps=5"], r"interruption_steps=5 is for .* in task=cycle"),
         (["initial_policy=runs/pick"], "initial_policy=runs/pick: train hierarchy sets it"),
     ],
 )
