@@ -11,7 +11,7 @@ import pandas as pd
 
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown
-from hrl_comfort.benchmarks import entries, env, throughput, tops, train, update
+from hrl_comfort.benchmarks import entries, env, returns, throughput, tops, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
@@ -132,6 +132,12 @@ def beside_rivals(asked: str) -> str:
     return throughput.of_rivals(part, folder_of(name), [folder_of(rival) for rival in rivals])
 
 
+def returns_beside_rivals(asked: str) -> str:
+    """Return what an entry of kitting earns: the price of a second of discomfort, the entry and its rivals."""
+    price, name, *rivals = asked.split()
+    return returns.of_rivals(float(price), folder_of(name), [folder_of(rival) for rival in rivals])
+
+
 KINDS: dict[str, Callable[[str], str]] = {
     "evaluations": evaluations,
     "levels": of_json(levels),
@@ -139,6 +145,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "responses": responses,
     "closed loop": of_two(throughput.of_a_told_robot),
     "equal throughput": beside_rivals,
+    "returns": returns_beside_rivals,
     "bench env": of_rows(env.table),
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),

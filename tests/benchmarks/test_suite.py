@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hrl_comfort.analysis.mixes import IDLE, best_mix
-from hrl_comfort.benchmarks import entries, suite, throughput
+from hrl_comfort.benchmarks import entries, returns, suite, throughput
 from hrl_comfort.cli.first_checks import completed
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import BenchmarkConfig, ConfigError, EvaluateConfig
@@ -253,6 +253,29 @@ def test_an_entry_is_compared_with_the_best_mix_of_rivals_at_equal_throughput(tm
         throughput.of_rivals("shift", ours, [short])
     with pytest.raises(ConfigError, match=r"the person's own level was not measured"):
         throughput.of_a_told_robot("shift", ours, ours)
+
+
+def test_a_return_is_compared_with_that_of_the_best_rival_at_each_level(tmp_path: Path) -> None:
+    def kitting(name: str, orders: list[list[float]], missed: float, cost: float) -> Path:
+        folder = write_seeds(tmp_path / name, orders, cost=cost)
+        for file in folder.rglob(entries.FILE):
+            entry = json.loads(file.read_text(encoding="utf-8"))
+            rows = [{**row, "orders_missed_per_min": {"mean": missed, "ci95": None}} for row in entry["parts"]["shift"]]
+            file.write_text(json.dumps({**entry, "parts": {"kitting": rows}}), encoding="utf-8")
+        return folder
+
+    ours = kitting("ours", [[4.0, 10.0], [5.0, 12.0]], missed=2.0, cost=0.5)
+    slow = kitting("slow", [[4.0, 4.0], [4.0, 4.0]], missed=3.0, cost=0.25)
+    fast = kitting("fast", [[9.0, 9.0]], missed=1.0, cost=2.0) / "0"
+    # With a price of 0.4: 0.8 of an order less 1; `slow` 3.6 less 1.5; `fast` 1.8 less 0.5.
+    low, high = cells_of(returns.of_rivals(0.4, ours, [slow, fast]))
+    assert [each.split()[0] for each in low] == ["1", "2.60", "2.10", "0.50", "23.8", "`slow`"]
+    assert [each.split()[0] for each in high] == ["10", "7.80", "2.10", "5.70", "271.4", "`slow`"]
+    assert cells_of(returns.of_rivals(0.0, ours, [slow, fast]))[0][-1] == "`0`"
+    with pytest.raises(ConfigError, match=r"^one was not measured at level 1, but at None$"):
+        returns.of_rivals(0.4, ours, [kitting("one", [[4.0]], missed=3.0, cost=0.25)])
+    with pytest.raises(ConfigError, match=r"has no part kitting; it has shift"):
+        returns.of_rivals(0.4, write_seeds(tmp_path / "shift", [[4.0, 10.0]]), [slow])
 
 
 def test_an_entry_without_avoidable_discomfort_is_not_compared(tmp_path: Path) -> None:

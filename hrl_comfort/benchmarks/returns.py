@@ -1,0 +1,70 @@
+"""Returns of entries of `kitting`: what a controller earns beside the best of its rivals, each seen in hindsight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hrl_comfort.analysis.intervals import Clusters
+from hrl_comfort.analysis.tables import cell, markdown
+from hrl_comfort.benchmarks.entries import Entry, levels_in, name_of, of_seeds, read_entry
+from hrl_comfort.benchmarks.throughput import of_each_seed
+from hrl_comfort.config import ConfigError
+
+MISSED = 0.5
+"""What an order missed costs, in orders filled, as in conf/reward/kitting.yaml."""
+PART = "kitting"
+TERMS = ("objects_per_min", "orders_missed_per_min", "avoidable_discomfort_per_min")
+
+
+def of_rivals(price: float, folder: Path, rivals: Sequence[Path]) -> str:
+    """Return the return a minute of an entry beside that of its best rival at each level, which is named.
+
+    A return is the orders filled, less MISSED of those missed, less `price` for a second of avoidable discomfort.
+    Numbers are over training seeds; rivals with training seeds are paired by them. The best rival has the highest mean.
+
+    Raises:
+      ConfigError: an entry is damaged, lacks the part or a term, or was not measured at a level, or rivals have no
+        training seed in common.
+    """
+    own = of_seeds(folder)
+    beside = {name_of(read_entry(rival)).partition(",")[0]: of_each_seed(rival) for rival in rivals}
+    seeds = [seed for seed in own if all(seed in each or None in each for each in beside.values())]
+    if not seeds:
+        raise ConfigError(f"{folder} has no training seed in common with its rivals")
+    runs, lines = Clusters.of_runs(len(seeds)), []
+    for level in returns(own[seeds[0]], price):
+        mine = np.array([returns(own[seed], price)[level] for seed in seeds])
+        theirs = {
+            name: np.array([at(returns(each.get(seed) or each[None], price), level, name) for seed in seeds])
+            for name, each in beside.items()
+        }
+        best = max(theirs, key=lambda name: float(theirs[name].mean()))
+        above = mine - theirs[best]
+        share = cell(runs.estimate(above / theirs[best]), 100) if (theirs[best] > 0).all() else "–"
+        shown = (cell(runs.estimate(each), digits=2) for each in (mine, theirs[best], above))
+        lines.append([str(level), *shown, share, f"`{best}`"])
+    heads = ["level", "return a minute", "of the best rival", "difference", "difference, %", "best rival"]
+    return markdown(heads, lines)
+
+
+def returns(entry: Entry, price: float) -> dict[int | None, float]:
+    """Return the return a minute of an entry by level; raise ConfigError if it lacks the part or a term."""
+    rows: list[Any] = levels_in(entry, PART)
+    if absent := [name for name in TERMS if not all(row.get(name) for row in rows)]:
+        raise ConfigError(f"the entry of {entry['policy']!r} has no {absent[0]}; measure it again")
+    weights = (1.0, -MISSED, -price)
+    return {
+        row["level"]: sum(weight * row[name]["mean"] for weight, name in zip(weights, TERMS, strict=True))
+        for row in rows
+    }
+
+
+def at(found: dict[int | None, float], level: int | None, name: str) -> float:
+    """Return the return at a level; raise ConfigError if it was not measured there."""
+    if level not in found:
+        raise ConfigError(f"{name} was not measured at level {level}, but at {', '.join(map(str, found))}")
+    return found[level]
