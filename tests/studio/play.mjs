@@ -37,7 +37,7 @@ async function played({ content, steps, hand, actions }) {
       grips.push(cell.hand?.grip);
       if (cell.hand?.pads.some(Boolean)) held ??= joints.length - 1;
     }
-    return { joints, shares, objects, grips, touched, held, outcome: cell.outcome, unsafe: cell.state.unsafe };
+    return { joints, shares, objects, grips, touched, held, stage: cell.state.stage, outcome: cell.outcome, unsafe: cell.state.unsafe };
   });
 }
 

@@ -41,7 +41,7 @@ def hand(scene: Scene, env: EnvConfig) -> dict[str, Any] | None:
         "carried": CARRIED_M,
         "lift": LIFT_M,
         "free": FREE_STEPS,
-        "fallen": np.maximum(scene.floor_z + fallen_m(env.cell), -FARTHEST_M).tolist(),
+        "fallen": np.maximum(scene.floor_z + fallen_m(env.cell), -FARTHEST_M).tolist(),  # JSON has no infinity
         "farthest": FARTHEST_M,
         "fastest": FASTEST_M_S,
     }
