@@ -352,7 +352,6 @@ def test_a_page_without_its_program_says_how_to_build_it(tmp_path: Path, monkeyp
     "function",
     [
         lambda x: x.long() + 1,
-        lambda x: x.bool(),
         lambda x: torch.linalg.vector_norm(x, 1.0, dim=-1),
         lambda x: x[torch.tensor([0]), torch.tensor([1])],
         lambda x: x.cumsum(0),

@@ -28,6 +28,7 @@ from hrl_comfort.studio.clip import decision_clip
 from hrl_comfort.studio.person import FARTHEST_M, fastest_m_s, motion_config
 from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.view import body_meshes
+from hrl_comfort.studio.web.hand import begun, hand
 from hrl_comfort.studio.web.safety import safety
 from hrl_comfort.studio.web.trace import StageGraph, constant, traced
 from hrl_comfort.tasks import subtask
@@ -44,7 +45,8 @@ FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "humans_pos", "humans_yaw",
     "humans_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
     "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share", "tops", "arm_body", "humans_body",
-    "humans_body_vel",
+    "humans_body_vel", "grip", "grip_vel", "grip_target", "tcp_quat", "target", "objects_quat", "objects_vel", "pads",
+    "ground", "aloft_steps", "free_steps", "kind_sizes",
 }  # fmt: skip
 """What the page has of a State."""
 
@@ -69,9 +71,10 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "xml": re.sub(r'(<texture[^>]*) class="/"', r"\1", scene.xml),  # MuJoCo 3.14 refuses it
         "assets": {name: base64.b64encode(file).decode() for name, file in scene.assets.items()},
         "looks": _looks(scene),
-        "substeps": env.engine.substeps,
+        "substeps": env.substeps,
         "action_repeat": env.task.action_repeat,
         "sensors": {key: [part.start, part.stop] for key, part in scene.sensors.items()},
+        "moving": (scene.moving.reshape(2, -1) - [[1], [1 + scene.model.nq]]).tolist(),
         "home": scene.home.tolist(),
         "range": scene.joint_range.tolist(),
         "floor": scene.floor_z,
@@ -93,6 +96,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
         "levels": next((option["levels"] for option in options if option["levels"]), None),
         "level": float(session.slider.value),
         "safety": safety(scene, env, session.walk),
+        "hand": hand(scene, env),
         "body": _body(),
         "person": _person(config),
         "title": ", ".join(dict.fromkeys("/".join(Path(source).parts[-2:]) for source in sources.values())),
@@ -174,17 +178,21 @@ def _episode(session: Session) -> dict[str, Any]:
     """Return the next episode of `session`: its start, and what its person does beside the session's policies."""
     session.reset()
     engine, draw, parts, recorded = session.engine, session.engine.episodes.draw, [session.still().person], 0
+    _, qpos, qvel = np.split(engine.physics_state[0], [1, 1 + engine.scene.model.nq])
     start = {
-        "start": draw.start[0].tolist(),
+        "qpos": qpos.tolist(),
+        "qvel": qvel.tolist(),
+        "joint_target": session.state.joint_target[0].tolist(),
         "object": draw.objects([0])[0, 0].tolist(),
         "kind": int(draw.kinds[0, 0]),
         "points": draw.points[0].tolist(),
         "target_vel": session.state.target_vel[0].tolist(),
+        **begun(session.state),
     }
     while recorded * CONTROL_STEP_S < RECORDED_S:
         if session.over:  # the person goes on, beside an arm that stands
             before = session.state
-            result = engine.step(np.zeros((1, len(engine.scene.joints))))
+            result = engine.step(np.zeros((1, engine.episodes.action_dim)))
             clip = decision_clip(engine, before, result)
         else:
             clip = session.step().clip

@@ -17,10 +17,10 @@ from hrl_comfort.tasks import State, Subtask
 
 OPS = {
     "abs", "add", "addmm", "amax", "any", "arange", "argmin", "bitwise_and", "bitwise_not", "bitwise_or", "cat",
-    "clamp", "cos", "div", "eq", "expand", "full", "full_like", "gather", "ge", "gt", "index", "le",
+    "clamp", "cos", "div", "eq", "expand", "full", "full_like", "gather", "ge", "gt", "index", "index_select", "le",
     "linalg_vector_norm", "logical_and", "logical_not", "logical_or", "lt", "maximum", "min", "minimum", "mul", "ne",
-    "neg", "permute", "relu", "scalar_tensor", "select", "sin", "slice", "sort", "split_with_sizes", "sqrt", "squeeze",
-    "sub", "sum", "tanh", "unsqueeze", "view", "where",
+    "neg", "permute", "relu", "remainder", "scalar_tensor", "select", "sin", "slice", "sort", "split_with_sizes",
+    "sqrt", "squeeze", "sub", "sum", "tanh", "unsqueeze", "view", "where",
 }  # fmt: skip
 """Operations of `src/graph.js`; one whose arguments it would not understand is refused too."""
 PLAIN = {"_to_copy", "alias", "clone"}
@@ -85,6 +85,8 @@ def _call(name: str, node: fx.Node) -> tuple[str, list[Any]]:
     """Return the operation and the arguments of a node."""
     if name in PLAIN and not _narrows(node):
         return "same", [_argument(node.args[0])]
+    if name == "_to_copy" and node.kwargs.get("dtype") == torch.bool:
+        return "ne", [_argument(node.args[0]), 0]
     if (name != "getitem" and name not in OPS) or node.kwargs.keys() - KINDS or _unlike_the_page(name, node.args):
         raise ConfigError(
             f"the page cannot compute {node.target} of a policy; export= takes the project's observations"

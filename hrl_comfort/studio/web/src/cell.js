@@ -1,6 +1,7 @@
 // The cell: MuJoCo's physics, the person, the task's stages and the options' policies, stepped as hrl_comfort.sim.engine does.
 
 import { compile } from "./graph.js";
+import { Hand } from "./hand.js";
 import { Person, limbPoses } from "./person.js";
 import { Safety } from "./safety.js";
 
@@ -27,6 +28,7 @@ export class Cell {
     this.nextStage = compile(content.stages.graph);
     this.options = content.options.map((option) => ({ ...option, act: compile(option.graph) }));
     this.safety = new Safety(content.safety, content.person.step_s);
+    this.hand = content.hand && new Hand(content.hand, content.person.step_s, (key) => this.sensed(key));
     this.person = new Person(content.person);
     this.level = content.level;
     this.episode = -1;
@@ -39,12 +41,12 @@ export class Cell {
 
   /** Begin the next episode. */
   reset(episode = (this.episode + 1) % this.content.episodes.length) {
-    const { data, content } = this, given = content.episodes[episode], joints = content.home.length;
+    const { data, content } = this, given = content.episodes[episode];
     this.episode = episode;
     this.mujoco.mj_resetData(this.model, data);
-    data.qpos.set(given.start.slice(0, joints));
-    data.qvel.set(given.start.slice(joints, 2 * joints));
-    this.target = given.start.slice(2 * joints);
+    data.qpos.set(given.qpos);
+    data.qvel.set(given.qvel);
+    this.target = given.joint_target;
     this.person.begin(table(given.walk));
     this.pose();
     this.safety.begin(given.target_vel, this.limbs);
@@ -53,10 +55,9 @@ export class Cell {
     this.outcome = null;
     this.option = null;
     this.decision = null;
-    this.control(this.target);
-    this.mujoco.mj_forward(this.model, data);
-    this.read();
-    this.touch(this.feels);
+    this.hand?.begin(given);
+    this.look();
+    this.hand?.read();
     this.choose();
   }
 
@@ -65,10 +66,18 @@ export class Cell {
     this.limbs = limbPoses(this.person.walk, this.content.body, this.content.floor);
   }
 
-  /** Write servo targets, person, and the cell's places and obstacles. */
-  control(targets) {
+  /** Read the cell as it stands, held by its set-points. */
+  look() {
+    this.control(this.target, this.hand?.control);
+    this.mujoco.mj_forward(this.model, this.data);
+    this.read();
+    this.touch(this.feels);
+  }
+
+  /** Write targets of the servos and of the hand's drive, person, and the cell's places and obstacles. */
+  control(targets, grip) {
     const { mocap_pos: places, mocap_quat: turns } = this.data;
-    this.data.ctrl.set(targets);
+    this.data.ctrl.set(grip === undefined ? targets : [...targets, grip]);
     [...this.limbs, ...this.content.layout].forEach((pose, limb) => {
       places.set(pose.slice(0, 3), 3 * limb);
       turns.set(pose.slice(3), 4 * limb);
@@ -114,7 +123,7 @@ export class Cell {
       points: { shape: [1, 2, 3], data: content.episodes[this.episode].points.flat() },
       stage: one(stage), level: one(level), steps: one(state.steps),
       grasp_tolerance: one(content.tolerances.grasp), place_tolerance: one(content.tolerances.place),
-      home_tolerance: one(content.tolerances.home), share: one(this.safety.share),
+      home_tolerance: one(content.tolerances.home), share: one(this.safety.share), ...this.hand?.fields,
     };
   }
 
@@ -136,7 +145,7 @@ export class Cell {
     return limits[Math.round(this.state.level) - 1] ?? limits[0];
   }
 
-  /** Return the increments (rad a control step) that the option in force chooses now. */
+  /** Return the increments (rad a control step), and the command of the fingers, that the option in force chooses now. */
   act() {
     const { state, safety } = this, { act, first } = this.options[this.option];
     const bodies = safety.bodies(state.joint_pos, this.limbs);
@@ -150,20 +159,24 @@ export class Cell {
     if (state.steps === 0 && state.touching) return this.waitForPerson();
     if (!this.decision) {
       state.level = this.level;
-      this.decision = { from: [...this.target], increment: this.act(), steps: 0, limbs: this.limbs };
+      const action = Array.from(this.act()), joints = this.target.length;
+      this.decision = { from: [...this.target], increment: action.slice(0, joints), command: action[joints], steps: 0, limbs: this.limbs };
     }
-    const { from, increment, steps } = this.decision, touched = state.touching;
+    const { from, increment, command, steps } = this.decision, touched = state.touching;
     const ramp = (share) => from.map((angle, joint) => {
       const [lowest, highest] = content.range[joint];
       return Math.min(Math.max(angle + (steps + share) * increment[joint], lowest), highest);
     });
-    const measured = Array.from(data.qpos), joints = { joint_pos: row(measured), joint_vel: row(Array.from(data.qvel)) };
+    const [angles, speeds] = content.moving, measured = angles.map((at) => data.qpos[at]);
+    const joints = { joint_pos: row(measured), joint_vel: row(speeds.map((at) => data.qvel[at])) };
     const [begin, after] = safety.drives ? safety.drive(this.target, increment, joints, this.limbs) : [from, ramp(1)];
     this.walk(safety.drives ? measured : after);
+    const grips = this.hand?.follow(command);
     let touching = false, unsafe = false;
     for (let k = 1; k <= substeps; k++) {
       const share = k / substeps;
-      this.control(safety.drives ? begin.map((angle, joint) => angle + share * (after[joint] - angle)) : ramp(share));
+      const targets = safety.drives ? begin.map((angle, joint) => angle + share * (after[joint] - angle)) : ramp(share);
+      this.control(targets, grips?.[k - 1]);
       this.mujoco.mj_step(model, data);
       if (this.feels) {
         // The readings are those before the physics resolves the touch.
@@ -178,10 +191,11 @@ export class Cell {
     this.touches.unsafe += Number(unsafe && !state.unsafe);
     state.unsafe ||= unsafe;
     state.steps += 1;
+    this.hand?.watch(state.steps);
     this.decision.steps += 1;
     const stage = state.stage;
     state.stage = this.stageAfter();
-    const failed = this.failedContact || state.hit !== null, late = state.steps >= this.limit(content.limits.episode);
+    const failed = this.failedContact || state.hit !== null || Boolean(this.hand?.lost), late = state.steps >= this.limit(content.limits.episode);
     const ended = state.stage > stage || failed || late || this.decision.steps === content.action_repeat;
     if (ended) this.endDecision(failed, late);
     return ended;
@@ -209,11 +223,8 @@ export class Cell {
     this.pose();
     this.safety.before = this.limbs;
     this.safety.see(this.limbs);
-    this.control(this.target);
-    this.mujoco.mj_forward(this.model, this.data);
     this.state.contact = false;
-    this.read();
-    this.touch(this.feels);
+    this.look();
     return true;
   }
 
@@ -221,7 +232,7 @@ export class Cell {
     const { state, content } = this, success = state.stage >= content.stages.names.length;
     this.safety.see(this.decision.limbs, this.decision.steps);
     this.decision = null;
-    if (failed) this.finish(this.failedContact ? "contact" : `hit ${state.hit}`);
+    if (failed) this.finish(this.failedContact ? "contact" : state.hit ? `hit ${state.hit}` : "object lost");
     else if (success) this.finish("success");
     else if (late) this.finish("out of time");
     else if (state.stage >= this.options[this.option].last) this.choose();
@@ -237,10 +248,10 @@ export class Cell {
     for (const watch of this.watchers) watch(outcome);
   }
 
-  /** Where the object is: where it arrived, on the tool or where it belongs; null without one. */
+  /** Where the object is: where it arrived, on the tool or where it belongs; null without one, or with one that is a body. */
   get objectPlace() {
     const { object, content, state } = this, where = content.stages.object[state.stage];
-    if (where === "nowhere") return null;
+    if (this.hand || where === "nowhere") return null;
     return { arrival: object.place, tool: state.tcp_pos, place: content.kind_places[object.kind] }[where];
   }
 

@@ -99,6 +99,7 @@ const ops = {
   sqrt: map(Math.sqrt), exp: map(Math.exp), floor: map(Math.floor), relu: map((a) => Math.max(a, 0)),
   logical_not: map((a) => Number(!a)), bitwise_not: map((a) => Number(!a)),
   add: zip((a, b) => a + b), sub: zip((a, b) => a - b), mul: zip((a, b) => a * b), div: zip((a, b) => a / b),
+  remainder: zip((a, b) => a - b * Math.floor(a / b)),
   maximum: zip((a, b) => (a > b ? a : b)), minimum: zip((a, b) => (a < b ? a : b)),
   eq: zip((a, b) => Number(a === b)), ne: zip((a, b) => Number(a !== b)),
   lt: zip((a, b) => Number(a < b)), le: zip((a, b) => Number(a <= b)),
@@ -132,6 +133,7 @@ const ops = {
     const axis = given.length - 1, places = given[axis], found = take(x, axis, places.data);
     return array([...x.shape.slice(0, axis), ...places.shape, ...x.shape.slice(axis + 1)], found.data);
   },
+  index_select: (x, dim, places) => take(x, axisOf(dim, x), places.data),
   gather(x, dim, places) {
     const axis = axisOf(dim, x), strides = (shape) => shape.map((_, k) => size(shape.slice(k + 1)));
     const own = strides(places.shape), theirs = strides(x.shape);
