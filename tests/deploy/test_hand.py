@@ -27,7 +27,7 @@ from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
-from tests.deploy.hand_campaign import cycle, noticed
+from tests.deploy.hand_campaign import cycle
 from tests.deploy.test_robotiq_client import host
 
 GRASP = ["cell=grasp", "policy=expert", "human=none", "confirm=yes", "output=none"]
@@ -246,7 +246,7 @@ def test_an_arm_switches_its_tool_output_and_hears_of_a_grip(monkeypatch: pytest
 
 def test_a_late_cycle_is_done_and_a_late_grip_that_is_lost_by_force_is_noticed() -> None:
     assert cycle(0)["success"]
-    assert noticed(cycle(0, pull_after=100))
+    assert cycle(0, pull_after=100)["noticed"]
 
 
 @pytest.mark.parametrize(
