@@ -76,8 +76,10 @@ def cycle(index: int, pull_after: int = 0) -> dict[str, Any]:
     found: dict[str, Any] = {"cycle": index, "pulled": pull_after > 0, "stopped": why}
     found["success"] = bool(run.result.episodes and run.result.episodes[-1].success)
     if pull_after:
-        late_s = (braked[0] + 1 - hand.lost_at) * PERIOD_S if hand.lost_at and len(braked) else np.inf
-        found |= {"noticed": "grip lost" in why and 0 <= late_s <= NOTICED_S, "noticed_s": round(float(late_s), 3)}
+        stopped = int(braked[0]) + 1 if len(braked) else sys.maxsize
+        late_s = (stopped - hand.lost_at) * PERIOD_S if 0 < hand.lost_at < stopped else 0.0
+        told = "grip lost" in why and 0 < hand.pulled_at < stopped
+        found |= {"noticed": told and late_s <= NOTICED_S, "noticed_s": round(late_s, 3)}
     return found
 
 

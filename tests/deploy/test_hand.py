@@ -125,6 +125,11 @@ def test_an_object_rides_until_the_fingers_open_though_their_answer_comes_late()
     objects.follow(HandReading(0.4, Fingers.GRIP), 0.9, scene.home)
     with pytest.raises(GripLostError, match=r"gripped at 40 % of their way, and are at 55 % \(MOVE\)"):
         objects.follow(HandReading(0.55, Fingers.MOVE), 0.9, scene.home)
+    objects.begin(data.qpos)
+    objects.follow(HandReading(0.4, Fingers.GRIP), 0.9, scene.home)
+    objects.follow(HandReading(0.35, Fingers.GRIP), 0.9, scene.home)
+    with pytest.raises(GripLostError, match="are at 28 %"):  # it is torn out and forces them open
+        objects.follow(HandReading(0.28, Fingers.GRIP), 0.9, scene.home)
 
 
 def test_a_fault_of_the_hand_stops_the_arm_and_fingers_keep_their_set_point(
