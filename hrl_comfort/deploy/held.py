@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 NEAR_M = 0.06
 """Distance of the tool from the middle of an object within which fingers that grip hold it."""
 FARTHER = 0.1
-"""Share of the way of the fingers beyond where they gripped at which there is nothing more between them."""
+"""Share of the way of the fingers from where they gripped at which they no longer hold it, or it forces them open."""
 
 
 class Objects:
@@ -97,7 +97,7 @@ class Objects:
         mujoco.mju_mulQuat(self._turned, back, self.poses[nearest, 3:])
 
     def _check(self, hand: HandReading) -> None:
-        if hand.fingers in (Fingers.THERE, Fingers.STOPPED_OPENING) or hand.closed > self._gripped + FARTHER:
+        if hand.fingers in (Fingers.THERE, Fingers.STOPPED_OPENING) or abs(hand.closed - self._gripped) > FARTHER:
             raise GripLostError(
                 f"grip lost: the fingers gripped at {100 * self._gripped:.0f} % of their way, and are at "
                 f"{100 * hand.closed:.0f} % ({hand.fingers.name}) without having been told to open"

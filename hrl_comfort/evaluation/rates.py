@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from hrl_comfort.comfort.terms import discomfort
 from hrl_comfort.comfort.trajectory import Trajectory
 from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig
+from hrl_comfort.sim.hand.sensors import Losses
+from hrl_comfort.sim.step_result import StepResult
 
 MINUTE_S, HOUR_S = 60.0, 3600.0
 DISCOMFORTS = (
@@ -85,6 +87,14 @@ def shift_rates(course: Course, shielded: bool) -> dict[str, float | None]:
         "protective_stops_per_min": course.protective_stops * MINUTE_S / spent_s if shielded else None,
         "orders_missed_per_min": None if course.orders_missed is None else course.orders_missed * MINUTE_S / spent_s,
     }
+
+
+def newly_lost(losses: Losses, result: StepResult) -> NDArray[np.int64]:
+    """Return how many objects (N,) of a cell with a gripper were lost in a decision, whatever was lost before it."""
+    rows, last = np.arange(len(result.decision_steps)), result.decision_steps.numpy() - 1
+    before, kinds = result.before, result.before.kinds.numpy()
+    now = losses(result.moving["objects"][rows, last], kinds, result.moving["carried"][rows, last])
+    return np.asarray((now & ~losses(before.objects.numpy(), kinds, before.carried.numpy())).sum(axis=1))
 
 
 def begun(flags: NDArray[np.bool_]) -> int:

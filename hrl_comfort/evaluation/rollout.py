@@ -20,7 +20,7 @@ from hrl_comfort.config import CONTROL_STEP_S, EvaluateConfig, MetaControllerTra
 from hrl_comfort.config.hydra_conf import run_folder
 from hrl_comfort.evaluation.episode import COLUMNS, Episode
 from hrl_comfort.evaluation.ledger import open_split
-from hrl_comfort.evaluation.rates import MINUTE_S, Course, discomforts, shift_rates
+from hrl_comfort.evaluation.rates import MINUTE_S, Course, discomforts, newly_lost, shift_rates
 from hrl_comfort.files.atomic import all_or_none, write_json
 from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
@@ -31,6 +31,7 @@ from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.hand.sensors import Losses
 from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.tasks import State
@@ -134,6 +135,7 @@ class EpisodeRecorder:
         if acting is None:
             acting = config.policies.get("meta_controller") or next(iter(config.policies.values()), None)
         self.train_seed = train_seed(acting) if isinstance(acting, str) else None
+        self._losses = Losses(engine.scene)
 
     def begin(self, state: State) -> None:
         """Begin with the first state of every row."""
@@ -156,7 +158,7 @@ class EpisodeRecorder:
         self.totals["level"] += result.level.numpy() * steps
         self.totals["missed"] += np.where(active.numpy(), missed(result.before, result.state).numpy(), 0.0)
         if self.config.robot.gripper.holds:
-            self.totals["lost"] += np.where(active.numpy(), result.begun("object_lost").numpy(), 0.0)
+            self.totals["lost"] += np.where(active.numpy(), newly_lost(self._losses, result), 0)
         self._keep(result.instants, valid)
         if self.config.record:
             for k, instant in enumerate(result.steps):

@@ -91,6 +91,31 @@ def attacks(rows: pd.DataFrame) -> str:
     return markdown(["task", "people", "bound", *(head for head, *_ in columns.values())], lines)
 
 
+def grasps(rows: pd.DataFrame) -> str:
+    """Return how many places of `tests.hand.campaign` were lifted, held and placed: an object a line, by arm and hand.
+
+    The last line is the greatest speed of an object that was carried.
+    """
+    counted = rows.groupby(["cell", "object", "robot", "gripper"], sort=False)
+    told = counted[["lifted", "held", "placed"]].sum()
+    hands = [(robot, hand) for robot, hand in rows[["robot", "gripper"]].drop_duplicates().to_numpy()]
+    lines = [
+        [f"`{kind}` of `cell={place}`", *(" / ".join(map(str, told.loc[place, kind, *hand])) for hand in hands)]
+        for place, kind in rows[["cell", "object"]].drop_duplicates().to_numpy()
+    ]
+    fastest = rows.groupby(["robot", "gripper"])["fastest_m_s"].max()
+    lines.append(["fastest, m/s", *(f"{fastest[hand]:.2f}" for hand in hands)])
+    return markdown(["object", *(f"`{robot}`, `{hand}`" for robot, hand in hands)], lines)
+
+
+def hand_cycles(rows: pd.DataFrame) -> str:
+    """Return what `tests.deploy.hand_campaign` counted."""
+    whole, lost = rows[~rows["pulled"]], rows[rows["pulled"]]
+    heads = ("cycles", "success", "grips lost by force", "noticed in time", "longest time, s")
+    counts = len(whole), whole["success"].sum(), len(lost), lost["noticed"].eq(True).sum()
+    return markdown(heads, [[*map(str, counts), f"{lost['noticed_s'].max():.2f}"]])
+
+
 def folder_of(name: str) -> Path:
     """Return the folder of an entry; raise FileNotFoundError if it holds none."""
     folder = REFERENCE / "benchmark" / name
@@ -150,6 +175,8 @@ KINDS: dict[str, Callable[[str], str]] = {
     "bench update": of_rows(update.table),
     "bench train": of_rows(train.table),
     "attacks": of_rows(attacks),
+    "grasps": of_rows(grasps),
+    "hand cycles": of_rows(hand_cycles),
     "tops": of_rows(tops.table),
     "csv": of_rows(as_it_is),
 }

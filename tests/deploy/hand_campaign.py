@@ -1,7 +1,8 @@
 """Cycles of a fake UR with a Robotiq hand, and grips lost by force: `python -m tests.deploy.hand_campaign TABLE 50`.
 
 They run in simulated time: the expert, which grasps, is too slow for real time. Arm and hand have 20 ms latency in each
-direction, and the arm's network loses 1 % of its packages. A line of the table is a cycle, then a grip.
+direction, and the arm's network loses 1 % of its packages. A line of the table is a cycle, then a grip; a campaign that
+was stopped goes on after its last line.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from pandas import DataFrame
+from pandas import DataFrame, read_csv
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, DeployConfig
@@ -74,27 +75,29 @@ def cycle(index: int, pull_after: int = 0) -> dict[str, Any]:
     braked = np.flatnonzero(rows[:, COLUMNS.index("planned")] == -2)
     found: dict[str, Any] = {"cycle": index, "pulled": pull_after > 0, "stopped": why}
     found["success"] = bool(run.result.episodes and run.result.episodes[-1].success)
-    if hand.lost_at and len(braked):
-        found["noticed_s"] = (braked[0] + 1 - hand.lost_at) * PERIOD_S
+    if pull_after:
+        stopped = int(braked[0]) + 1 if len(braked) else sys.maxsize
+        late_s = (stopped - hand.lost_at) * PERIOD_S if 0 < hand.lost_at < stopped else 0.0
+        told = "grip lost" in why and 0 < hand.pulled_at < stopped
+        found |= {"noticed": told and late_s <= NOTICED_S, "noticed_s": round(late_s, 3)}
     return found
 
 
-def noticed(found: dict[str, Any]) -> bool:
-    """Return whether the arm was stopped in time because what the hand held was gone."""
-    return "grip lost" in found["stopped"] and 0 <= found.get("noticed_s", np.inf) <= NOTICED_S
-
-
 def campaign(table: Path, count: int) -> None:
-    """Run cycles, and as many grips that are lost; write what came out."""
+    """Run cycles, and as many grips that are lost; write what came out, and go on after what was written."""
     torch.set_num_threads(1)
     lines: list[dict[str, Any]] = []
-    for index in range(2 * count):
+    if table.exists():
+        lines = read_csv(table).fillna({"stopped": ""}).to_dict("records")  # type: ignore[assignment]
+    for index in range(len(lines), 2 * count):
         pull_after = int(np.random.default_rng(index).integers(FIRST, LAST)) if index >= count else 0
         lines.append(cycle(index % count, pull_after))
+        table.parent.mkdir(parents=True, exist_ok=True)
         DataFrame(lines).to_csv(table, index=False)
-        whole, lost = ([each for each in lines if each["pulled"] is pulled] for pulled in (False, True))
-        said = f"{sum(each['success'] for each in whole)} of {len(whole)} cycles, "
-        print(said + f"{sum(map(noticed, lost))} of {len(lost)} lost grips noticed; {lines[-1]}", flush=True)
+        whole, lost = ([each for each in lines if each["pulled"] == pulled] for pulled in (False, True))
+        done, told = sum(each["success"] for each in whole), sum(each["noticed"] for each in lost)
+        said = f"{done} of {len(whole)} cycles, {told} of {len(lost)} lost grips noticed"
+        print(f"{said}; {lines[-1]}", flush=True)
 
 
 if __name__ == "__main__":

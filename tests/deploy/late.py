@@ -70,13 +70,14 @@ class LateLoopback:
 class PulledHand(SimulatedHand):
     """See `SimulatedHand`; what the fingers have held for `pull_after` set-points is pulled out by force; 0: nothing.
 
-    `ticks` counts the set-points, `lost_at` is the first at which a pad no longer touches it.
+    `ticks` counts the set-points, `pulled_at` is the first at which it is pulled, `lost_at` the first at which a pad no
+    longer touches it.
     """
 
     def __init__(self, scene: Scene, pull_after: int, seed: int) -> None:
         super().__init__(scene)
         self._scene, self._left = scene, pull_after
-        self.ticks = self.lost_at = 0
+        self.ticks = self.pulled_at = self.lost_at = 0
         way = np.random.default_rng(seed).normal(size=3)
         self._pull, self._force = way / np.linalg.norm(way), 0.0
         self._pulled: int | None = None
@@ -90,7 +91,7 @@ class PulledHand(SimulatedHand):
             if self._left and touched.any() and hand is not None and hand.fingers == Fingers.GRIP:
                 self._left -= 1
                 if not self._left:
-                    self._pulled = int(touched.argmax())
+                    self._pulled, self.pulled_at = int(touched.argmax()), self.ticks
             return
         if not self.lost_at and not touched[self._pulled]:
             self.lost_at = self.ticks

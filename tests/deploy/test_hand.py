@@ -27,7 +27,7 @@ from hrl_comfort.deploy.stops import GripLostError, StoppedError
 from hrl_comfort.deploy.streamer import Limits
 from hrl_comfort.scene.workcell import Scene, scene_of
 from tests.deploy.fake_robotiq import FakeRobotiq, Loopback, RobotiqWorld
-from tests.deploy.hand_campaign import cycle, noticed
+from tests.deploy.hand_campaign import cycle
 from tests.deploy.test_robotiq_client import host
 
 GRASP = ["cell=grasp", "policy=expert", "human=none", "confirm=yes", "output=none"]
@@ -125,6 +125,11 @@ def test_an_object_rides_until_the_fingers_open_though_their_answer_comes_late()
     objects.follow(HandReading(0.4, Fingers.GRIP), 0.9, scene.home)
     with pytest.raises(GripLostError, match=r"gripped at 40 % of their way, and are at 55 % \(MOVE\)"):
         objects.follow(HandReading(0.55, Fingers.MOVE), 0.9, scene.home)
+    objects.begin(data.qpos)
+    objects.follow(HandReading(0.4, Fingers.GRIP), 0.9, scene.home)
+    objects.follow(HandReading(0.35, Fingers.GRIP), 0.9, scene.home)
+    with pytest.raises(GripLostError, match="are at 28 %"):  # it is torn out and forces them open
+        objects.follow(HandReading(0.28, Fingers.GRIP), 0.9, scene.home)
 
 
 def test_a_fault_of_the_hand_stops_the_arm_and_fingers_keep_their_set_point(
@@ -246,7 +251,7 @@ def test_an_arm_switches_its_tool_output_and_hears_of_a_grip(monkeypatch: pytest
 
 def test_a_late_cycle_is_done_and_a_late_grip_that_is_lost_by_force_is_noticed() -> None:
     assert cycle(0)["success"]
-    assert noticed(cycle(0, pull_after=100))
+    assert cycle(0, pull_after=100)["noticed"]
 
 
 @pytest.mark.parametrize(

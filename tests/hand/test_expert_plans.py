@@ -11,6 +11,7 @@ import torch
 from hrl_comfort.composition.compose import compose_environment
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.policies.expert import NEAREST
+from hrl_comfort.policies.hand.carrying import CARRY_M_S
 from hrl_comfort.policies.hand.expert import GraspingExpert
 from hrl_comfort.policies.hand.postures import DISTINCT_RAD, SEEDS, GoalPostures
 from hrl_comfort.safety.separation import Separation
@@ -18,6 +19,7 @@ from hrl_comfort.scene.grippers import GRIPPERS
 from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.variation.grasps import BACK_M, CLEAR_M, CLOSE_M, TILTS_RAD, Grasps, approaches, rise_m
+from tests.hand.campaign import decisions
 
 SHIELDED = ("human=still", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
 BESIDE_OBJECT = ("human.spawns_m=[[0.61,0.43]]", "human.held_out=[]", "human.spawn=points", "human.spawn_jitter_m=0")
@@ -96,3 +98,15 @@ def test_the_expert_passes_slowly_by_somebody_who_stands_beside_the_object_for_e
         if result.done.any():
             break
     assert result.success.all()
+
+
+def test_an_object_is_carried_at_up_to_a_metre_a_second_however_far_the_way_is() -> None:
+    """An arm of this size goes over its own top."""
+    config = cell("task=pick_place", "cell=bench_hand", "robot=ur10e", "task.object=puck", "human=none")
+    fastest, placed = 0.0, 0
+    for going, result in decisions(config, 5):
+        carried = (result.instants.carried[..., 0] & result.valid).numpy() & going[:, None]
+        speed = torch.linalg.vector_norm(result.instants.objects_vel[..., 0, :], dim=-1).numpy()
+        fastest = max(fastest, float(np.where(carried, speed, 0.0).max()))
+        placed += int((result.success.numpy() & going).sum())
+    assert placed == 5 and fastest < 1.4 * CARRY_M_S

@@ -25,6 +25,7 @@ from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.grasps import rise_m
+from tests.hand.campaign import decisions
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.07")
 
@@ -33,19 +34,12 @@ def cell(*words: str) -> EnvConfig:
     return compose_environment("train", [*ALONE, *words])
 
 
-def successes(config: EnvConfig, rows: int, decisions: int = 100) -> tuple[np.ndarray, list[StepResult]]:
+def successes(config: EnvConfig, rows: int) -> tuple[np.ndarray, list[StepResult]]:
     """Return which of the first episodes (N,) of the expert succeed, and the results of its decisions."""
-    engine = Engine(config, rows, 0)
-    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
-    done, found, results = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), list[StepResult]()
-    for _ in range(decisions):
-        results.append(engine.step(act(state).numpy()))
-        found |= results[-1].success.numpy() & ~done
-        done |= results[-1].done.numpy()
-        if done.all():
-            break
-        state = engine.reset(np.flatnonzero(results[-1].done.numpy()))
-    engine.close()
+    found, results = np.zeros(rows, dtype=bool), list[StepResult]()
+    for going, result in decisions(config, rows):
+        found |= result.success.numpy() & going
+        results.append(result)
     return found, results
 
 
@@ -72,7 +66,7 @@ def test_other_arms_grasp_too(robot: str) -> None:
 
 def test_a_rated_arm_grasps_behind_the_shield_beside_people() -> None:
     shielded = ("human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact")
-    found, results = successes(cell("task=pick", *shielded), 6, 150)
+    found, results = successes(cell("task=pick", *shielded), 6)
     assert found.sum() >= 5, "one may be held up by somebody who stays in the way"
     assert not any(result.state.unsafe_contact.any() for result in results)
 

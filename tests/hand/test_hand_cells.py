@@ -14,6 +14,7 @@ from hrl_comfort.policies.load import make_policy
 from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.hand.sensors import fallen_m
+from tests.hand.campaign import decisions
 from tests.hand.pincer import Pincer
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.05")
@@ -23,19 +24,9 @@ def cell(*words: str) -> EnvConfig:
     return compose_environment("train", [*ALONE, *words])
 
 
-def solved(config: EnvConfig, rows: int, decisions: int = 120) -> int:
+def solved(config: EnvConfig, rows: int) -> int:
     """Return in how many of `rows` cells the expert succeeds."""
-    engine = Engine(config, rows, 0)
-    state, act = engine.reset(), make_policy("expert", engine.episodes.subtask, engine.scene, config, 0)
-    going, found = np.ones(rows, dtype=bool), 0
-    for _ in range(decisions):
-        result = engine.step(act(state).numpy(), np.flatnonzero(going))
-        found += int((result.success.numpy() & going).sum())
-        going &= ~result.done.numpy()
-        state = result.state
-        if not going.any():
-            break
-    return found
+    return sum(int((result.success.numpy() & going).sum()) for going, result in decisions(config, rows))
 
 
 @pytest.mark.parametrize("base_m", [0.02, 0.1, 0.16])

@@ -9,6 +9,7 @@ import torch
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.envs.dm import make_environment
+from hrl_comfort.evaluation.rates import newly_lost
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import make_executor
@@ -71,6 +72,26 @@ def test_in_a_shift_a_delivered_and_a_lost_object_arrive_anew_at_rest_and_clear_
     for row in range(2):
         there = [abs(poses[row, model.joint(name).qposadr[0]]) < 2.0 for name in engine.scene.loose]
         assert sum(there) == 2 and there[int(now.kinds[row, 0])] and sum(there[:kinds]) == 1
+    engine.close()
+
+
+def test_an_object_that_is_lost_while_another_is_lost_counts_too() -> None:
+    engine = Engine(environment(asked("task=shift", "task.objects=2", "policy=expert", "meta_controller=none")), 2, 0)
+    state, losses, model = engine.reset(), Losses(engine.scene), engine.scene.model
+    hold = np.concatenate([np.zeros((2, 6)), np.full((2, 1), -1.0)], axis=1)
+    poses = [1 + model.joint(engine.scene.loose[int(state.kinds[0, 0]) + index * 2]).qposadr[0] for index in (0, 1)]
+    slots = engine.episodes.draw.arrivals
+    slots[0, 0] = state.tcp_pos[0].numpy()  # the hand is where it would arrive anew
+    counts, begun = np.zeros(2, dtype=np.int64), 0
+    for decision in range(8):
+        if decision in (0, 4):
+            engine.physics.state[0, poses[decision // 4] : poses[decision // 4] + 3] = 0.98, 0.2, -0.4
+        if decision == 4:
+            slots[0, 1] = slots[0, 0]
+        result = engine.step(hold)
+        counts += newly_lost(losses, result)
+        begun += int(result.begun("object_lost")[0])
+    assert counts.tolist() == [2, 0] and begun == 1 and result.state.object_lost.tolist() == [True, False]
     engine.close()
 
 

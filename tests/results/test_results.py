@@ -17,7 +17,7 @@ from hrl_comfort.config import ConfigError, HierarchyTrainConfig, MetaController
 from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
-from hrl_comfort.results import looks, manifest, pages, record, remake
+from hrl_comfort.results import looks, manifest, pages, record, remake, tables
 from hrl_comfort.results.command import results
 from hrl_comfort.results.manifest import PHASES, Entry
 
@@ -101,6 +101,18 @@ def test_a_number_in_prose_is_a_cell_of_a_table(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_not_measured_says_so() -> None:
     page = "<!-- evaluations: no/such -->\nold\n<!-- end -->"
     assert pages.ABSENT in pages.filled(page) and "old" not in pages.filled(page)
+
+
+def test_campaigns_of_the_hand_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "REFERENCE", tmp_path)
+    places = "robot,gripper,cell,object,place,lifted,held,placed,fastest_m_s"
+    rows = [f"ur3e,two_finger,grasp,{kind},{place},True,True,{not place},0.7" for kind in "ab" for place in (0, 1)]
+    (tmp_path / "grasps.csv").write_text("\n".join([places, *rows, ""]), encoding="utf-8")
+    cycles = "cycle,pulled,stopped,success,noticed,noticed_s\n0,False,,True,,\n0,True,grip lost,False,True,0.288\n"
+    (tmp_path / "cycles.csv").write_text(cycles, encoding="utf-8")
+    told = tables.KINDS["grasps"]("grasps.csv").splitlines()
+    assert told[2] == "| `a` of `cell=grasp` | 2 / 2 / 1 |" and told[-1] == "| fastest, m/s | 0.70 |"
+    assert tables.KINDS["hand cycles"]("cycles.csv").splitlines()[-1] == "| 1 | 1 | 1 | 1 | 0.29 |"
 
 
 @pytest.fixture

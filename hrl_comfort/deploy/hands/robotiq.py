@@ -21,7 +21,9 @@ ANSWER_S = 2.0
 STALE_S = 0.25
 """Age of a request without an answer at which the connection counts as lost."""
 ROUND = ("OBJ", "POS", "OBJ", "FLT", "OBJ", "POS", "OBJ", "STA")
-"""Variables that are asked for in turn: every second time, whether the fingers still hold something."""
+"""Variables that are asked for in turn: every second time, whether the fingers hold something."""
+HOLDING = {"OBJ": "POS", "POS": "OBJ"}
+"""What is asked for instead of a variable while they do: what is lost or torn out moves them first."""
 ACTIVE, MOST = 3, 255
 """Value of STA of a hand that has been activated; largest value of POS, SPE and FOR."""
 FORCE_N = (20.0, 235.0)
@@ -52,7 +54,7 @@ class RobotiqHand:
         self._where, self._pending, self._data, self._turn = f"{host}:{PORT}", "", "", 0
         self._told = self._asked = -1
         self._values = dict.fromkeys(ROUND, 0)
-        self._located = False
+        self._located = self._holding = False
         self._since_s = 0.0
         try:
             self._socket = socket.create_connection((host, PORT), ANSWER_S)
@@ -127,9 +129,10 @@ class RobotiqHand:
             return
         if self._asked != self._told and not self._pending.startswith("SET"):
             self._send(f"SET POS {self._asked}")
-            self._told = self._asked
+            self._told, self._holding = self._asked, False
             return
-        self._send(f"GET {ROUND[self._turn % len(ROUND)]}")
+        name = ROUND[self._turn % len(ROUND)]
+        self._send(f"GET {HOLDING.get(name, name) if self._holding else name}")
         self._turn += 1
 
     def _send(self, line: str) -> None:
@@ -171,6 +174,7 @@ class RobotiqHand:
             if name in ("OBJ", "POS"):
                 gripped = self._values["OBJ"] == Fingers.GRIP
                 self._located = gripped and (self._located or name == "POS")
+                self._holding |= self._located
         self._data = ""
         return True
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.policies.expert import NEAREST, SAMPLES, WAIT_STEPS, Expert, Goal
 from hrl_comfort.policies.hand.beside import WAITING, Beside, of_rows, people_of
+from hrl_comfort.policies.hand.carrying import carried
 from hrl_comfort.policies.hand.fitting import (
     FIT_M,
     FIT_RAD,
@@ -66,8 +67,7 @@ TOUCH_STEPS = 100.0
 """Price of a certain touch in control steps behind the shield, where people step back from an arm that rests."""
 STANDING_M_S, STANDING_STEPS, IMPATIENCE = 0.2, 600.0, 0.5
 """Speed below which people stand, price of waiting for them behind the shield, in steps, and its growth in each."""
-STRAIGHT_DOWN = np.array([0.0, 0.0, -1.0])
-"""The vertical in the frame of a tool that points down."""
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,10 @@ class GraspingExpert(Expert):
             action[row, :joints] = torch.from_numpy(move / self._largest)
         if planned:
             index = torch.tensor(planned)
-            action[index, :joints] = super().act(state.rows(index))
+            move = self._largest * super().act(state.rows(index)).numpy()
+            slow = carried(self._body.arm, state.joint_target[index].numpy(), move, self._decision_s)
+            carries = action[index, joints:].numpy() == CLOSED
+            action[index, :joints] = torch.from_numpy(np.where(carries, slow, move) / self._largest)
         return action
 
     # ---- steps -----------------------------------------------------------------------------------------
@@ -132,7 +135,7 @@ class GraspingExpert(Expert):
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""
         kind = int(state.target_kind[row])
-        place, turn = self._grasp_point(obj, kind), axes_of(state.tcp_quat[row].numpy())
+        place, turn = obj + UP * rise_m(self._scene, kind), axes_of(state.tcp_quat[row].numpy())
         level, off = self._level(turn, state, row)
         ahead = turn.T @ (place - state.tcp_pos[row].numpy())
         lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
@@ -149,10 +152,6 @@ class GraspingExpert(Expert):
         """Return whether a hand has closed on nothing, or is opening after that: fingers follow their set-point."""
         grip = float(state.grip[row])
         return grip > EMPTY or grip > max(OPENED, float(state.grip_target[row]))
-
-    def _grasp_point(self, at: Array, kind: int) -> Array:
-        """Return where (3,) m the tool grasps an object of a kind at (3,) m."""
-        return at + np.array([0.0, 0.0, rise_m(self._scene, kind)])
 
     def _advance(self, left: float) -> float:
         """Return the way, m, of the next decision of a hand that has `left` m to go, so that it arrives slowly."""
@@ -272,7 +271,7 @@ class GraspingExpert(Expert):
         """
         target = int(state.target[row])
         if self._ball[int(state.kinds[row, target])]:
-            return STRAIGHT_DOWN
+            return -UP  # of a tool that points down
         axes = axes_of(state.tcp_quat[row].numpy()).T @ axes_of(state.objects_quat[row, target].numpy())
         index = int(np.abs(axes[2]).argmax())
         return np.asarray(-axes[:, index] * np.sign(axes[2, index]))
@@ -292,7 +291,7 @@ class GraspingExpert(Expert):
             return self._postures(goal)
         kind, at = int(goal[1]), np.array(goal[2:5])
         slot = self._slots[kind]
-        place = self._grasp_point(at, kind)
+        place = at + UP * rise_m(self._scene, kind)
         self._grasps.stand(self._layout)
         home, found = self._here.home, np.empty((0, len(self._range)))
         for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter
