@@ -102,7 +102,8 @@ class OptionExecutor:
     attempt: Tensor
     """(N,) int64, how often it has been started in a row."""
     _preempted: Tensor
-    """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since."""
+    """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since but one that
+    recovers and has not ended."""
     _interrupted: Tensor
     """(N,) bool, the option in force is interrupted; the top has not decided since."""
 
@@ -213,7 +214,10 @@ class OptionExecutor:
         termination = torch.full_like(self.option, _PREEMPTED)
         termination[succeeded] = _SUCCESS
         termination[result.failed] = _FAILURE
-        self._preempted = ended & (termination != _SUCCESS) & ~result.terminated
+        # Who is on the way home after such an end stays so until home, however often that is interrupted.
+        recovers = torch.tensor([option.recovers for option in self.table.options])[self.table.option[self.option]]
+        cut_short = ended & (termination != _SUCCESS) & ~result.terminated
+        self._preempted = cut_short | (self._preempted & recovers & ~ended)
         self._interrupted = interrupted & ~ended
         given_up = torch.zeros_like(ended)
         if self.retries is not None:

@@ -99,10 +99,11 @@ def stop(task: TaskConfig) -> Act:
 
 
 def _holding(act: Act) -> Act:
-    """Return the policy `act` of an arm with a hand, whose fingers stay as they are."""
+    """Return the policy `act` of an arm with a hand, whose fingers stay as they are around an object, and else open."""
 
     def holding(state: State) -> Tensor:
         arm = act(state)[:, : state.joint_pos.shape[1]]
-        return torch.cat([arm, 2 * state.grip_target[:, None] - 1], dim=-1)
+        fingers = torch.where(in_hand(state).any(dim=1), 2 * state.grip_target - 1, -1.0)
+        return torch.cat([arm, fingers[:, None]], dim=-1)
 
     return holding
