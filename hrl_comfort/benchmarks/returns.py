@@ -1,4 +1,4 @@
-"""Returns of entries of `kitting`: what a controller earns beside the best of its rivals, each seen in hindsight."""
+"""Returns of entries of `kitting`: what a controller earns beside the best of its rivals, chosen in hindsight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
-from hrl_comfort.benchmarks.entries import Entry, levels_in, name_of, of_seeds, read_entry
+from hrl_comfort.benchmarks.entries import Entry, levels_in, of_seeds
 from hrl_comfort.benchmarks.throughput import of_each_seed
 from hrl_comfort.config import ConfigError
 
@@ -25,23 +25,24 @@ def of_rivals(price: float, folder: Path, rivals: Sequence[Path]) -> str:
 
     A return is the orders filled, less MISSED of those missed, less `price` for a second of avoidable discomfort.
     Numbers are over training seeds; rivals with training seeds are paired by them. The best rival has the highest mean.
+    Folders have names of their own.
 
     Raises:
       ConfigError: an entry is damaged, lacks the part or a term, or was not measured at a level, or rivals have no
         training seed in common.
     """
-    own = of_seeds(folder)
-    beside = {name_of(read_entry(rival)).partition(",")[0]: of_each_seed(rival) for rival in rivals}
+    own, beside = of_seeds(folder), {rival.name: of_each_seed(rival) for rival in rivals}
     seeds = [seed for seed in own if all(seed in each or None in each for each in beside.values())]
     if not seeds:
         raise ConfigError(f"{folder} has no training seed in common with its rivals")
     runs, lines = Clusters.of_runs(len(seeds)), []
-    for level in returns(own[seeds[0]], price):
-        mine = np.array([returns(own[seed], price)[level] for seed in seeds])
-        theirs = {
-            name: np.array([at(returns(each.get(seed) or each[None], price), level, name) for seed in seeds])
-            for name, each in beside.items()
-        }
+    earned = {
+        name: [returns(each.get(seed) or each[None], price) for seed in seeds]
+        for name, each in {folder.name: own, **beside}.items()
+    }
+    for level in earned[folder.name][0]:
+        found = {name: np.array([at(each, level, name) for each in those]) for name, those in earned.items()}
+        mine, theirs = found[folder.name], {name: found[name] for name in beside}
         best = max(theirs, key=lambda name: float(theirs[name].mean()))
         above = mine - theirs[best]
         share = cell(runs.estimate(above / theirs[best]), 100) if (theirs[best] > 0).all() else "–"

@@ -18,7 +18,7 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.files.documents import read_json
 
 X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_rating_mean"
-BEYOND = "more work than any of them"
+BEYOND = "more work or less than any of them"
 
 
 def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
@@ -36,7 +36,9 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
     told_points = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
     fixed_points = [[*points(entry, part, PERSON).values()] for entry in others]
     line = cells(beside_mixes(told_points, fixed_points, max))
-    return markdown([WORK[part], "rating, 1 to 7, as the robot is told", "at fixed levels", "difference"], [line[:-1]])
+    return markdown(
+        [WORK[part], "rating (1 to 7), level from the person", "at fixed levels", "difference"], [line[:-1]]
+    )
 
 
 def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
@@ -62,7 +64,7 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
         work = cell(Clusters.of_runs(len(seeds)).estimate(np.array([each for each, _ in found])), digits=2)
         rested = [resting(each, max(most for most, _ in points)) for each, points in zip(found, mixed, strict=True)]
         lines.append([str(level), work, *cells(beside_mixes(rested, mixed, min))])
-    heads = ["avoidable discomfort, s a minute", "of the best mix of rivals", "difference", "difference, %"]
+    heads = ["avoidable discomfort there, s a minute", "of the best mix of rivals", "difference", "difference, %"]
     return markdown(["level", WORK[part], "compared at", *heads], lines)
 
 

@@ -12,10 +12,10 @@ from hrl_comfort.config.task import SORTING
 RULES = ("nearest", "free", "due", "cautious", "patient")
 """Built-in meta-controllers that work, by a function of a decision."""
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
-WAITING = ("cautious", "patient", "idle")
-"""Of these, those that wait, which a chain cannot."""
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
+WAITING = ("cautious", "patient", "idle")
+"""Built-in meta-controllers that wait, which a chain cannot."""
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
@@ -65,18 +65,14 @@ class MetaControllerConfig:
                 f"meta_controller={self.name} is for task={several}, which have an option to wait; task={task} takes "
                 "meta_controller=nearest"
             )
-        if self.name == "idle" and self.max_waits is not None:
-            raise ConfigError(
-                f"meta_controller.max_waits={self.max_waits}: meta_controller=idle always waits; choose null"
-            )
         for key, off in OPTION_KEYS.items():
             given = getattr(self, key)
-            lone = self.name == "none" or (key == "interruption_steps" and self.name == "idle")
-            if given != off and (task not in SORTING or lone):
+            without_use = self.name == "none" or (self.name == "idle" and key != "level_override")
+            if given != off and (task not in SORTING or without_use):
                 raise ConfigError(
                     f"meta_controller.{key}={given} is for task={several} and a controller that chooses skills "
                     f"there, not for meta_controller={self.name} in task={task}; choose "
-                    f"{'null' if off is None else off}"
+                    f"{'null' if off is None else off}, or such a controller"
                 )
 
 

@@ -157,4 +157,6 @@ class HierarchyTrainConfig(TrainConfig):
             if option not in self.hierarchy.budget_fractions:
                 raise ConfigError(f"hierarchy.budget_fractions has no {option}, an option of the division")
         if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
-            raise ConfigError("hierarchy.controller= chooses among pick, place and return: choose division=three")
+            raise ConfigError(
+                "hierarchy.controller= chooses among pick, place and return: choose division=three, or []"
+            )

@@ -18,7 +18,7 @@ from hrl_comfort.tasks import Subtask, subtask
 def make_executor(
     config: EvaluateConfig, policy: Source | None, engine: Engine, seed: int
 ) -> tuple[OptionExecutor, Top]:
-    """Return the options of a lone policy, a chain, `sort` or `shift`, and what chooses among them.
+    """Return the options of a lone policy, of a chain or of SORTING, and what chooses among them.
 
     `seed` is for random ones.
 

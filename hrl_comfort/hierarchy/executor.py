@@ -102,8 +102,8 @@ class OptionExecutor:
     attempt: Tensor
     """(N,) int64, how often it has been started in a row."""
     _preempted: Tensor
-    """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since but one that
-    recovers and has not ended."""
+    """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since, but one
+    that recovers and has not ended."""
     _interrupted: Tensor
     """(N,) bool, the option in force is interrupted; the top has not decided since."""
 

@@ -213,7 +213,8 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
     if (controller := controller_config(config, folder)) is not None:
         task, learned, rule = controller.task.name, controller.meta_controller, controller.meta_controller_agent.rule
-        asked = at_levels if controller.comfort.source == "random" else common
+        # Without paths: those of shifts are many, and long.
+        asked = {**(at_levels if controller.comfort.source == "random" else common), "record": False}
         simple = replace(learned, name=rule or "nearest", **OPTION_KEYS)
         found.append(_evaluation(controller, simple, folder / f"{task}_{simple.name}", policies, **asked))
         policies = {**policies, "meta_controller": controller.output}

@@ -11,15 +11,23 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from hrl_comfort.benchmarks import returns
 from hrl_comfort.cli.main import command_of
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, HierarchyTrainConfig, MetaControllerTrainConfig, ResultsConfig
+from hrl_comfort.config import (
+    CONTROL_STEP_S,
+    ConfigError,
+    HierarchyTrainConfig,
+    MetaControllerTrainConfig,
+    ResultsConfig,
+)
 from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
 from hrl_comfort.results import looks, manifest, pages, record, remake, tables
 from hrl_comfort.results.command import results
 from hrl_comfort.results.manifest import PHASES, Entry
+from hrl_comfort.training.hierarchy_trainer import controller_config
 
 ROOT = provenance.ROOT
 ENTRIES = manifest.manifest()
@@ -55,13 +63,26 @@ def test_the_commands_of_a_result_are_accepted_and_its_pages_are_there(name: str
             assert (ROOT / f"{words[1].replace('.', '/')}.py").is_file()
 
 
-def test_the_published_controller_is_the_one_that_the_experiment_trains_above_its_skills() -> None:
-    whole = compose("train_hierarchy", ["experiment=comfort_shift"])
-    published = compose("train_meta_controller", ENTRIES["comfort_shift_learned"].commands("train")[0][3:])
-    assert isinstance(whole, HierarchyTrainConfig) and isinstance(published, MetaControllerTrainConfig)
-    trained = whole.hierarchy.controller
-    assert trained is not None
-    assert replace(published, policies=trained.policies, output=trained.output) == trained
+def test_the_published_controllers_are_those_that_the_experiment_trains_above_its_skills(tmp_path: Path) -> None:
+    commands = ENTRIES["comfort_shift_learned"].commands("train")
+    assert len(commands) == len(ENTRIES["comfort_shift"].seeds)
+    for seed, words in zip(ENTRIES["comfort_shift"].seeds, commands, strict=True):
+        whole = compose("train_hierarchy", ["experiment=comfort_shift", f"train_seed={seed}"])
+        published = compose("train_meta_controller", words[3:])
+        assert isinstance(whole, HierarchyTrainConfig) and isinstance(published, MetaControllerTrainConfig)
+        trained = controller_config(whole, tmp_path)
+        assert trained is not None and trained.human.partitioned
+        assert replace(published, policies=trained.policies, output=trained.output) == trained
+
+
+def test_what_an_order_missed_and_a_second_of_discomfort_cost_is_what_it_cost_in_training() -> None:
+    trained = compose("train_meta_controller", ENTRIES["comfort_shift_learned"].commands("train")[0][3:])
+    assert isinstance(trained, MetaControllerTrainConfig)
+    reward, comfort = trained.reward, trained.comfort
+    assert (reward.place, reward.missed) == (1.0, -returns.MISSED)
+    marked = re.search(r"<!-- returns: (\S+) ", (ROOT / "docs/results.md").read_text(encoding="utf-8"))
+    assert marked and float(marked[1]) == pytest.approx(comfort.scale * comfort.alpha / CONTROL_STEP_S)
+    assert comfort.alpha == comfort.beta
 
 
 def test_the_pages_are_filled_from_the_committed_results() -> None:
