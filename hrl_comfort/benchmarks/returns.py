@@ -10,7 +10,7 @@ import numpy as np
 
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
-from hrl_comfort.benchmarks.entries import Entry, levels_in, of_seeds
+from hrl_comfort.benchmarks.entries import Entry, levels_in
 from hrl_comfort.benchmarks.throughput import of_each_seed
 from hrl_comfort.config import ConfigError
 
@@ -31,7 +31,7 @@ def of_rivals(price: float, folder: Path, rivals: Sequence[Path]) -> str:
       ConfigError: an entry is damaged, lacks the part or a term, or was not measured at a level, or rivals have no
         training seed in common.
     """
-    own, beside = of_seeds(folder), {rival.name: of_each_seed(rival) for rival in rivals}
+    own, beside = of_each_seed(folder), {rival.name: of_each_seed(rival) for rival in rivals}
     seeds = [seed for seed in own if all(seed in each or None in each for each in beside.values())]
     if not seeds:
         raise ConfigError(f"{folder} has no training seed in common with its rivals")

@@ -138,6 +138,27 @@ def test_while_the_hand_holds_an_object_no_other_can_be_picked() -> None:
     engine.close()
 
 
+def test_an_interrupted_hand_gives_way_with_nothing_in_it_and_opens() -> None:
+    words = (
+        "task=sort",
+        "task.objects=2",
+        *POLICIES,
+        "meta_controller=nearest",
+        "meta_controller.interruption_steps=20",
+    )
+    config = asked(*words)
+    engine = Engine(environment(config), 4, 0)
+    executor, _ = make_executor(config, None, engine, 0)
+    state, retreat = engine.reset(), executor.table.position("retreat")
+    pads, carried = torch.zeros(4, 2, 2, dtype=torch.bool), torch.zeros(4, 2, dtype=torch.bool)
+    pads[1, 0], pads[2, 1, 0], carried[3, 1] = True, True, True  # nothing; the first; one pad at the second; the second
+    away = state.with_(pads=pads, carried=carried, joint_pos=state.joint_pos + 0.5, grip_target=torch.full((4,), 0.8))
+    assert executor.table.can_start(away)[:, retreat].tolist() == [True, False, True, False]
+    fingers = executor.table.act(torch.full((4,), retreat), away, torch.ones(4, dtype=torch.bool))[:, -1]
+    assert fingers.tolist() == pytest.approx([-1.0, 0.6, -1.0, 0.6])
+    engine.close()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
