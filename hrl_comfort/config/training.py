@@ -158,5 +158,6 @@ class HierarchyTrainConfig(TrainConfig):
                 raise ConfigError(f"hierarchy.budget_fractions has no {option}, an option of the division")
         if self.hierarchy.controller and list(self.meta_controller.options) != ["pick", "place", "return"]:
             raise ConfigError(
-                "hierarchy.controller chooses among pick, place and return: choose division=three or hierarchy.controller=[]"
+                "hierarchy.controller chooses among pick, place and return: choose division=three, or "
+                "hierarchy.controller=[]"
             )
