@@ -14,8 +14,6 @@ RULES = ("nearest", "free", "due", "cautious", "patient")
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
 ORACLE = "oracle"
 """Built-in meta-controllers; the oracle knows what people will do."""
-WAITING = ("cautious", "patient", "idle")
-"""Built-in meta-controllers that wait, which a chain cannot."""
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
@@ -55,25 +53,12 @@ class MetaControllerConfig:
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
     def check(self, task: str) -> None:
-        """Raise ConfigError if the controller does not go with the task.
-
-        OPTION_KEYS and controllers that wait are for tasks in which there is something to choose from.
-        """
-        several = ", ".join(SORTING)
-        if self.name in WAITING and task not in SORTING:
+        """Raise ConfigError if skills are to be interrupted where there is nothing to choose instead."""
+        if (steps := self.interruption_steps) is not None and (task not in SORTING or self.name in ("none", "idle")):
             raise ConfigError(
-                f"meta_controller={self.name} is for task={several}, which have an option to wait; task={task} takes "
-                "meta_controller=nearest"
+                f"meta_controller.interruption_steps={steps} is for a controller of skills in task="
+                f"{', '.join(SORTING)}, not for meta_controller={self.name} in task={task}; choose null"
             )
-        for key, off in OPTION_KEYS.items():
-            given = getattr(self, key)
-            without_use = self.name == "none" or (self.name == "idle" and key != "level_override")
-            if given != off and (task not in SORTING or without_use):
-                raise ConfigError(
-                    f"meta_controller.{key}={given} is for task={several} and a controller that chooses skills "
-                    f"there, not for meta_controller={self.name} in task={task}; choose "
-                    f"{'null' if off is None else off}, or such a controller"
-                )
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,10 @@ def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
     """Return the options of a task that is a chain of subtasks."""
     env, task, meta_controller = engine.episodes.config, engine.episodes.subtask, config.meta_controller
     check_given(config)
+    for key, off in ("level_override", "[]"), ("max_waits", "null"):
+        if (value := getattr(meta_controller, key)) not in (None, []):
+            key = f"meta_controller.{key}"
+            raise ConfigError(f"{key}={value} is for task={', '.join(SORTING)}; choose {key}={off}")
     parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import implemented, one_of, part
 from hrl_comfort.config.hierarchy import RULES as RULE_NAMES
 from hrl_comfort.config.hierarchy import TOPS as NAMES
@@ -172,6 +172,27 @@ def learned(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
     return load_choice(found, config.comfort.levels, table.names, here.max_waits, here.interruption_steps)
 
 
+def with_waits(rule: Choose) -> MakeTop:
+    """Return what makes a rule that waits, and refuses a task without the option."""
+
+    def make(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
+        if "wait" not in table.names:
+            raise ConfigError(
+                f"meta_controller={config.meta_controller.name} is for task={', '.join(SORTING)}, which have an option "
+                f"to wait; task={config.task.name} takes meta_controller=nearest"
+            )
+        return rule
+
+    return make
+
+
+def always_waiting(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
+    """Return `idle`; raise ConfigError where the arm cannot wait for ever."""
+    if (most := config.meta_controller.max_waits) is not None:
+        raise ConfigError(f"meta_controller.max_waits={most}: meta_controller=idle always waits; choose null")
+    return with_waits(idle)(config, table, seed)
+
+
 RULES: dict[str, Choose] = implemented(
     RULE_NAMES, {"nearest": nearest, "free": free, "due": due, "cautious": cautious, "patient": patient}
 )
@@ -182,9 +203,9 @@ TOPS: dict[str, MakeTop] = implemented(
         "nearest": lambda *_: nearest,
         "free": lambda *_: free,
         "due": lambda *_: due,
-        "cautious": lambda *_: cautious,
-        "patient": lambda *_: patient,
-        "idle": lambda *_: idle,
+        "cautious": with_waits(cautious),
+        "patient": with_waits(patient),
+        "idle": always_waiting,
         "fixed": fixed,
         "random": at_random,
         "learned": learned,

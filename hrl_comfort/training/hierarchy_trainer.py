@@ -32,6 +32,7 @@ from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import RunState, is_finished, run_state, write_provenance
 from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
+from hrl_comfort.tasks import subtask
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from hrl_comfort.training.parallel import run_each
 from hrl_comfort.training.preemption import Preempted
@@ -213,8 +214,8 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
         found.append(_evaluation(cycle, config.meta_controller, folder / "cycle", policies, **at_levels))
     if (controller := controller_config(config, folder)) is not None:
         task, learned, rule = controller.task.name, controller.meta_controller, controller.meta_controller_agent.rule
-        # Without paths: those of shifts are many, and long.
-        asked = {**(at_levels if controller.comfort.source == "random" else common), "record": False}
+        asked = at_levels if controller.comfort.source == "random" else common
+        asked = {**asked, "record": not subtask(task).repeats}  # paths of shifts are long
         simple = replace(learned, name=rule or "nearest", **OPTION_KEYS)
         found.append(_evaluation(controller, simple, folder / f"{task}_{simple.name}", policies, **asked))
         policies = {**policies, "meta_controller": controller.output}

@@ -292,7 +292,7 @@ def test_idle_waits_wherever_it_can_and_else_goes_home() -> None:
     away = torch.zeros_like(asked.mask)
     away[:, retreat := made.table.position("retreat")] = True
     assert (top(replace(asked, mask=away)) == retreat).all()
-    with pytest.raises(ConfigError, match=r"max_waits=3 is for .* not for meta_controller=idle .*; choose null"):
+    with pytest.raises(ConfigError, match=r"max_waits=3: meta_controller=idle always waits; choose null"):
         executor(config("idle", "meta_controller.max_waits=3"))
 
 
