@@ -15,7 +15,7 @@ from hrl_comfort.benchmarks.throughput import of_each_seed
 from hrl_comfort.config import ConfigError
 
 MISSED = 0.5
-"""What an order missed costs, in orders filled, as in conf/reward/kitting.yaml."""
+"""Cost of an order missed, in orders filled, as in conf/reward/kitting.yaml."""
 PART = "kitting"
 TERMS = ("objects_per_min", "orders_missed_per_min", "avoidable_discomfort_per_min")
 

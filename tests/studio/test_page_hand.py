@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, StudioConfig
 from hrl_comfort.files.run_config import environment
 
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
-from hrl_comfort.agents.networks import Actor, Normaliser
-from hrl_comfort.policies.actor import save_policy
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.scene import build_scene
 from hrl_comfort.sim.engine import Engine
@@ -26,7 +23,7 @@ from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.web import content
 from hrl_comfort.studio.web.hand import begun, hand
 from hrl_comfort.tasks import State
-from tests.studio.test_page_safety import in_node, rows_of
+from tests.studio.test_page_safety import drawn_policy, in_node, rows_of
 
 EPISODES = 2
 WORDS = ["task=cycle", "cell=grasp", "human=still", "task.max_step_deg=1", "task.object_jitter_m=0.07",
@@ -38,21 +35,8 @@ WATCHED = ("ground", "aloft_steps", "free_steps", "pads", "objects_quat", "objec
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> StudioConfig:
     """A studio of a policy of seven actions that has not learned."""
-    file, rng = tmp_path_factory.mktemp("hand") / "policy.pt", np.random.default_rng(3)
-    made = compose("studio", [*WORDS, f"policy={file}"])
-    assert isinstance(made, StudioConfig)
-    engine = Engine(environment(made), 1, 0)
-    engine.reset()
-    size = engine.episodes.observe().shape[1]
-    engine.close()
-    actor, normaliser = Actor(size, 7, [16]), Normaliser(size, False)
-    for weights in actor.parameters():
-        weights.data = torch.from_numpy(rng.normal(size=weights.shape) / np.sqrt(weights.shape[-1])).float()
-    trained = {"action_repeat": 5, "action": "joint", "observation": "default", "robot": "ur3e", "shield": True}
-    spec = {"task": "cycle", "observation_dim": size, "action_dim": 7, "hidden": [16], "normalise": False}
-    networks = {"actor": actor.state_dict(), "normaliser": normaliser.state_dict()}
-    save_policy(file, networks, {**spec, "environment": {**trained, "gripper": "two_finger"}}, critics=False)
-    return made
+    file = tmp_path_factory.mktemp("hand") / "policy.pt"
+    return drawn_policy(file, WORDS, seed=3, observation="default", gripper="two_finger")
 
 
 @pytest.fixture(scope="module")

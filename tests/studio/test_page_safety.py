@@ -164,21 +164,26 @@ def test_an_arm_slows_beside_a_person_by_hand_and_is_touched_slowly(page: dict[s
 @pytest.fixture(scope="module")
 def seeing(tmp_path_factory: pytest.TempPathFactory) -> StudioConfig:
     """A studio of a policy with sight that has not learned, drawn so that the arm comes near tables and people."""
-    file, rng = tmp_path_factory.mktemp("seeing") / "policy.pt", np.random.default_rng(12)
-    made = compose("studio", [*SEEING, f"policy={file}", "task.max_episode_steps=150"])
+    file = tmp_path_factory.mktemp("seeing") / "policy.pt"
+    return drawn_policy(file, [*SEEING, "task.max_episode_steps=150"], seed=12, observation="sight")
+
+
+def drawn_policy(file: Path, words: list[str], seed: int, **trained: Any) -> StudioConfig:
+    """Write a policy of a shielded cycle with random weights, in the environment `trained`; return a studio of it."""
+    made, rng = compose("studio", [*words, f"policy={file}"]), np.random.default_rng(seed)
     assert isinstance(made, StudioConfig)
     engine = Engine(environment(made), 1, 0)
     engine.reset()
-    size = engine.episodes.observe().shape[1]
+    size, actions = engine.episodes.observe().shape[1], engine.episodes.action_dim
     engine.close()
-    actor, normaliser = Actor(size, 6, [16]), Normaliser(size, False)
+    actor, normaliser = Actor(size, actions, [16]), Normaliser(size, False)
     for weights in actor.parameters():
         drawn = rng.normal(size=weights.shape) / np.sqrt(weights.shape[-1])
         weights.data = torch.from_numpy(drawn).float()
-    trained = {"action_repeat": 5, "action": "joint", "observation": "sight", "robot": "ur3e", "shield": True}
-    spec = {"task": "cycle", "observation_dim": size, "action_dim": 6, "hidden": [16], "normalise": False}
+    env = {"action_repeat": 5, "action": "joint", "robot": "ur3e", "shield": True, **trained}
+    spec = {"task": "cycle", "observation_dim": size, "action_dim": actions, "hidden": [16], "normalise": False}
     networks = {"actor": actor.state_dict(), "normaliser": normaliser.state_dict()}
-    save_policy(file, networks, {**spec, "environment": trained}, critics=False)
+    save_policy(file, networks, {**spec, "environment": env}, critics=False)
     return made
 
 

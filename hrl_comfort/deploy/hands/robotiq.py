@@ -23,7 +23,7 @@ STALE_S = 0.25
 ROUND = ("OBJ", "POS", "OBJ", "FLT", "OBJ", "POS", "OBJ", "STA")
 """Variables that are asked for in turn: every second time, whether the fingers hold something."""
 HOLDING = {"OBJ": "POS", "POS": "OBJ"}
-"""What is asked for instead of a variable while they do: what is lost or torn out moves them first."""
+"""Variables asked for instead while they do: an object that is lost or torn out moves the fingers first."""
 ACTIVE, MOST = 3, 255
 """Value of STA of a hand that has been activated; largest value of POS, SPE and FOR."""
 FORCE_N = (20.0, 235.0)
