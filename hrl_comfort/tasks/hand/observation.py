@@ -13,6 +13,8 @@ from hrl_comfort.tasks.subtask import StateFunction
 
 FAST = 5.0
 """1/s, velocity of the fingers that is 1: from open to closed in 0.2 s."""
+NEAR_M = 0.05
+"""Scale of what hand and object are near to: a few millimetres decide whether a grasp holds."""
 
 
 def of_target(values: Tensor, state: State) -> Tensor:
@@ -56,6 +58,21 @@ def target_offset(state: State) -> Tensor:
     return torch.cat([in_tool(state, offset), vector_norm(offset, dim=-1, keepdim=True)], dim=-1)
 
 
+def near(vector: Tensor) -> Tensor:
+    """Return vectors (N, 3) m in units of NEAR_M, from -1 to 1: fine where they are short."""
+    return torch.tanh(vector / NEAR_M)
+
+
+def target_near(state: State) -> Tensor:
+    """Return (N, 3): from the tool to the target in the tool's frame, by `near`."""
+    return near(in_tool(state, state.target_object - state.tcp_pos))
+
+
+def way_near(state: State) -> Tensor:
+    """Return (N, 3): from the target to where it belongs, in the tool's frame, by `near`."""
+    return near(in_tool(state, state.target_place - state.target_object))
+
+
 def target_turn(state: State) -> Tensor:
     """Return (N, 6): the x and z axes of the target in the tool's frame."""
     quaternion = of_target(state.objects_quat, state)
@@ -90,5 +107,8 @@ def pending(state: State) -> Tensor:
 
 def hand_terms() -> dict[str, StateFunction]:
     """Return the terms by name."""
-    terms = (fingers, target_offset, target_turn, target_size, target_lifted, target_way, tool_tilt, pending)
+    terms = (
+        fingers, target_offset, target_near, target_turn, target_size, target_lifted, target_way, way_near, tool_tilt,
+        pending,
+    )  # fmt: skip
     return {term.__name__: term for term in terms}
