@@ -14,7 +14,6 @@ from hrl_comfort.config.cell import (
     ObjectConfig,
     ObstacleConfig,
     PlaceConfig,
-    RandomiseConfig,
     RobotConfig,
     VaryConfig,
 )
@@ -50,7 +49,7 @@ from hrl_comfort.config.constants import (
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
-from hrl_comfort.config.safety import SafetyConfig
+from hrl_comfort.config.safety import RandomiseConfig, SafetyConfig
 from hrl_comfort.config.suite import BenchmarkConfig
 from hrl_comfort.config.task import RANDOM, SORTING, PrecisionConfig, RewardConfig, TaskConfig
 from hrl_comfort.config.training import (

@@ -1,8 +1,8 @@
-"""Configuration of the robot, the cell, the simulation, how cells differ, and the connection to a real arm."""
+"""Configuration of the robot, the cell, the simulation, and the connection to a real arm."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from pydantic import Field
@@ -11,10 +11,6 @@ from hrl_comfort.config.checks import XY, XYZ, ConfigError, Coordinate, Name, ch
 from hrl_comfort.config.constants import MAX_ENVS
 
 Pair = Field(min_length=2, max_length=2)
-Delay = Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
-Factor = Annotated[list[Annotated[float, within(0.5, 2.0)]], Pair]
-Fraction = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]
-Noise = Annotated[list[Annotated[float, within(0.0, 100.0)]], Pair]
 Rgb = Annotated[list[Annotated[float, within(0.0, 1.0)]], Field(min_length=3, max_length=3)]
 Sizes = Annotated[list[Annotated[float, within(0.001, 5.0)]], Field(min_length=1, max_length=3)]
 SIZES = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2}
@@ -22,7 +18,6 @@ SIZES = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2}
 SHAPES = tuple(SIZES)
 DIGITS = 12
 """Decimals to which the sum of two heights is rounded: 0.257 + 0.03 is 0.287."""
-Rate = Annotated[list[Annotated[float, within(1.0, 50.0)]], Pair]
 
 
 @dataclass(frozen=True)
@@ -288,62 +283,3 @@ class ConnectionConfig:
                 f"connection.gripper={self.gripper} does not go with connection={self.name} and robot.gripper.name="
                 f"{hand.name}; choose connection.gripper={' or '.join(allowed)}"
             )
-
-
-@dataclass(frozen=True)
-class RandomiseConfig:
-    """Ranges [low, high] from which each episode draws how its cell differs from the model, uniformly.
-
-    Equal ends fix a value. Noise is normal, cut off at three standard deviations.
-    """
-
-    servo_lag_s: Delay
-    """Lag of the servos behind a ramp of set-points, s, in addition to the model's 0.03 s."""
-    latency_s: Delay
-    """Time from a set-point until the servos have it, s."""
-    link_mass: Factor
-    """Factor of mass and inertia, drawn for each link."""
-    joint_friction: Fraction
-    """Coulomb friction as a share of the largest torque, drawn for each joint."""
-    joint_noise_deg: Noise
-    """Standard deviation of the observed joint angles, degrees. The observed position of the tool is computed from the
-    noisy angles."""
-    joint_velocity_noise_deg_s: Noise
-    """Standard deviation of observed joint velocities, degrees/s."""
-    person_noise_m: Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
-    """Standard deviation of the person's observed position along x and along y, m."""
-    person_rate_hz: Rate
-    """Frames of the person's tracker per second; the last frame holds until the next. 50 is one per control step."""
-    person_dropout: Fraction
-    """Probability that a frame is lost; at most two in a row are lost."""
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            low, high = getattr(self, each.name)
-            if low > high:
-                raise ConfigError(f"randomise.{each.name}=[{low:g}, {high:g}] is not [low, high]")
-
-    @property
-    def sensors(self) -> bool:
-        """Whether joints are observed with noise."""
-        return max(self.joint_noise_deg[1], self.joint_velocity_noise_deg_s[1]) > 0
-
-    @property
-    def servos(self) -> bool:
-        """Whether set-points reach the servos late."""
-        return max(self.servo_lag_s[1], self.latency_s[1]) > 0
-
-    @property
-    def tracker(self) -> bool:
-        """Whether the person is observed late or with noise."""
-        return max(self.person_noise_m[1], self.person_dropout[1]) > 0 or self.person_rate_hz[0] < 50
-
-    @property
-    def links(self) -> bool:
-        """Whether the arm differs from the model."""
-        return self.link_mass != [1, 1] or self.joint_friction[1] > 0
-
-    @property
-    def differs(self) -> bool:
-        """Whether any cell differs from the model."""
-        return self.sensors or self.servos or self.tracker or self.links

@@ -7,13 +7,13 @@ from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field
 
-from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RandomiseConfig, RobotConfig
+from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, RobotConfig
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import PREGRASP, SPLITS
 from hrl_comfort.config.hierarchy import ORACLE, MetaControllerConfig
 from hrl_comfort.config.human import HumanConfig
-from hrl_comfort.config.safety import SafetyConfig
+from hrl_comfort.config.safety import RandomiseConfig, SafetyConfig
 from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig, check_objects
 
 DISTURBANCES = ("none", "drop", "block")
@@ -63,6 +63,7 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         check_objects(task, cell, self.robot.gripper.holds)
+        self.randomise.check_objects(self.robot.gripper.holds)
         if self.engine.processes > 1:
             self._check_processes()
 

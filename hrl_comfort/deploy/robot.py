@@ -209,7 +209,7 @@ class RobotPhysics:
         """Take the joints from a reading."""
         self.state[0, self._scene.moving] = np.concatenate([reading.angles, reading.velocity])
 
-    def sense(self, bodies: Array, control: Array) -> Array:
+    def sense(self, rows: NDArray[np.int64], bodies: Array, control: Array, values: Values) -> Array:
         """See `Physics`."""
         twin, model = self._twin, self._scene.model
         mujoco.mj_setState(model, twin, control[0], CONTROL_SPEC)

@@ -22,7 +22,8 @@ from hrl_comfort.scene.camera import PACKAGES, PicturesUnavailableError
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.sim.variation.links import vary_links
+from hrl_comfort.sim.variation.bodies import vary
+from hrl_comfort.sim.variation.randomisation import Values
 
 Array = NDArray[np.float64]
 STATE_SPEC = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -128,10 +129,12 @@ class CellTask(control.Task):
     def initialize_episode(self, physics: CellPhysics) -> None:
         """Start the next episode of the row."""
         self.outcome = None
-        self.episodes.begin(np.array([0]), lambda bodies, ctrl: physics.sense(bodies[0], ctrl[0])[None])
-        if self.episodes.config.randomise.links:
-            values = self.episodes.values()
-            vary_links(physics.model.ptr, self.episodes.scene.model, values.mass[0], values.friction[0])
+
+        def probe(rows: NDArray[np.int64], bodies: Array, ctrl: Array, values: Values) -> Array:
+            vary([physics.model.ptr], self.episodes.scene, values)
+            return physics.sense(bodies[0], ctrl[0])[None]
+
+        self.episodes.begin(np.array([0]), probe)
 
     def before_step(self, action: Array, physics: CellPhysics) -> None:
         """Queue the controls of the decision; raise ValueError unless `action` is (A,) finite numbers."""

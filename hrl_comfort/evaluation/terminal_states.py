@@ -22,7 +22,8 @@ from hrl_comfort.sim.starts import fingerprint
 def record_terminal_states(config: EvaluateConfig) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
-    A state holds the joints, with a gripper all bodies and the set-point of the fingers, and, with people, the first
+    A state holds the joints, with a gripper all bodies, the set-point of the fingers and the sizes that
+    `randomise.object_size` draws, and, with people, the first
     one's position and the level in force. Episodes are drawn as in training, from seeds of their own: what is recorded
     becomes training data.
 
@@ -64,6 +65,8 @@ def successes(config: EvaluateConfig, rows: int, seed: int) -> list[tuple[str, n
         if config.robot.gripper.holds:  # sensors lag behind the bodies by a physics step
             physics = torch.from_numpy(engine.physics_state)
             parts = [physics[:, engine.scene.moving], state.joint_target, physics[:, 1:], state.grip_target[:, None]]
+        if config.randomise.resized:
+            parts += [torch.from_numpy(engine.episodes.draw.factors[:, 2])]
         if config.human.motion != "none":
             parts += [state.humans_pos[:, 0], executed.result.level[:, None]]
         if config.cell.vary.layouts:

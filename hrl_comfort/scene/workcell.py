@@ -104,8 +104,12 @@ DEEPEST_M = 0.05
 """Depth of an overlap with the first link up to which contacts are told and not resolved."""
 
 
-def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: int = 1, people: int = 1) -> Scene:
+def build_scene(
+    robot: RobotConfig, cell: CellConfig, substeps: int, objects: int = 1, people: int = 1, largest: float = 1.0
+) -> Scene:
     """Compile the cell with `substeps` physics steps a control step of 20 ms, for some `objects` and `people`.
+
+    The hand is to hold objects up to `largest` times their size.
 
     Raises:
       ConfigError: there is no such robot, `robot.home_deg` is not a number for each of its joints,
@@ -122,7 +126,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
     names = tuple(f"robot/{name}" for name in arm.joints)
     describe = _described_once if isinstance(arm, UrModel) else _described  # others may come from a file that changes
     try:
-        xml, assets, sizes = describe(arm, cell, substeps, names, objects, people)
+        xml, assets, sizes = describe(arm, cell, substeps, names, objects, people, largest)
         model = mujoco.MjModel.from_xml_string(xml, assets)
     except ValueError as error:
         if isinstance(error, ConfigError) or not robot.gripper.holds:
@@ -134,7 +138,7 @@ def build_scene(robot: RobotConfig, cell: CellConfig, substeps: int, objects: in
     limbs, gripper = limb_names(people), gripper_of(arm)
     planning, planning_xml = model, xml
     if gripper is not None:
-        check_fits(gripper, cell)
+        check_fits(gripper, cell, largest)
         planning, planning_xml = planning_model(xml, assets, names)
     kinds = tuple(object_names(cell, objects))
     qpos, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
@@ -172,11 +176,12 @@ def gripper_of(arm: Robot) -> Gripper | None:
 def scene_of(config: EnvConfig) -> Scene:
     """Return the scene of the cells of `config`; raise as `build_scene` does."""
     people = len(config.human.everyone)
-    return build_scene(config.robot, config.cell, config.substeps, config.task.objects, people)
+    largest = max(1.0, config.randomise.object_size[1])
+    return build_scene(config.robot, config.cell, config.substeps, config.task.objects, people, largest)
 
 
 def _described(
-    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], objects: int, people: int
+    arm: Robot, cell: CellConfig, substeps: int, joints: tuple[str, ...], objects: int, people: int, largest: float
 ) -> tuple[str, Mapping[str, bytes], Mapping[str, int]]:
     """Return XML and assets of a cell, and the sizes of its sensors."""
     root = mjcf.RootElement(model="cell")
@@ -193,7 +198,7 @@ def _described(
     sizes = _add_sensors(root, joints, limb_names(people), (*furniture(cell), *STANDS))
     if gripper is not None:
         hold_firmly(root)
-        add_guard(root, gripper, cell, limb_names(people))
+        add_guard(root, gripper, cell, limb_names(people), largest)
         sizes |= add_hand_sensors(root, gripper, object_names(cell, objects))
     return root.to_xml_string(), root.get_assets(), sizes
 

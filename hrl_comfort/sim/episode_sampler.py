@@ -17,7 +17,7 @@ from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.starts import PARTS, WITH_HUMAN, at_rest, recorded_starts, unseen_left_out
 from hrl_comfort.sim.variation.layouts import Layout, Layouts
 from hrl_comfort.sim.variation.random_streams import random_stream
-from hrl_comfort.sim.variation.randomisation import draws
+from hrl_comfort.sim.variation.randomisation import draws, object_factors
 from hrl_comfort.sim.variation.slots import Slots
 from hrl_comfort.tasks import Start, Subtask
 
@@ -33,9 +33,10 @@ LEVEL_STREAM, LATER_STREAM, OBJECT_STREAM, DISTURBANCE_STREAM, TRAIT_STREAM, RAN
 KEY_STREAM = 7
 OTHERS_STREAM = 16
 """First of the streams of further people, two for each: where and who they are, and how they walk."""
-LAYOUT_STREAM, TURN_STREAM, PERSON_STREAM, SLOT_STREAM = 40, 41, 42, 43
+LAYOUT_STREAM, TURN_STREAM, PERSON_STREAM, SLOT_STREAM, FACTOR_STREAM = 40, 41, 42, 43, 44
 """Streams of random numbers for levels, walks beyond `task.max_episode_steps`, objects, disturbances, traits, domain
-randomisation, layouts, turns, who rates and slots: with or without any of them, the rest of an episode is the same."""
+randomisation, layouts, turns, who rates, slots and factors of objects: with or without any of them, the rest of an
+episode is the same."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ class Draw:
     readings: Array
     frames: Array
     """Of how the cell differs from the model: see `sim.variation.randomisation`."""
+    factors: Array
+    """(3, kinds) of mass, friction and size of objects: see `randomisation.object_factors`."""
     key: NDArray[np.int64]
     """() of what policies and options draw: see `State.key`."""
     person: NDArray[np.int64]
@@ -139,7 +142,10 @@ class EpisodeSampler:
         self._joints = len(scene.joints)
         self._arm = PARTS * self._joints
         hand = 0 if scene.gripper is None else scene.model.nq + scene.model.nv + 1
+        self._bodies = self._arm + hand
+        hand += len(config.cell.kinds) if config.randomise.resized else 0
         self._own = self._arm + hand
+        self._half_heights = np.array([each.half_height_m for each in config.cell.objects.values()])
         self._grasps = scene.gripper is not None and task.start == Start.HOME and task.stages[0].grasps
         self.reach = 0.0 if config.task.start == PREGRASP else np.inf
         """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
@@ -186,6 +192,7 @@ class EpisodeSampler:
         if self._scene.gripper is not None:
             turns = self.generator(row, episode, TURN_STREAM).uniform(-np.pi, np.pi, len(turns))
         other = draws(self._config.randomise, self._joints, self.generator(row, episode, RANDOMISE_STREAM))
+        drawn_factors = object_factors(self._config.randomise, len(names), self.generator(row, episode, FACTOR_STREAM))
         own_layout = self._layout(row, self.generator(row, episode, LAYOUT_STREAM))
         key = np.array(self.generator(row, episode, KEY_STREAM).integers(2**63))
         persons = (np.array(humans.persons_of(split)) * PERSONS).round().astype(int)
@@ -210,13 +217,18 @@ class EpisodeSampler:
                     told[0] = (own_level - 0.5) / self._config.comfort.levels
             spawns = humans.spawns_apart(self._config.human.everyone, self.spawns, discs, others, spawn)
             ids = np.array(motion_id), np.array(spawn_id)
+            factors = drawn_factors.copy()
+            if len(start) >= self._own > self._bodies:
+                factors[2] = start[self._bodies : self._own]
+            rise = (factors[2] - 1) * self._half_heights
             standing = (
                 layout.places, layout.obstacles, layout.tops, layout.goals, layout.stations, layout.home,
-                layout.tcp_home, np.array([layout.number]), layout.belongs, self._slots.belonging(layout, slots),
-                self._slots.arrivals(layout, arriving[0]), arriving[1], turns, *arriving[2:],
+                layout.tcp_home, np.array([layout.number]), raised(layout.belongs, rise),
+                raised(self._slots.belonging(layout, slots), rise),
+                raised(self._slots.arrivals(layout, arriving[0]), rise), arriving[1], turns, *arriving[2:],
             )  # fmt: skip
             body = self._body(start, layout, rng)
-            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, key, rater)
+            yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, factors, key, rater)
 
     @property
     def _streams(self) -> range:
@@ -256,10 +268,10 @@ class EpisodeSampler:
 
     def _body(self, start: Array, layout: Layout, rng: np.random.Generator) -> tuple[Array, Array, Array]:
         """Return `start`, `before` and `hand` of a Draw whose start (3 J or more,) of its bank is given."""
-        arm, hand = start[: self._arm], start[self._arm : self._own]
+        arm, hand = start[: self._arm], start[self._arm : self._bodies]
         before = np.full(self._joints, np.nan)
-        if len(hand) < self._own - self._arm:
-            hand = np.full(self._own - self._arm, np.nan)
+        if len(hand) < self._bodies - self._arm:
+            hand = np.full(self._bodies - self._arm, np.nan)
         if self._grasps and np.isfinite(self.reach):
             way = min(1.0, self.reach * rng.random())
             before = before if way == 1.0 else arm[: self._joints]
@@ -307,3 +319,10 @@ class EpisodeSampler:
             if min(from_tables, apart) > TABLE_CLEARANCE_M and from_human >= self._config.human.keep_out_m:
                 return points
         raise ConfigError(f"no free points found near a human at {spawn.round(2).tolist()}")
+
+
+def raised(centres: Array, rise: Array) -> Array:
+    """Return the `centres` (..., kinds, 3) m of objects higher by the `rise` (kinds,) m of each kind."""
+    higher = centres.copy()
+    higher[..., 2] += rise
+    return higher

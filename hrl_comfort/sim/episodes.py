@@ -35,7 +35,7 @@ from hrl_comfort.tasks import Start, State, Subtask, subtask
 from hrl_comfort.tasks.observations.standard import share
 
 Array = NDArray[np.float64]
-Probe = Callable[[Array, Array], Array]
+Probe = Callable[[NDArray[np.int64], Array, Array, Values], Array]
 """`Physics.sense`."""
 
 
@@ -148,9 +148,10 @@ class Episodes:
             self.source.draws[pending] = self.draw.level[pending]
             self.source.person[pending] = self.draw.person[pending]
             self.source.begin(pending)
-            planned, control = self.plan.begin(pending, self.draw, self.values(pending))
+            values = self.values(pending)
+            planned, control = self.plan.begin(pending, self.draw, values)
             bodies[pending] = planned.bodies
-            sensed = probe(planned.bodies, control)
+            sensed = probe(pending, planned.bodies, control, values)
             state = self.referee.first(sensed, planned, self._drawn(pending))
             if self.state is None and len(pending) < self.rows:
                 raise ConfigError("the first reset must reset every row")
@@ -211,7 +212,7 @@ class Episodes:
             known["objects"] = draw.objects(rows)
         else:
             sizes = np.array([each.half_m for each in self.config.cell.objects.values()], dtype=np.float64)
-            known["kind_sizes"] = np.repeat(sizes[None], n, axis=0)
+            known["kind_sizes"] = sizes * draw.factors[rows, 2, :, None]
             if kinds.shape[1] > 1:
                 known["object_slots"] = draw.slots[rows]
         return {name: torch.from_numpy(value) for name, value in known.items()}
@@ -269,7 +270,7 @@ class Episodes:
 
     def values(self, rows: Any = slice(None)) -> Values:
         """Return how the cells of `rows`, all by default, differ from the model."""
-        return Values(self.config.randomise, self.draw.world[rows])
+        return Values(self.config.randomise, self.draw.world[rows], self.draw.factors[rows])
 
     def observe(self) -> Tensor:
         """Return the observations (N, D) of the cells as they are now."""

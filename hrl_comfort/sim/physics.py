@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import EnvConfig
 from hrl_comfort.scene.workcell import CONTROL_SPEC, Scene
-from hrl_comfort.sim.variation.links import vary_links
+from hrl_comfort.sim.variation.bodies import vary
 from hrl_comfort.sim.variation.randomisation import Values
 from hrl_comfort.threads import Threads
 
@@ -28,8 +28,11 @@ class Physics(Protocol):
     def joints(self) -> Array:
         """(N, 2 J) as they are now: angles, rad, and velocities, rad/s."""
 
-    def sense(self, bodies: Array, control: Array) -> Array:
-        """Return the readings (r, nsensor) of cells whose bodies are at (r, nq + nv) under `control` (r, ncontrol)."""
+    def sense(self, rows: NDArray[np.int64], bodies: Array, control: Array, values: Values) -> Array:
+        """Return the readings (r, nsensor) of `rows` (r,) if their bodies are at (r, nq + nv).
+
+        They are under `control` (r, ncontrol), and their cells differ from the model by `values` (r).
+        """
 
     def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """Put the bodies of `rows` (r,) at (r, nq + nv); their cells differ from the model by `values` (r)."""
@@ -48,12 +51,12 @@ class Physics(Protocol):
 
 
 class Rollout:
-    """N cells of one model, or of N whose links differ, in threads of MuJoCo."""
+    """N cells of one model, or of N whose bodies differ, in threads of MuJoCo."""
 
     def __init__(self, scene: Scene, config: EnvConfig, rows: int) -> None:
         self._scene = scene
-        self.models = [copy(scene.model) for _ in range(rows if config.randomise.links else 0)]
-        """One a row, where links differ from the model."""
+        self.models = [copy(scene.model) for _ in range(rows if config.randomise.bodies else 0)]
+        """One a row, where bodies differ from the model."""
         self._data = [mujoco.MjData(scene.model) for _ in range(config.engine.threads)]
         self._threads = Threads(config.engine.threads)
         self._passed: list[Array] = []
@@ -70,21 +73,19 @@ class Rollout:
         """(N, 1 + T, nstate) states before the latest decision, of all rows, and after each of its physics steps."""
         return np.concatenate([self._begun[:, None], *self._passed], axis=1)
 
-    def sense(self, bodies: Array, control: Array) -> Array:
-        """See `Physics`. Readings are those before a step is integrated: other masses make no difference to them."""
+    def sense(self, rows: NDArray[np.int64], bodies: Array, control: Array, values: Values) -> Array:
+        """See `Physics`. Readings are those before a step is integrated: to them, only sizes make a difference."""
         models = [self._scene.model] * len(control)
+        if values.config.resized:
+            models = [self.models[row] for row in rows]
+            vary(models, self._scene, values)
         return self._rolled_out(models, state_of(bodies), np.ascontiguousarray(control[:, None]))[1][:, 0]
 
     def begin(self, rows: NDArray[np.int64], bodies: Array, values: Values) -> None:
         """See `Physics`."""
         self.state[rows] = state_of(bodies)
-        self.vary(rows, values)
-
-    def vary(self, rows: NDArray[np.int64], values: Values) -> None:
-        """Give the links of `rows` (r,) the mass and friction of `values` (r)."""
         if self.models:
-            for row, mass, friction in zip(rows, values.mass, values.friction, strict=True):
-                vary_links(self.models[row], self._scene.model, mass, friction)
+            vary([self.models[row] for row in rows], self._scene, values)
 
     def begin_decision(self) -> None:
         """See `Physics`."""

@@ -2,9 +2,10 @@
 
 A start of an arm of J joints is 3 J numbers: joint angles, rad, velocities, rad/s, and servo targets, rad. Starts
 by inverse kinematics are at rest; recorded ones keep the motion of the arm that a chained policy takes over. These may
-have numbers more: with a gripper the positions and velocities of all bodies (nq + nv) and the set-point of the fingers;
-then what the terminal states of a policy depend on, the human's x, y (m) and the level, NaN without one, and in a cell
-that varies the number of the layout.
+have numbers more: with a gripper the positions and velocities of all bodies (nq + nv), the set-point of the fingers
+and, where `randomise.object_size` draws them, the sizes of objects of each kind; then what the terminal states of a
+policy depend on, the human's x, y (m) and the level, NaN without one, and in a cell that varies the number of the
+layout.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ PARTS, WITH_HUMAN, WITH_LAYOUT = 3, 3, 1
 """Numbers of a start: for each joint, for the human and the level, and for the layout."""
 MOST_BYTES = 10**8
 """Largest size of the arrays of a file, unpacked."""
+ROUNDED = 1e-6
+"""Error of a recorded factor of size."""
 MOST = 100.0
 """Largest angle, rad, velocity, rad/s, and coordinate, m, of a valid start."""
 
@@ -43,8 +46,17 @@ def recorded_starts(config: EnvConfig, start: Start, joints: int, hand: int = 0)
     if start == Start.HOME or config.task.start in STARTS:
         return None
     layouts = config.cell.vary.layouts
-    own = fingerprint(config) if layouts or hand else None
-    return recorded(config.task.start, config.comfort.levels, joints, config.cell.kinds, hand, layouts, own)
+    own, kinds = fingerprint(config) if layouts or hand else None, config.cell.kinds
+    banks = recorded(config.task.start, config.comfort.levels, joints, kinds, hand, layouts, own)
+    low, high = config.randomise.object_size
+    for kind, bank in zip(kinds, banks if config.randomise.resized else [], strict=False):
+        sizes = bank[:, PARTS * joints + hand - len(kinds) : PARTS * joints + hand]
+        if not ((sizes > low - ROUNDED) & (sizes < high + ROUNDED)).all():
+            raise ConfigError(
+                f"task.start={config.task.start!r}: {kind!r} has objects whose sizes are not in "
+                f"randomise.object_size=[{low:g}, {high:g}]; record it anew with this range"
+            )
+    return banks
 
 
 def fingerprint(config: EnvConfig) -> int:

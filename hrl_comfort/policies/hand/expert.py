@@ -30,7 +30,7 @@ from hrl_comfort.policies.hand.fitting import (
 )
 from hrl_comfort.policies.hand.postures import GoalPostures
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_m
+from hrl_comfort.sim.variation.grasps import ABOVE_M, BACK_M, Grasps, approaches, rise_above_m
 from hrl_comfort.tasks import State, Subtask
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ BALL = ("sphere",)
 ROUND = ("sphere", "cylinder", "capsule")
 """Shapes that a hand grasps from any side."""
 PICK, PLACE = 0.0, 1.0
-"""First number of a goal: a posture in front of an object, or above its place."""
+"""First number of a goal, in front of an object or above its place; then the kind, and where the tool grasps it."""
 ROUND_M, ROUND_RAD = 0.005, 0.05
 """Objects that are nearer to each other than this have the same postures."""
 LATERAL_M, AHEAD_M = 0.02, 0.03
@@ -134,8 +134,7 @@ class GraspingExpert(Expert):
 
     def _pick(self, state: State, row: int, obj: Array) -> Step:
         """Return the next step towards a grasp of the target at `obj` (3,) m."""
-        kind = int(state.target_kind[row])
-        place, turn = obj + UP * rise_m(self._scene, kind), axes_of(state.tcp_quat[row].numpy())
+        place, turn = obj + self._rise(state, row), axes_of(state.tcp_quat[row].numpy())
         level, off = self._level(turn, state, row)
         ahead = turn.T @ (place - state.tcp_pos[row].numpy())
         lateral, grip = float(np.hypot(*ahead[:2])), float(state.grip_target[row])
@@ -147,6 +146,10 @@ class GraspingExpert(Expert):
             return Step(OPEN)
         left = ahead[2] - self._advance(ahead[2]) if lateral < ALIGNED_M else ahead[2]
         return Step(OPEN, self._move(state, row, place - max(left, 0.0) * level[:, 2], level))
+
+    def _rise(self, state: State, row: int) -> Array:
+        """Return the way (3,) m from the target to the tool that grasps it."""
+        return UP * rise_above_m(self._scene, float(state.kind_sizes[row, int(state.target_kind[row]), 2]))
 
     def _opens(self, state: State, row: int) -> bool:
         """Return whether a hand has closed on nothing, or is opening after that: fingers follow their set-point."""
@@ -247,13 +250,13 @@ class GraspingExpert(Expert):
         goals: list[Goal] = []
         for row, stage in enumerate(state.stage.tolist()):
             target = int(state.target[row])
-            kind, obj = int(state.target_kind[row]), state.objects[row, target].numpy()
+            kind, obj, rise = int(state.target_kind[row]), state.objects[row, target].numpy(), self._rise(state, row)
             held = self._releasing[stage] and bool(state.pads[row, target].any())
             if held:
                 up, side = _rounded(self._upright(state, row), 0.1), self._fitted_side(state, row)
-                goals.append((PLACE, kind, *_rounded(state.target_place[row].numpy(), ROUND_M), *up, *side))
+                goals.append((PLACE, kind, *(_rounded(state.target_place[row].numpy(), ROUND_M) + rise), *up, *side))
             elif self._grasping[stage] or self._releasing[stage]:
-                goals.append((PICK, kind, *_rounded(obj, ROUND_M), *self._rounded_side(state, row)))
+                goals.append((PICK, kind, *(_rounded(obj, ROUND_M) + rise), *self._rounded_side(state, row)))
             else:
                 goals.append(None)
         return goals
@@ -289,9 +292,7 @@ class GraspingExpert(Expert):
         """Return postures (NEAREST, 6) in front of an object, or above its place with the object level in the hand."""
         if more:
             return self._postures(goal)
-        kind, at = int(goal[1]), np.array(goal[2:5])
-        slot = self._slots[kind]
-        place = at + UP * rise_m(self._scene, kind)
+        slot, place = self._slots[int(goal[1])], np.array(goal[2:5])
         self._grasps.stand(self._layout)
         home, found = self._here.home, np.empty((0, len(self._range)))
         for part in NEARER:  # at the edge of the arm's reach, the way to the object is shorter

@@ -17,6 +17,8 @@ from hrl_comfort.scene.grippers.gripper import DRIVE, PEOPLE, Gripper
 
 ROOM_M = 0.02
 """Smallest room that an open hand needs round an object."""
+LEAST_ROOM_M = 0.01
+"""That round one which `randomise.object_size` makes larger."""
 GUARD = "guard"
 """Name of the capsule that people touch in the place of what is held."""
 GUARD_MARGIN_M = 0.01
@@ -25,14 +27,19 @@ FINGERS_M = 0.09
 """Length of the fingers before the tool centre point that the guard covers."""
 
 
-def check_fits(gripper: Gripper, cell: CellConfig) -> None:
-    """Raise ConfigError if an object is too wide for the hand."""
+def check_fits(gripper: Gripper, cell: CellConfig, largest: float) -> None:
+    """Raise ConfigError if an object is too wide for the hand, or is when it is `largest` times as large."""
     for name, each in cell.objects.items():
         width = 2 * min(each.half_m[:2])
         if width > gripper.opening_m - ROOM_M:
             raise ConfigError(
                 f"cell.objects.{name}.size_m={each.size_m} is {width:.3g} m wide; {gripper.name} opens to "
                 f"{gripper.opening_m:.3g} m and takes up to {gripper.opening_m - ROOM_M:.3g} m"
+            )
+        if width * largest > gripper.opening_m - LEAST_ROOM_M:
+            raise ConfigError(
+                f"randomise.object_size up to {largest:g} makes cell.objects.{name} {width * largest:.3g} m wide; for "
+                f"{gripper.name} give at most {(gripper.opening_m - LEAST_ROOM_M) / width:.3g}"
             )
 
 
@@ -41,13 +48,13 @@ def hold_firmly(root: mjcf.RootElement) -> None:
     root.option.cone, root.option.impratio = "elliptic", 10
 
 
-def add_guard(root: mjcf.RootElement, gripper: Gripper, cell: CellConfig, limbs: Sequence[str]) -> None:
-    """Add a capsule round the open pads and all that the hand may hold.
+def add_guard(root: mjcf.RootElement, gripper: Gripper, cell: CellConfig, limbs: Sequence[str], largest: float) -> None:
+    """Add a capsule round the open pads and all that the hand may hold: objects up to `largest` times their size.
 
     People touch it, and it counts for the shield.
     """
     tool = root.find("site", "robot/tcp")
-    widest = max(math.dist((0, 0, 0), each.half_m) for each in cell.objects.values())
+    widest = largest * max(math.dist((0, 0, 0), each.half_m) for each in cell.objects.values())
     length = max(FINGERS_M - widest, 0.001)
     radius = max(widest + GUARD_MARGIN_M, _pads_reach(root, gripper, length))
     x, y, z = tool.pos

@@ -25,9 +25,6 @@ class Arrivals:
 
     def __init__(self, scene: Scene) -> None:
         self._arm, self._losses = ArmGeometry(scene), Losses(scene)
-        half = np.array([each.half_m for each in scene.cell.objects.values()])
-        self._wide, self._high = np.linalg.norm(half[:, :2], axis=1), half[:, 2]
-        self._about = np.linalg.norm(half, axis=1)
 
     def go_on(self, state: State, kinds: Tensor, arrivals: Tensor, turns: Tensor, task: Subtask) -> State:
         """Return the state after a decision, ready for the next contact, with new objects.
@@ -56,16 +53,19 @@ class Arrivals:
 
         They stand upright; the others may lie in any way.
         """
-        about = self._about[state.kinds.numpy()][:, None] + APART_M
+        sizes = state.kind_sizes.numpy()
+        there, half = (np.take_along_axis(sizes, each[..., None], axis=1) for each in (state.kinds.numpy(), kinds))
+        about = np.linalg.norm(there, axis=-1)[:, None] + APART_M
         away = np.abs(centres[:, :, None] - state.objects.numpy()[:, None])
-        wide, high = (half[kinds][:, :, None] + about for half in (self._wide, self._high))
+        widths, heights = np.linalg.norm(half[..., :2], axis=-1), half[..., 2]
+        wide, high = (each[:, :, None] + about for each in (widths, heights))
         near = (np.hypot(away[..., 0], away[..., 1]) < wide) & (away[..., 2] < high)
         near[:, *np.diag_indices(near.shape[1])] = False
         ends = self._arm.pose(state.joint_pos.numpy()).ends.transpose(3, 1, 2, 0)[:, None]  # (N, 1, C, 2, 3)
         axis, offset = ends[..., 1, :] - ends[..., 0, :], centres[:, :, None] - ends[..., 0, :]
         part = (offset * axis).sum(axis=-1) / np.maximum((axis**2).sum(axis=-1), 1e-12)
         gap = np.linalg.norm(offset - part.clip(0.0, 1.0)[..., None] * axis, axis=-1) - self._arm.radius
-        reach = np.hypot(self._wide, self._high)[kinds] + CLEAR_M
+        reach = np.hypot(widths, heights) + CLEAR_M
         return np.asarray(~near.any(axis=2) & (gap > reach[..., None]).all(axis=2))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -15,6 +15,7 @@ from hrl_comfort.config import CONTROL_STEP_S, FAR_AWAY_M
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.episode_sampler import Draw
 from hrl_comfort.sim.hand.fingers import Fingers
+from hrl_comfort.sim.variation.bodies import vary_objects
 from hrl_comfort.sim.variation.grasps import narrow_rad, rise_m
 from hrl_comfort.tasks import Start, State, Subtask
 
@@ -46,7 +47,7 @@ class Gripping:
         for index, at in enumerate(self._objects):
             self._parked[at : at + 7] = (FAR_AWAY_M, ASIDE_M + APART_M * index, high, 1, 0, 0, 0)
         self._data = mujoco.MjData(scene.planning)
-        self._closed_on = cache(self._closed)
+        self._closed_on = lru_cache(maxsize=64)(self._closed)
 
     def begin(self, draw: Draw, rows: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return the bodies (r, nq + nv) in which the episodes of `rows` (r,) begin, and the hands' set-points (r,).
@@ -68,16 +69,16 @@ class Gripping:
             qpos, joints = self._parked.copy(), len(self._arm)
             qpos[self._arm] = start[:joints]
             for index, kind in enumerate(kinds[row]):
-                at, turn = lying[row, index], turns[index]
+                at, turn, size = lying[row, index], turns[index], float(draw.factors[rows[row], 2, kind])
                 pose = np.array([*at, np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
                 if index == 0 and self._start == Start.AT_PLACE:
                     pose[:3] = draw.kind_places[rows[row], kind]
                 if index == 0 and np.isfinite(before := draw.before[rows[row]]).all():
                     off = at[:2] - draw.places[rows[row], self._arrives[kind], :2]
-                    pose = self._in_front(before, at[2], int(kind), off, turn)
+                    pose = self._in_front(before, at[2], int(kind), size, off, turn)
                 if index == 0 and self._start == Start.AT_OBJECT:
-                    pose = self._in_hand(start[:joints], int(kind))
-                    qpos[self._fingers] = self._closed_on(int(kind))
+                    pose = self._in_hand(start[:joints], int(kind), size)
+                    qpos[self._fingers] = self._closed_on(int(kind), size)
                     grip[row] = 1.0
                 body = self._objects[index * len(cell.objects) + kind]
                 qpos[body : body + 7] = pose
@@ -108,13 +109,13 @@ class Gripping:
             if body % count != kinds[body // count]:
                 yield self._where(body)
 
-    def _in_front(self, angles: Array, height: float, kind: int, off: Array, turn: float) -> Array:
+    def _in_front(self, angles: Array, height: float, kind: int, size: float, off: Array, turn: float) -> Array:
         """Return the pose (7,) of an object that lies at `height` m in front of the hand at joint angles (J,) rad.
 
-        It is aside by NEAR of `off` (2,) m and turned by NEAR of `turn` rad.
+        It is `size` times as large as its kind, aside by NEAR of `off` (2,) m and turned by NEAR of `turn` rad.
         """
         place, axes = self._tool(angles)
-        ahead = (height + rise_m(self._scene, kind) - place[2]) / axes[2, 2]
+        ahead = (height + rise_m(self._scene, kind, size) - place[2]) / axes[2, 2]
         yaw = np.arctan2(axes[1, 0], axes[0, 0]) - narrow_rad(self._scene, kind) + NEAR * turn
         at = (place + ahead * axes[:, 2])[:2] + NEAR * off
         return np.array([*at, height, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
@@ -127,15 +128,20 @@ class Gripping:
         tool = data.site("robot/tcp")
         return tool.xpos.copy(), tool.xmat.reshape(3, 3).copy()
 
-    def _in_hand(self, angles: Array, kind: int) -> Array:
+    def _in_hand(self, angles: Array, kind: int, size: float) -> Array:
         """Return the pose (7,) of an object in the hand at joint angles (J,) rad, level, below the tool."""
         place, axes = self._tool(angles)
         yaw = np.arctan2(axes[1, 0], axes[0, 0]) - narrow_rad(self._scene, kind)
-        return np.array([*(place - [0, 0, rise_m(self._scene, kind)]), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        return np.array([*(place - [0, 0, rise_m(self._scene, kind, size)]), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
 
-    def _closed(self, kind: int) -> Array:
-        """Return the positions of the fingers' joints of a hand that has closed on an object of a kind."""
+    def _closed(self, kind: int, size: float) -> Array:
+        """Return the positions of the fingers' joints of a hand that has closed on an object.
+
+        It is of a kind, and `size` times as large.
+        """
         model, scene = copy(self._model), self._scene
+        if size != 1.0:
+            vary_objects(model, scene, np.full((3, len(scene.cell.objects)), [[1.0], [1.0], [size]]))
         model.opt.gravity[:] = 0.0
         data: Any = mujoco.MjData(model)
         data.qpos[:] = self._parked

@@ -36,11 +36,15 @@ COUNT = 48
 """Number of start postures for a goal."""
 
 
-def rise_m(scene: Scene, kind: int) -> float:
-    """Return how far, m, the tool is above the centre of an object of a kind that it grasps."""
+def rise_m(scene: Scene, kind: int, size: float = 1.0) -> float:
+    """Return how far, m, the tool is above the centre of an object of a kind, `size` times as large, that it grasps."""
+    return rise_above_m(scene, size * list(scene.cell.objects.values())[kind].half_height_m)
+
+
+def rise_above_m(scene: Scene, half_height_m: float) -> float:
+    """Return how far, m, the tool is above the centre of an object of half a height that it grasps."""
     assert scene.gripper is not None
-    low = list(scene.cell.objects.values())[kind].half_height_m
-    return max(0.0, scene.gripper.tip_m + TIP_CLEARANCE_M - low)
+    return max(0.0, scene.gripper.tip_m + TIP_CLEARANCE_M - half_height_m)
 
 
 def narrow_rad(scene: Scene, kind: int) -> float:

@@ -25,6 +25,8 @@ SINGLE = (
     "person_dropout",
 )  # fmt: skip
 """Keys of which an episode draws one number; of `link_mass` and `joint_friction` it draws one for each joint."""
+OF_OBJECTS = ("object_mass", "object_friction", "object_size")
+"""Keys of which an episode draws a factor for each kind of object."""
 
 
 def draws(config: RandomiseConfig, joints: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -43,11 +45,23 @@ def draws(config: RandomiseConfig, joints: int, rng: np.random.Generator) -> tup
     return numbers, noise, np.concatenate([lost, offset * np.minimum(1.0, LARGEST_NOISE / length)], axis=1)
 
 
-class Values:
-    """Values of the keys of `randomise` for drawn numbers (n, W)."""
+def object_factors(config: RandomiseConfig, kinds: int, rng: np.random.Generator) -> Array:
+    """Return an episode's factors (3, kinds) of mass, sliding friction and size of objects of each kind."""
+    low, high = np.array([getattr(config, key) for key in OF_OBJECTS], dtype=np.float64)[..., None].swapaxes(0, 1)
+    return np.asarray(low + (high - low) * rng.random((len(OF_OBJECTS), kinds)))
 
-    def __init__(self, config: RandomiseConfig, world: Array) -> None:
-        self._config, self._world = config, world
+
+class Values:
+    """Values of the keys of `randomise` for drawn numbers (n, W).
+
+    Attributes:
+      config: the keys.
+      objects: (n, 3, kinds), see `object_factors`; without them objects are those of the model.
+    """
+
+    def __init__(self, config: RandomiseConfig, world: Array, objects: Array | None = None) -> None:
+        self.config, self._world = config, world
+        self.objects = np.ones((len(world), len(OF_OBJECTS), 1)) if objects is None else objects
         self._joints = (world.shape[1] - len(SINGLE) - 1) // 2
 
     def of(self, key: str) -> Array:
@@ -70,7 +84,7 @@ class Values:
         return self._between("joint_friction", self._world[:, len(SINGLE) + 1 :][:, self._joints :])
 
     def _between(self, key: str, share: Array) -> Array:
-        low, high = getattr(self._config, key)
+        low, high = getattr(self.config, key)
         return np.asarray(low + (high - low) * share)
 
 

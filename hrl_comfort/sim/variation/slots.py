@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.config.task import slot_users
 from hrl_comfort.scene.grippers.cell import half_width_m
+from hrl_comfort.scene.layout import is_slot
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.layouts import Layout
 from hrl_comfort.tasks import Subtask
@@ -23,13 +24,14 @@ class Slots:
     """Slots and kinds of the objects of episodes of `task`.
 
     Raises:
-      ConfigError: objects could overlap, or a hand has no room between them.
+      ConfigError: objects could overlap, a hand has no room between them, or they could be too wide for their place.
     """
 
     def __init__(self, scene: Scene, config: EnvConfig, task: Subtask) -> None:
         self._config, self._task = config, task
         self._own = scene.gripper is not None and config.task.objects > 1
         """Whether each object has a slot of its own where it belongs, too."""
+        _check_widths(config)
         if config.task.objects > 1:
             _check_slots(config, half_width_m(scene.planning) + ROOM_M if self._own else 0.0)
 
@@ -94,11 +96,24 @@ class Slots:
         return belongs
 
 
+def _check_widths(config: EnvConfig) -> None:
+    """Raise ConfigError where `randomise.object_size` makes an object wider than the slot that it has to fit into."""
+    largest, cell = config.randomise.object_size[1], config.cell
+    for name, each in cell.objects.items():
+        room, width = min(cell.places[each.belongs_at].size_m), 2 * each.half_width_m
+        if is_slot(cell, each) and largest > 1 and largest * width > room:
+            raise ConfigError(
+                f"randomise.object_size up to {largest:g} makes cell.objects.{name} {largest * width:.3g} m wide, and "
+                f"cell.places.{each.belongs_at} is {room:.3g} m wide; give at most {room / width:.3g}"
+            )
+
+
 def _check_slots(config: EnvConfig, beside: float) -> None:
     """Raise ConfigError where objects could overlap; with a hand, where it is not `beside` m off its neighbours."""
     cell, jitter = config.cell, config.task.object_jitter_m
     ends = ("arrives_at", "belongs_at") if beside else ("arrives_at",)
-    there = [(getattr(each, end), each.half_width_m) for end in ends for each in cell.objects.values()]
+    largest = max(1.0, config.randomise.object_size[1])
+    there = [(getattr(each, end), largest * each.half_width_m) for end in ends for each in cell.objects.values()]
     for name in dict.fromkeys(place for place, _ in there):
         widest = max(half for place, half in there if place == name)
         slots = np.array(cell.places[name].slots_m)
