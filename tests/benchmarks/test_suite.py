@@ -278,6 +278,12 @@ def test_a_return_is_compared_with_that_of_the_best_rival_at_each_level(tmp_path
         returns.of_rivals(0.4, write_seeds(tmp_path / "shift", [[4.0, 10.0]]), [slow])
 
 
+def test_rivals_that_one_name_would_make_one_are_refused_before_they_are_read() -> None:
+    for ours, rivals in (("ours", ["a/slow", "b/slow"]), ("slow", ["fast", "b/slow"])):
+        with pytest.raises(ConfigError, match=r"^slow is the name of 2 folders, but names the best rival; rename one$"):
+            returns.of_rivals(0.4, Path(ours), [*map(Path, rivals)])
+
+
 def test_an_entry_without_avoidable_discomfort_is_not_compared(tmp_path: Path) -> None:
     old = write_seeds(tmp_path / "old", [[4.0]])
     file = old / "0" / entries.FILE
