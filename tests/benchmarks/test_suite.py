@@ -98,8 +98,8 @@ def test_the_top_and_the_level_told_belong_to_the_entry() -> None:
 
 
 def test_a_top_that_does_not_fit_a_part_is_refused_before_any_runs(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"max_waits=2: meta_controller=idle always waits"):
-        suite.benchmark(asked("policy=random", "meta_controller=idle", "meta_controller.max_waits=2", *SHORT,
+    with pytest.raises(ConfigError, match=r"^meta_controller\.order='pick_99' is not allowed"):
+        suite.benchmark(asked("policy=random", "meta_controller=fixed", "meta_controller.order=[pick_99]", *SHORT,
                               f"output='{tmp_path / 'entry'}'"))  # fmt: skip
     assert not (tmp_path / "entry").exists()
 
