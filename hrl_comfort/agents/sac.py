@@ -67,6 +67,9 @@ class SAC:
     has_targets: ClassVar[bool] = True
     betas: ClassVar[tuple[float, float]] = (0.9, 0.999)
     """Of Adam."""
+    terminal_value: Callable[[TensorDictBase], Tensor] | None = None
+    """Value (B,) to whoever acts next of the states that raw transitions (B,) lead to. It is added to the rewards,
+    discounted, when transitions are sampled, so that it is as new as the one who acts next."""
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: Any = None) -> None:
         if config.device == "cuda" and not torch.cuda.is_available():
@@ -97,9 +100,6 @@ class SAC:
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = self._new_optimiser()
         self.buffer = self._new_buffer()
-        self.terminal_value: Callable[[TensorDictBase], Tensor] | None = None
-        """Value (B,) to whoever acts next of the states that raw transitions (B,) lead to. It is added to the rewards,
-        discounted, when transitions are sampled, so that it is as new as the one who acts next."""
         self.updates = 0
         self._stage_begin = 0
         """Number of updates at which the current stage began."""
