@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.loss import ActorCriticLoss, bc_loss
-from hrl_comfort.agents.memory import check_memory, check_networks
+from hrl_comfort.agents.memory import check_networks, check_replay
 from hrl_comfort.agents.networks import Actor, Critics, Normaliser
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -76,9 +76,8 @@ class SAC:
             raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
         self.config, self.device = config, torch.device(config.device)
         self.own = self.Keys(**config.own) if own is None else own
+        check_replay(config, observation_dim, action_dim)
         if self.device.type == "cpu":
-            floats = config.buffer_size * (2 * observation_dim + action_dim + 4)
-            check_memory(f"agent.buffer_size={config.buffer_size}", floats)
             sizes = (observation_dim + action_dim, *config.hidden, 2 * action_dim)
             # an actor, its average, critics, their targets; gradients and two moments of those that learn
             copies = 5 * (1 + getattr(self.own, "critics", 2))

@@ -103,6 +103,22 @@ def test_a_buffer_that_is_kept_for_another_next_skill_gets_one_line(tmp_path: Pa
     small_config(tmp_path, *own, "agent.next_skill_reward=1")
 
 
+@pytest.mark.parametrize("terminal_dim", [0, 5, 64])
+def test_memory_is_asked_for_what_the_buffer_stores(
+    terminal_dim: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, states, config = list[tuple[str, float]](), None, small_config(tmp_path, "curriculum=off")
+    monkeypatch.setattr("hrl_comfort.agents.memory.check_memory", lambda what, floats: asked.append((what, floats)))
+    if terminal_dim:
+        discriminator = StartDiscriminator(torch.randn(8, terminal_dim), 1.0, seed=1)
+        states = TerminalStates(discriminator, lambda rows: torch.zeros(len(rows), terminal_dim))
+    training = Training(config, lambda _: SkillCollector(config.agent, PointEnv(8, 0), None, states), tmp_path)
+    training.step()
+    stored = training.learner.buffer.storage[:8].bytes() / 8
+    counted = max(4 * floats / 1000 for what, floats in asked if what == "agent.buffer_size=1000")
+    assert stored <= counted < stored + 4
+
+
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("place") / "run"
