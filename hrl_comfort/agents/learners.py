@@ -37,7 +37,8 @@ class Learner(Protocol):
     (N, D) to actions (N, A) in [-1, 1], for a top from observations to scores (N, K) of the options, of which the
     greatest is chosen. That of a skill with memory has `memory_dim`, and takes and returns a memory (N, M) too, zeros
     at the beginning of an episode. `terms`, if any, names the columns of metrics.csv that `update` fills; of a top, it
-    is `loss`.
+    is `loss`. A class with `terminal_value` adds what that says to the rewards that it samples, as agents.sac does;
+    `agent.next_skill_reward` needs it.
     """
 
     def act(self, now: TensorDictBase, exploration: float) -> Tensor:
@@ -81,6 +82,16 @@ def learner_class(key: str, name: str) -> type:
     if not isinstance(found, type):
         raise ConfigError(f"{key}.name={name!r} is of type {type(found).__name__}; it must be a class")
     return found
+
+
+def check_terminal_value(config: AgentConfig) -> None:
+    """Raise ConfigError if successes have a reward that the class of the learner has no `terminal_value` to ask for."""
+    if config.next_skill_reward and not hasattr(learner_class("agent", config.name), "terminal_value"):
+        able = [name for name, kind in KNOWN["agent"].items() if hasattr(kind, "terminal_value")]
+        raise ConfigError(
+            f"agent.next_skill_reward={config.next_skill_reward:g} does not go with agent.name={config.name!r}, which "
+            f"has no terminal_value; choose 0, {', '.join(able)}, or a class that has"
+        )
 
 
 def with_columns(config: AgentConfig, layout: Mapping[str, range]) -> AgentConfig:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from hrl_comfort.agents.loss import ActorCriticLoss, bc_loss
-from hrl_comfort.agents.memory import check_memory, check_networks
+from hrl_comfort.agents.memory import check_networks, check_replay
 from hrl_comfort.agents.networks import Actor, Critics, Normaliser
 from hrl_comfort.agents.replay import load_replay, replay_state
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -67,15 +67,17 @@ class SAC:
     has_targets: ClassVar[bool] = True
     betas: ClassVar[tuple[float, float]] = (0.9, 0.999)
     """Of Adam."""
+    terminal_value: Callable[[TensorDictBase], Tensor] | None = None
+    """Value (B,) to whoever acts next of the states that raw transitions (B,) lead to. It is added to the rewards,
+    discounted, when transitions are sampled, so that it is as new as the one who acts next."""
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: Any = None) -> None:
         if config.device == "cuda" and not torch.cuda.is_available():
             raise ConfigError("agent.device=cuda: PyTorch finds no CUDA device here; say agent.device=cpu")
         self.config, self.device = config, torch.device(config.device)
         self.own = self.Keys(**config.own) if own is None else own
+        check_replay(config, observation_dim, action_dim)
         if self.device.type == "cpu":
-            floats = config.buffer_size * (2 * observation_dim + action_dim + 4)
-            check_memory(f"agent.buffer_size={config.buffer_size}", floats)
             sizes = (observation_dim + action_dim, *config.hidden, 2 * action_dim)
             # an actor, its average, critics, their targets; gradients and two moments of those that learn
             copies = 5 * (1 + getattr(self.own, "critics", 2))
@@ -97,9 +99,6 @@ class SAC:
         # The three losses share no gradient, so one fused step serves all.
         self.optimiser = self._new_optimiser()
         self.buffer = self._new_buffer()
-        self.terminal_value: Callable[[TensorDictBase], Tensor] | None = None
-        """Value (B,) to whoever acts next of the states that raw transitions (B,) lead to. It is added to the rewards,
-        discounted, when transitions are sampled, so that it is as new as the one who acts next."""
         self.updates = 0
         self._stage_begin = 0
         """Number of updates at which the current stage began."""

@@ -25,12 +25,16 @@ def of_rivals(price: float, folder: Path, rivals: Sequence[Path]) -> str:
 
     A return is the orders filled, less MISSED of those missed, less `price` for a second of avoidable discomfort.
     Numbers are over training seeds; rivals with training seeds are paired by them. The best rival has the highest mean.
-    Folders have names of their own.
 
     Raises:
-      ConfigError: an entry is damaged, lacks the part or a term, or was not measured at a level, or rivals have no
-        training seed in common.
+      ConfigError: two folders have the same name; an entry is damaged, lacks the part or a term, or was not measured at
+        a level; or rivals have no training seed in common.
     """
+    names = [each.name for each in (folder, *rivals)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(
+            f"{twice[0]} is the name of {names.count(twice[0])} folders, but names the best rival; rename one"
+        )
     own, beside = of_each_seed(folder), {rival.name: of_each_seed(rival) for rival in rivals}
     seeds = [seed for seed in own if all(seed in each or None in each for each in beside.values())]
     if not seeds:

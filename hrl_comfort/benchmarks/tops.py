@@ -138,7 +138,8 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
         for index, each in enumerate(config.cell.objects.values(), start=1)
         if each.arrives_at == area
     ]
-    return TOPS[kind](replace(config, meta_controller=replace(config.meta_controller, order=picks)), table, 0)
+    own = replace(config.meta_controller, name=kind, order=picks)
+    return TOPS[kind](replace(config, meta_controller=own), table, 0)
 
 
 def table(rows: DataFrame) -> str:

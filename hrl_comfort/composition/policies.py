@@ -102,5 +102,4 @@ def with_policy(config: StudioConfig, source: str) -> StudioConfig:
             policies={option: str(Path(source) / option) for option in options},
             meta_controller=replace(controller, name=name, options=list(options)),
         )
-    lone = replace(config.meta_controller, name="none", interruption_steps=None)
-    return replace(config, policy=source, policies={}, meta_controller=lone)
+    return replace(config, policy=source, policies={}, meta_controller=config.meta_controller.alone())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 from hrl_comfort.config.checks import ConfigError, Widths, between, choice, named, own_keys, unique, within
@@ -52,12 +52,22 @@ class MetaControllerConfig:
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 
+    def alone(self) -> MetaControllerConfig:
+        """Return the section for a policy without a controller."""
+        return replace(self, name="none", **OPTION_KEYS, order=[])
+
     def check(self, task: str) -> None:
-        """Raise ConfigError if skills are to be interrupted where there is nothing to choose instead."""
-        if (steps := self.interruption_steps) is not None and (task not in SORTING or self.name in ("none", "idle")):
+        """Raise ConfigError if a key is set that this controller does not read, or a chain is interrupted."""
+        for key, off in OPTION_KEYS.items():
+            unread = self.name in ("none", "idle") or (key == "interruption_steps" and task not in SORTING)
+            if unread and (value := getattr(self, key)) != off:
+                raise ConfigError(
+                    f"meta_controller.{key}={value} is for a controller of skills in task={', '.join(SORTING)}, not "
+                    f"for meta_controller={self.name} in task={task}; choose {'null' if off is None else off}"
+                )
+        if self.order and self.name != "fixed":
             raise ConfigError(
-                f"meta_controller.interruption_steps={steps} is for a controller of skills in task="
-                f"{', '.join(SORTING)}, not for meta_controller={self.name} in task={task}; choose null"
+                f"meta_controller.order={self.order} is for meta_controller=fixed, not for {self.name}; choose []"
             )
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Annotated
 
-from pydantic import Field
-
+from hrl_comfort.config.cell import Pair
 from hrl_comfort.config.checks import ConfigError, choice, within
 
-Pair = Field(min_length=2, max_length=2)
 Delay = Annotated[list[Annotated[float, within(0.0, 0.5)]], Pair]
 Factor = Annotated[list[Annotated[float, within(0.5, 2.0)]], Pair]
 Fraction = Annotated[list[Annotated[float, within(0.0, 0.9)]], Pair]

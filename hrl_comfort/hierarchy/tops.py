@@ -186,13 +186,6 @@ def with_waits(rule: Choose) -> MakeTop:
     return make
 
 
-def always_waiting(config: EvaluateConfig, table: OptionTable, seed: int) -> Choose:
-    """Return `idle`; raise ConfigError where the arm cannot wait for ever."""
-    if (most := config.meta_controller.max_waits) is not None:
-        raise ConfigError(f"meta_controller.max_waits={most}: meta_controller=idle always waits; choose null")
-    return with_waits(idle)(config, table, seed)
-
-
 RULES: dict[str, Choose] = implemented(
     RULE_NAMES, {"nearest": nearest, "free": free, "due": due, "cautious": cautious, "patient": patient}
 )
@@ -205,7 +198,7 @@ TOPS: dict[str, MakeTop] = implemented(
         "due": lambda *_: due,
         "cautious": with_waits(cautious),
         "patient": with_waits(patient),
-        "idle": always_waiting,
+        "idle": with_waits(idle),
         "fixed": fixed,
         "random": at_random,
         "learned": learned,

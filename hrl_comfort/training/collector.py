@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from hrl_comfort.agents.memory import check_replay
 from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.run_config import environment
@@ -37,7 +38,8 @@ class SkillCollector:
         levels: relabels part of the transitions with other levels.
 
     Raises:
-        ConfigError: the configuration names a demonstrator, a next skill or other levels, and there are none.
+        ConfigError: the configuration names a demonstrator, a next skill or other levels, and there are none, or the
+            replay buffer with terminal states is larger than this machine's memory.
     """
 
     def __init__(
@@ -61,6 +63,8 @@ class SkillCollector:
         self.layout: Mapping[str, range] = getattr(env, "layout", {})
         """Columns of the observation by the name of a part; empty where the environment names none."""
         self.action_dim = env.action_spec.shape[-1]
+        if self._discriminator is not None:
+            check_replay(config, self.observation_dim, self.action_dim, self._discriminator.starts.shape[1])
         self.reward_names = tuple(env.reward_names)
         self._for_demonstrator = torch.arange(self.num_envs) < config.demonstrator_envs
         self._takeovers = torch.Generator().manual_seed(seed)

@@ -178,7 +178,7 @@ def terminal_states_of(option: TrainConfig, config: HierarchyTrainConfig) -> str
     """Return the file of an option's recorded terminal states; `ik`, with a warning, where no episode succeeds."""
     path = Path(option.output) / "terminal_states.npz"
     asked = _evaluation(
-        option, _alone(config), Path(option.output), policy=option.output,
+        option, config.meta_controller.alone(), Path(option.output), policy=option.output,
         episodes=config.hierarchy.terminal_states_episodes, terminal_states=str(path),
     )  # fmt: skip
     try:
@@ -205,7 +205,7 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
     parts = {option.task.name: option for option in options}
     policies = {name: option.output for name, option in parts.items()}
     found = [
-        _evaluation(option, _alone(config), folder / name, policy=option.output, **at_levels)
+        _evaluation(option, config.meta_controller.alone(), folder / name, policy=option.output, **at_levels)
         for name, option in parts.items()
     ]
     if "cycle" not in parts:
@@ -225,10 +225,6 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
 
 def _evaluated(evaluation: EvaluateConfig) -> bool:
     return (Path(evaluation.output) / "summary.json").is_file()
-
-
-def _alone(config: HierarchyTrainConfig) -> MetaControllerConfig:
-    return replace(config.meta_controller, name="none")
 
 
 def _evaluation(

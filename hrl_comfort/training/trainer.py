@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from hrl_comfort.agents import checkpoint
-from hrl_comfort.agents.learners import make_learner, with_columns
+from hrl_comfort.agents.learners import check_terminal_value, make_learner, with_columns
 from hrl_comfort.config import ConfigError, TrainConfig
 from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.files.provenance import step_path
@@ -59,6 +59,8 @@ class Training(TrainingLoop):
     def __init__(self, config: TrainConfig, make: MakeCollector, folder: Path, resumes: bool = False) -> None:
         self._make = make
         self.stages = stage_list(config)
+        for stage in self.stages:  # first, for to collect is to seek starts of the next skill
+            check_terminal_value(stage.config.agent)
         for stage in [] if resumes else self.stages[1:]:  # a mistake in it is named before the first one trains
             make(stage.config.in_one_process()).close()
         collector = make(self.stages[0].config)
@@ -86,11 +88,6 @@ class Training(TrainingLoop):
         config = self.stage.config
         if hasattr(self.learner, "terminal_value"):
             self.learner.terminal_value = collector.terminal_value
-        elif collector.terminal_value is not None:
-            raise ConfigError(
-                f"agent.next_skill_reward={config.agent.next_skill_reward:g} does not go with agent.name="
-                f"{config.agent.name!r}, which has no terminal_value; choose one of {', '.join(SKILL_LEARNERS)}, or 0"
-            )
         self.curriculum = Curriculum(config.curriculum, config.task.precision, config.agent.policy_steps)
         collector.reset(self.curriculum.precision_m, self.curriculum.reach)
         self.recent.clear()

@@ -98,8 +98,8 @@ def test_the_top_and_the_level_told_belong_to_the_entry() -> None:
 
 
 def test_a_top_that_does_not_fit_a_part_is_refused_before_any_runs(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"max_waits=2: meta_controller=idle always waits"):
-        suite.benchmark(asked("policy=random", "meta_controller=idle", "meta_controller.max_waits=2", *SHORT,
+    with pytest.raises(ConfigError, match=r"^meta_controller\.order='pick_99' is not allowed"):
+        suite.benchmark(asked("policy=random", "meta_controller=fixed", "meta_controller.order=[pick_99]", *SHORT,
                               f"output='{tmp_path / 'entry'}'"))  # fmt: skip
     assert not (tmp_path / "entry").exists()
 
@@ -276,6 +276,12 @@ def test_a_return_is_compared_with_that_of_the_best_rival_at_each_level(tmp_path
         returns.of_rivals(0.4, ours, [kitting("one", [[4.0]], missed=3.0, cost=0.25)])
     with pytest.raises(ConfigError, match=r"has no part kitting; it has shift"):
         returns.of_rivals(0.4, write_seeds(tmp_path / "shift", [[4.0, 10.0]]), [slow])
+
+
+def test_rivals_that_one_name_would_make_one_are_refused_before_they_are_read() -> None:
+    for ours, rivals in (("ours", ["a/slow", "b/slow"]), ("slow", ["fast", "b/slow"])):
+        with pytest.raises(ConfigError, match=r"^slow is the name of 2 folders, but names the best rival; rename one$"):
+            returns.of_rivals(0.4, Path(ours), [*map(Path, rivals)])
 
 
 def test_an_entry_without_avoidable_discomfort_is_not_compared(tmp_path: Path) -> None:

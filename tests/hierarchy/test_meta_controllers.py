@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.composition.policies import with_policy
+from hrl_comfort.config import ConfigError, EvaluateConfig, HierarchyTrainConfig, StudioConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision
@@ -16,7 +18,10 @@ from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.sort import sorting_table
 from hrl_comfort.hierarchy.tops import cautious, nearest
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.training.hierarchy_trainer import evaluations, option_config
 from tests.hierarchy.test_sort import EXPERTS, META, STILL, config
+
+KITTING = ("task=kitting", "cell=bench", "human=fetcher")
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +112,44 @@ def test_a_chain_refuses_what_is_for_sorting(word: str) -> None:
     skills = [f"policies.{name}=random" for name in STILL]
     with pytest.raises(ConfigError, match=r"^meta_controller\.\w+=\[?\d\]? is for task=sort, .*; choose "):
         rollout(compose("evaluate", ["task=cycle", "meta_controller=nearest", "episodes=1", word, *skills]))
+
+
+@pytest.mark.parametrize(
+    ("word", "off"),
+    [
+        ("level_override=[3]", r"\[\]"),
+        ("max_waits=3", "null"),
+        ("interruption_steps=3", "null"),
+        ("order=[wait]", r"\[\]"),
+    ],
+)
+@pytest.mark.parametrize("name", ["none", "idle"])
+def test_where_no_skill_is_chosen_what_is_for_choices_is_refused(name: str, word: str, off: str) -> None:
+    said = rf"^meta_controller\.{word.split('=')[0]}=\S+ is for .*, not for .*{name}.*; choose {off}$"
+    with pytest.raises(ConfigError, match=said):
+        compose("evaluate", [*KITTING, f"meta_controller={name}", f"meta_controller.{word}"])
+
+
+def test_an_order_is_for_fixed_alone() -> None:
+    words = [*KITTING, "meta_controller=nearest", "meta_controller.order=[wait]"]
+    for name in ("due", "random", "own:Top"):
+        with pytest.raises(
+            ConfigError, match=rf"^meta_controller\.order=.* is for meta_controller=fixed, not for {name};"
+        ):
+            compose("evaluate", [*words, f"meta_controller.name={name}"])
+
+
+def test_a_policy_alone_keeps_nothing_of_a_controller(tmp_path: Path) -> None:
+    words = ["meta_controller=cautious", "meta_controller.interruption_steps=5", "meta_controller.level_override=[3]"]
+    studio = compose("studio", [*KITTING, *words])
+    assert isinstance(studio, StudioConfig)
+    assert with_policy(studio, "expert").policy == "expert"
+    for name in ("cautious", "learned"):
+        trained = compose("train_hierarchy", [f"meta_controller={name}", f"output={tmp_path}"])
+        assert isinstance(trained, HierarchyTrainConfig)
+        options = [option_config(trained, option, tmp_path, "ik") for option in trained.meta_controller.options]
+        alone, *_ = evaluations(trained, tmp_path, options)
+        assert alone.policy == str(tmp_path) and alone.meta_controller == alone.meta_controller.alone()
 
 
 def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() -> None:

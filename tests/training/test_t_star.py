@@ -72,18 +72,51 @@ def test_the_reward_of_a_stored_success_is_what_the_discriminator_says_now(tmp_p
     assert abs(seen[1] - seen[0]) > 0.1
 
 
-def test_a_learner_that_cannot_ask_the_discriminator_and_a_kept_buffer_get_one_line(tmp_path: Path) -> None:
-    states = TerminalStates(StartDiscriminator(torch.randn(8, 2), 1.0, seed=1), lambda rows: torch.zeros(len(rows), 2))
-    with pytest.raises(ConfigError, match=r"^agent\.next_skill_reward=2 does not go with agent\.name='hiro', which "):
-        Training(
-            small_config(tmp_path, "agent=hiro", "agent.own.goals=[0]", "agent.next_skill_reward=2"),
-            lambda own: SkillCollector(own.agent, PointEnv(8, 0), next_skill=states), tmp_path,
-        )  # fmt: skip
+class Deaf:
+    """A learner that asks nobody what a success is worth."""
+
+    act = observe = update = state_dict = load_state_dict = lambda *_: None
+
+
+@pytest.mark.parametrize("name", ["hiro", "end_to_end", f"{__name__}:Deaf"])
+def test_a_learner_that_cannot_ask_the_discriminator_is_refused_before_starts_are_sought(
+    name: str, tmp_path: Path
+) -> None:
+    def sought(_: Any) -> Any:
+        pytest.fail("a collector seeks starts")
+
+    stage = "{name:b,policy_steps:800,set:{agent:{next_skill_reward:2}}}"
+    for words in (["agent.next_skill_reward=2"], [f"curriculum.stages=[{{name:a,policy_steps:800}},{stage}]"]):
+        config = small_config(tmp_path, "agent.next_skill=runs/place", f"agent.name='{name}'", *words)
+        said = (
+            rf"^agent\.next_skill_reward=2 does not go with agent\.name='{name}', which has no terminal_value; choose "
+        )
+        with pytest.raises(ConfigError, match=said):
+            Training(config, sought, tmp_path)
+
+
+def test_a_buffer_that_is_kept_for_another_next_skill_gets_one_line(tmp_path: Path) -> None:
     stages = "{name:a,policy_steps:800},{name:b,policy_steps:800,replay:keep,set:{agent:{next_skill_reward:2}}}"
     own = ("agent.next_skill=runs/place", f"curriculum.stages=[{stages}]")
     with pytest.raises(ConfigError, match=r"^curriculum\.stages\.1\.replay=keep does not go with another agent\.next_"):
         small_config(tmp_path, *own)
     small_config(tmp_path, *own, "agent.next_skill_reward=1")
+
+
+@pytest.mark.parametrize("terminal_dim", [0, 5, 64])
+def test_memory_is_asked_for_what_the_buffer_stores(
+    terminal_dim: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, states, config = list[tuple[str, float]](), None, small_config(tmp_path, "curriculum=off")
+    monkeypatch.setattr("hrl_comfort.agents.memory.check_memory", lambda what, floats: asked.append((what, floats)))
+    if terminal_dim:
+        discriminator = StartDiscriminator(torch.randn(8, terminal_dim), 1.0, seed=1)
+        states = TerminalStates(discriminator, lambda rows: torch.zeros(len(rows), terminal_dim))
+    training = Training(config, lambda _: SkillCollector(config.agent, PointEnv(8, 0), None, states), tmp_path)
+    training.step()
+    stored = training.learner.buffer.storage[:8].bytes() / 8
+    counted = max(4 * floats / 1000 for what, floats in asked if what == "agent.buffer_size=1000")
+    assert stored <= counted < stored + 4
 
 
 @pytest.fixture(scope="module")
