@@ -63,7 +63,6 @@ class EnvConfig(CommandConfig):
                 f"{self.robot.gripper.name} choose cell.vary.layouts=0"
             )
         check_objects(task, cell, self.robot.gripper.holds)
-        self.randomise.check_objects(self.robot.gripper.holds)
         if self.engine.processes > 1:
             self._check_processes()
 

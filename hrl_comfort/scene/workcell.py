@@ -174,7 +174,12 @@ def gripper_of(arm: Robot) -> Gripper | None:
 
 
 def scene_of(config: EnvConfig) -> Scene:
-    """Return the scene of the cells of `config`; raise as `build_scene` does."""
+    """Return the scene of the cells of `config`.
+
+    Raises:
+      ConfigError: as `build_scene`, or objects differ and no hand holds them.
+    """
+    config.randomise.check_objects(config.robot.gripper.holds)
     people = len(config.human.everyone)
     largest = max(1.0, config.randomise.object_size[1])
     return build_scene(config.robot, config.cell, config.substeps, config.task.objects, people, largest)
