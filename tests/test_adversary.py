@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
+import time
+from pathlib import Path
 
 import pytest
 
@@ -32,3 +35,19 @@ def test_a_hostile_command_line_is_one_line_and_touches_nothing_of_others(advers
     for _ in range(COMMANDS):
         what, faults = adversary.command(rng)
         assert not faults, what
+
+
+def test_a_case_is_held_to_its_time_on_a_processor_and_not_by_the_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def busy(_: list[str]) -> int:
+        while True:
+            pass
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tests.adversary.LIMIT_S", 1)
+    found = []
+    for case in (lambda _: time.sleep(3.2) or 0, busy):
+        monkeypatch.setattr("tests.adversary.run", case)
+        found.append(Adversary(tmp_path).faults([], re.compile("out")))
+    assert not found[0] and "2 s of a processor" in found[1][1]
