@@ -90,7 +90,7 @@ def check_terminal_value(config: AgentConfig) -> None:
         able = [name for name, kind in KNOWN["agent"].items() if hasattr(kind, "terminal_value")]
         raise ConfigError(
             f"agent.next_skill_reward={config.next_skill_reward:g} does not go with agent.name={config.name!r}, which "
-            f"has no terminal_value; choose 0, {', '.join(able)}, or a class that has"
+            f"has no terminal_value; choose 0, {', '.join(able)}, or a class with that attribute"
         )
 
 

@@ -23,9 +23,8 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
     A state holds the joints, with a gripper all bodies, the set-point of the fingers and the sizes that
-    `randomise.object_size` draws, and, with people, the first
-    one's position and the level in force. Episodes are drawn as in training, from seeds of their own: what is recorded
-    becomes training data.
+    `randomise.object_size` draws, and, with people, the first one's position and the level in force. Episodes are drawn
+    as in training, from seeds of their own: what is recorded becomes training data.
 
     Raises:
       ConfigError: the path does not end in .npz, or no episode of a kind succeeded.

@@ -142,14 +142,14 @@ class EpisodeSampler:
         self._joints = len(scene.joints)
         self._arm = PARTS * self._joints
         hand = 0 if scene.gripper is None else scene.model.nq + scene.model.nv + 1
+        sizes = len(config.cell.kinds) if config.randomise.resized else 0
         self._bodies = self._arm + hand
-        hand += len(config.cell.kinds) if config.randomise.resized else 0
-        self._own = self._arm + hand
+        self._own = self._bodies + sizes
         self._half_heights = np.array([each.half_height_m for each in config.cell.objects.values()])
         self._grasps = scene.gripper is not None and task.start == Start.HOME and task.stages[0].grasps
         self.reach = 0.0 if config.task.start == PREGRASP else np.inf
         """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
-        self._recorded = recorded_starts(config, task.start, self._joints, hand)
+        self._recorded = recorded_starts(config, task.start, self._joints, hand + sizes)
         if self._recorded is not None and self._drawn:
             self._recorded = [unseen_left_out(bank, self._own, config, self.spawns[0]) for bank in self._recorded]
 

@@ -59,7 +59,7 @@ class Training(TrainingLoop):
     def __init__(self, config: TrainConfig, make: MakeCollector, folder: Path, resumes: bool = False) -> None:
         self._make = make
         self.stages = stage_list(config)
-        for stage in self.stages:  # first, for to collect is to seek starts of the next skill
+        for stage in self.stages:  # before starts of the next skill are sought, which takes minutes
             check_terminal_value(stage.config.agent)
         for stage in [] if resumes else self.stages[1:]:  # a mistake in it is named before the first one trains
             make(stage.config.in_one_process()).close()

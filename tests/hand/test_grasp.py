@@ -25,6 +25,7 @@ from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.step_result import StepResult
 from hrl_comfort.sim.variation.grasps import rise_m
+from hrl_comfort.tasks.hand.observation import target_near, way_near
 from tests.hand.campaign import decisions
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.07")
@@ -334,3 +335,16 @@ def test_what_does_not_go_with_a_gripper_is_refused_in_one_line(root: str, words
 def test_what_is_no_gripper_is_refused_when_the_cell_is_built(words: Sequence[str], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         scene_of(compose_environment("train", words))
+
+
+def test_offsets_from_near_have_the_tool_s_axes_and_a_scale_of_five_centimetres() -> None:
+    state = Engine(cell("task=cycle"), 4, 0).reset()
+    w, x, y, z = state.tcp_quat.numpy().T
+    third = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    for seen, way in (
+        (target_near(state), state.target_object - state.tcp_pos),
+        (way_near(state), state.target_place - state.target_object),
+    ):
+        along = (way.numpy() * third).sum(axis=1)
+        assert seen[:, 2].numpy() == pytest.approx(np.tanh(along / 0.05))
+        assert ((seen.abs() <= 1) & (seen != 0)).all()

@@ -17,6 +17,7 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import (
     CONTROL_STEP_S,
     ConfigError,
+    EvaluateConfig,
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ResultsConfig,
@@ -24,6 +25,7 @@ from hrl_comfort.config import (
 from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.results import looks, manifest, pages, record, remake, tables
 from hrl_comfort.results.command import results
 from hrl_comfort.results.manifest import PHASES, Entry
@@ -73,6 +75,21 @@ def test_the_published_controllers_are_those_that_the_experiment_trains_above_it
         trained = controller_config(whole, tmp_path)
         assert trained is not None and trained.human.partitioned
         assert replace(published, policies=trained.policies, output=trained.output) == trained
+
+
+def test_the_chain_of_the_grasp_is_measured_in_the_world_that_trains_it() -> None:
+    trained = compose("train_hierarchy", ["experiment=grasp"])
+    commands = [words[2:] for words in ENTRIES["grasp"].commands("evaluate") if "task=cycle" in words]
+    for words in commands:
+        own = [word for word in words if not word.startswith(("gripper=", "cell.objects."))]
+        measured = compose("evaluate", own)
+        assert isinstance(trained, HierarchyTrainConfig) and isinstance(measured, EvaluateConfig)
+        task = replace(
+            measured.task, name=trained.task.name, max_episode_steps=trained.task.max_episode_steps,
+            max_option_steps=trained.task.max_option_steps,
+        )  # fmt: skip
+        world = replace(environment(measured), task=task)
+        assert world == replace(environment(trained), reward=world.reward, engine=world.engine)
 
 
 def test_what_an_order_missed_and_a_second_of_discomfort_cost_is_what_it_cost_in_training() -> None:

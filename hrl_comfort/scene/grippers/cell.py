@@ -19,6 +19,8 @@ ROOM_M = 0.02
 """Smallest room that an open hand needs round an object."""
 LEAST_ROOM_M = 0.01
 """That round one which `randomise.object_size` makes larger."""
+ROUNDED = 1e-9
+"""Rounding of a hundred times a factor."""
 GUARD = "guard"
 """Name of the capsule that people touch in the place of what is held."""
 GUARD_MARGIN_M = 0.01
@@ -39,8 +41,13 @@ def check_fits(gripper: Gripper, cell: CellConfig, largest: float) -> None:
         if width * largest > gripper.opening_m - LEAST_ROOM_M:
             raise ConfigError(
                 f"randomise.object_size up to {largest:g} makes cell.objects.{name} {width * largest:.3g} m wide; for "
-                f"{gripper.name} give at most {(gripper.opening_m - LEAST_ROOM_M) / width:.3g}"
+                f"{gripper.name} give at most {floored((gripper.opening_m - LEAST_ROOM_M) / width):g}"
             )
+
+
+def floored(factor: float) -> float:
+    """Return a factor with two decimals that is not above it."""
+    return math.floor(100 * factor + ROUNDED) / 100
 
 
 def hold_firmly(root: mjcf.RootElement) -> None:

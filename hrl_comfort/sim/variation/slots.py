@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import RANDOM, ConfigError, EnvConfig
 from hrl_comfort.config.task import slot_users
-from hrl_comfort.scene.grippers.cell import half_width_m
+from hrl_comfort.scene.grippers.cell import floored, half_width_m
 from hrl_comfort.scene.layout import is_slot
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.variation.layouts import Layout
@@ -104,7 +104,7 @@ def _check_widths(config: EnvConfig) -> None:
         if is_slot(cell, each) and largest > 1 and largest * width > room:
             raise ConfigError(
                 f"randomise.object_size up to {largest:g} makes cell.objects.{name} {largest * width:.3g} m wide, and "
-                f"cell.places.{each.belongs_at} is {room:.3g} m wide; give at most {room / width:.3g}"
+                f"cell.places.{each.belongs_at} is {room:.3g} m wide; give at most {floored(room / width):g}"
             )
 
 
