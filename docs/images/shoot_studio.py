@@ -23,7 +23,7 @@ from tests.studio.browser import CHROMIUM, FLAGS, until
 
 HERE = Path(__file__).parent
 LEVELS = "policy=runs/reference/comfort_shift/levels0"
-SHIELDED = "policy=runs/reference/shielded/seed1"
+SHIELDED = "policy=runs/reference/shielded/seed2"
 HEIGHT_PX, WIDTHS_PX = 700, {"desktop": 1000, "phone": 360}
 GAP_PX = 12
 SHOWN = "getComputedStyle(document.querySelector('canvas[data-engine]') ?? document.body).opacity === '1'"

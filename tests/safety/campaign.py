@@ -37,7 +37,7 @@ MOTIONS = {
     "adversary": ("human.keep_out_m=0", "human.spawn=anywhere", "human.spawn_radius_m=[0.8,1.8]"),
     "recorded": (), "mixture": (),
 }  # fmt: skip
-BEHIND = "runs/reference/shielded/seed1"
+BEHIND = "runs/reference/shielded/seed2"
 SIGHT = ("task.observation=sight", "safety.clearance_m=0.01", "task.arrival_speed_rad_s=0.5")
 LEVEL = ("comfort=conditioned", "comfort.source=fixed", "comfort.level=5")
 POLICIES = {
