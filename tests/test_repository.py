@@ -13,6 +13,7 @@ import pytest
 from hrl_comfort.files.provenance import read_provenance
 from hrl_comfort.files.run_config import load_config, trained_environment
 from hrl_comfort.policies.actor import load_policy
+from hrl_comfort.scene.workcell import scene_of
 from hrl_comfort.sim.starts import recorded_starts
 from hrl_comfort.tasks import Start
 
@@ -51,7 +52,11 @@ def test_a_committed_skill_can_be_evaluated_alone(path: Path) -> None:
     env = trained_environment(str(path.parent))
     assert env is not None
     kinds = len(env.cell.kinds)
-    assert env.task.start == "ik" or len(recorded_starts(env, Start.AT_OBJECT, 6) or []) == kinds
+    hand = 0
+    if env.robot.gripper.holds:
+        model = scene_of(env).model
+        hand = model.nq + model.nv + 1 + kinds * env.randomise.resized
+    assert env.task.start == "ik" or len(recorded_starts(env, Start.AT_OBJECT, 6, hand) or []) == kinds
 
 
 @pytest.mark.parametrize("path", POLICIES, ids=named)
