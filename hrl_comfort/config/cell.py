@@ -36,14 +36,6 @@ class GripperConfig:
         """Whether objects are held by friction."""
         return self.name != "none"
 
-    def refuse(self, command: str) -> None:
-        """Raise ConfigError if it holds objects, which `command` does not know."""
-        if self.holds:
-            raise ConfigError(
-                f"robot.gripper.name={self.name} does not go with {command}; choose gripper=none, or look at this run "
-                "with hrl-comfort evaluate, studio and report"
-            )
-
 
 @dataclass(frozen=True)
 class RobotConfig:

@@ -218,8 +218,6 @@ class StudioConfig(EvaluateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_left_out()
-        if self.export is not None:
-            self.robot.gripper.refuse("studio export=")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S, StudioConfig
 from hrl_comfort.files.run_config import environment
 
@@ -62,6 +63,11 @@ def test_joints_go_where_they_go_in_python_for_whole_episodes(config: StudioConf
         shares += played["shares"][20:]  # before, the rating alone passes less
     session.close()
     assert min(shares) < 0.9
+
+
+def test_the_command_takes_a_hand(config: StudioConfig) -> None:
+    asked = compose("studio", [*WORDS, "gripper=two_finger", f"policy='{config.policy}'", "export=page.html"])
+    assert isinstance(asked, StudioConfig) and asked.robot.gripper.holds and asked.export == "page.html"
 
 
 def test_fingers_and_objects_are_drawn(config: StudioConfig, page: dict[str, Any]) -> None:
