@@ -6,7 +6,7 @@ from pathlib import Path
 import hrl_comfort
 
 ROOT = Path(__file__).resolve().parents[1]
-run = sys.argv[1] if len(sys.argv) > 1 else ROOT / "runs/reference/shielded/seed0/pick"
+run = sys.argv[1] if len(sys.argv) > 1 else ROOT / "runs/reference/shielded/seed2/pick"
 
 env = hrl_comfort.load(run=run, seed=0, flat_observation=True)  # dm_control, with the robot, people and shield of RUN
 policy = hrl_comfort.load_policy(run)  # observations (D,) to actions (A,)

@@ -29,7 +29,7 @@ from hrl_comfort.scene.workcell import build_scene
 from tests.deploy.faulty_link import BEHIND
 
 REFERENCE = [f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")]
-SHIELDED = [f"policies.{name}=runs/reference/shielded/seed0/{name}" for name in ("pick", "place", "return")]
+SHIELDED = [f"policies.{name}=runs/reference/shielded/seed2/{name}" for name in ("pick", "place", "return")]
 POLICIES = {
     "reference cycle": ["task=cycle", "meta_controller=nearest", *REFERENCE],
     "shielded cycle": ["task=cycle", "meta_controller=nearest", *SHIELDED, *BEHIND],
