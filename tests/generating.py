@@ -120,7 +120,7 @@ SIZES = {
     "place_tolerance": (), "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (),
     "human_beyond_bound": (), "arm_distance": (), "home_distance": (),
     "level": (), "objects": (1, 3), "layout": (3, 7), "tops": (3, 6),
-    "kind_places": (2, 3), "arm_body": (4, 7), "humans_body": (5, 7), "humans_body_vel": (5, 6),
+    "kind_places": (2, 3), "arm_body": (4, 7), "hand_body": (2, 7), "humans_body": (5, 7), "humans_body_vel": (5, 6),
 }  # fmt: skip
 """Shape of a row of fields of `State`; the others are points."""
 FLAGS = ("braking", "touching", "contact", "unsafe_contact", "table_collision", "self_collision")

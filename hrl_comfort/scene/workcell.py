@@ -91,6 +91,15 @@ class Scene:
         return len(self.limbs)
 
     @property
+    def hand_capsules(self) -> int:
+        """Number of capsules and spheres of the gripper and of what it may hold; of the arm's, they are the last."""
+        model = self.planning
+        last = int(model.jnt_bodyid[-1])
+        on_hand = (model.body_weldid == last) & (np.arange(model.nbody) != last)
+        rounded = np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE))
+        return 0 if self.gripper is None else int((rounded & on_hand[model.geom_bodyid]).sum())
+
+    @property
     def still(self) -> tuple[str, ...]:
         """Names of the bodies that the robot must not touch beside people and itself, by the sensor `table`."""
         return (*self.furniture, *STANDS)

@@ -17,6 +17,7 @@ from hrl_comfort.compiled import contiguous, plain
 from hrl_comfort.config import CONTROL_STEP_S, EnvConfig
 from hrl_comfort.safety import kernels
 from hrl_comfort.safety.drive import Drive, SetPoints, make_drive
+from hrl_comfort.safety.geometry import ArmGeometry
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import CartesianHand, action_dim
@@ -97,6 +98,7 @@ class Plan:
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
         """m/s, their mean velocity over the decision before."""
+        self._hand_capsules = scene.hand_capsules
         self._gripping = None if scene.gripper is None else Gripping(scene, subtask, sampler.horizon)
         self.planned = Planned({}, np.empty(0))
         """Of the decision, once its controls have been made."""
@@ -214,11 +216,7 @@ class Plan:
 
     def bodies(self, joints: Array, rows: Any = slice(None)) -> dict[str, Array]:
         """Return the fields of State about the bodies of arms at `joints` (r, J) rad and of people in `rows`."""
-        arm = self._separation.arm
-        return {
-            "arm_body": capsules(arm.pose(joints).ends, arm.radius),
-            **self.people_bodies(rows),
-        }
+        return arm_bodies(self._separation.arm, joints, self._hand_capsules) | self.people_bodies(rows)
 
     def people_bodies(self, rows: Any = slice(None)) -> dict[str, Array]:
         """Return the fields of State about the bodies of people in `rows`."""
@@ -304,6 +302,13 @@ class Plan:
         self._ends, self._pace = (np.ascontiguousarray(each) for each in kept)
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
+
+
+def arm_bodies(arm: ArmGeometry, joints: Array, of_hand: int) -> dict[str, Array]:
+    """Return the fields of State about arms at `joints` (r, J) rad; their last `of_hand` capsules are a gripper's."""
+    every = capsules(arm.pose(joints).ends, arm.radius)
+    own = len(arm.radius) - of_hand
+    return {"arm_body": every[:, :own], "hand_body": every[:, own:]} if of_hand else {"arm_body": every}
 
 
 def capsules(ends: Array, radius: Array) -> Array:

@@ -68,7 +68,8 @@ class State:
     tops: Tensor
     """(N, F, 6), tops of the places and obstacles: middle (3) m, half sides (2) m, turn about the vertical (1) rad."""
     arm_body: Tensor
-    """(N, A, 7) m, the arm's capsules as the decision begins: ends of the axis (6), radius (1)."""
+    """(N, A, 7) m, the arm's capsules, but those of a gripper, as the decision begins: ends of the axis (6), radius
+    (1)."""
     humans_body: Tensor
     """(N, Q, 7) m, the capsules of all people as last seen when the decision begins, as `arm_body`."""
     humans_body_vel: Tensor
@@ -118,6 +119,8 @@ class State:
     """(N,) int64, of the episode's random numbers for policies and options that draw (`policies.draws`)."""
     grip: Tensor = ABSENT
     """(N,) how far the hand is closed: 0 is open, 1 closed on nothing. This and all below with a gripper alone."""
+    hand_body: Tensor = ABSENT
+    """(N, H, 7) m, the capsules of the gripper and of what it may hold, as `arm_body`."""
     grip_vel: Tensor = ABSENT
     """(N,) 1/s, velocity of `grip`."""
     grip_target: Tensor = ABSENT

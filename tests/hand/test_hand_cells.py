@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from hrl_comfort.composition.compose import compose_environment
 from hrl_comfort.config import ConfigError, EnvConfig
@@ -16,6 +18,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.hand.sensors import fallen_m
 from tests.hand.campaign import decisions
 from tests.hand.pincer import Pincer
+from tests.studio.test_page_safety import drawn_policy
 
 ALONE = ("cell=grasp", "human=none", "task.object_jitter_m=0.05")
 
@@ -146,3 +149,29 @@ def test_the_expert_puts_pegs_into_a_slot_and_lets_go(kind: str) -> None:
             assert result.success[row] and state.free_steps[row, 0] >= 25 and not state.pads[row].any()
             assert off[:2].max() <= play + 1e-3 and off[2] < depth
         going &= ~ended
+
+
+def test_a_policy_sees_the_same_whichever_hand_the_arm_wears(tmp_path: Path) -> None:
+    words = ("task=cycle", "task.observation=sight", "human=still")
+    two, linked = (Engine(cell(*words, f"gripper={name}"), 2, 0) for name in ("two_finger", "robotiq_2f85"))
+    theirs, state = linked.reset(), two.reset()
+    task = two.episodes.subtask
+    assert task.layout(state) == linked.episodes.subtask.layout(theirs)
+    assert len(task.layout(state)["clearances"]) == 3 * state.arm_body.shape[1] == 21
+    assert torch.equal(state.arm_body, theirs.arm_body) and not torch.equal(state.hand_body, theirs.hand_body[:, :4])
+    trained = {"observation": "sight", "gripper": "two_finger", "shield": False}
+    policy = drawn_policy(tmp_path / "policy.pt", [*ALONE, *words], seed=0, **trained)
+    act = make_policy(str(policy.policy), linked.episodes.subtask, linked.scene, linked.episodes.config, 0)
+    assert act(theirs).shape == (2, 7)
+
+
+def test_people_near_the_hand_alone_are_seen() -> None:
+    engine = Engine(cell("task=pick", "task.observation=sight", "human=still"), 1, 0)
+    state = engine.reset()
+    along = state.tcp_pos - state.hand_body[:, 0, :3]
+    ahead = state.tcp_pos + 0.3 * along / along.norm()
+    person = torch.cat([ahead, ahead, torch.full((1, 1), 0.05)], dim=-1)[:, None]
+    still = {"humans_body": person, "humans_body_vel": torch.zeros(1, 1, 6).double()}
+    people = engine.episodes.subtask.observations["people"]
+    seen, without = (people(state.with_(**still, **hand))[0, 1] for hand in ({}, {"hand_body": state.arm_body}))
+    assert seen > without + 0.05

@@ -44,9 +44,9 @@ LOOK_UNIT_M = 1e-4
 FIELDS = {
     "joint_pos", "joint_vel", "joint_target", "tcp_pos", "tcp_home", "joint_home", "humans_pos", "humans_yaw",
     "humans_seen", "target_object", "target_place", "target_kind", "kind_places", "points", "stage", "level",
-    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share", "tops", "arm_body", "humans_body",
-    "humans_body_vel", "grip", "grip_vel", "grip_target", "tcp_quat", "target", "objects_quat", "objects_vel", "pads",
-    "ground", "aloft_steps", "free_steps", "kind_sizes",
+    "steps", "grasp_tolerance", "place_tolerance", "home_tolerance", "share", "tops", "arm_body", "hand_body",
+    "humans_body", "humans_body_vel", "grip", "grip_vel", "grip_target", "tcp_quat", "target", "objects_quat",
+    "objects_vel", "pads", "ground", "aloft_steps", "free_steps", "kind_sizes",
 }  # fmt: skip
 """What the page has of a State."""
 

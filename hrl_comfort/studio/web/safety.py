@@ -17,7 +17,7 @@ from hrl_comfort.safety.shield import Memory
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
-from hrl_comfort.sim.plan import capsules
+from hrl_comfort.sim.plan import arm_bodies, capsules
 from hrl_comfort.sim.variation.layouts import tops
 from hrl_comfort.studio.web.arrays import recorded
 
@@ -67,7 +67,7 @@ def safety(scene: Scene, env: EnvConfig, walk: Walk) -> dict[str, Any]:
     def bodies(joint_pos: Array, limbs: Array, limbs_before: Array, since: Array) -> dict[str, Array]:
         ends, before = person.ends(limbs), person.ends(limbs_before)
         return {
-            "arm_body": capsules(arm.pose(joint_pos).ends, arm.radius),
+            **arm_bodies(arm, joint_pos, scene.hand_capsules),
             "humans_body": capsules(ends, person.radius),
             "humans_body_vel": capsules((ends - before) / since, np.empty(0)),
         }

@@ -14,7 +14,7 @@ from torch.linalg import vector_norm
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.tasks.observations import kernels
 from hrl_comfort.tasks.observations.standard import goal_offset, joint_error, joint_velocity, stage_in_force
-from hrl_comfort.tasks.state import State
+from hrl_comfort.tasks.state import ABSENT, State
 from hrl_comfort.tasks.subtask import Stage, StateFunction, by_stage
 
 SEEN_M = 1.2
@@ -91,7 +91,8 @@ def to_tops(points: Tensor, tops: Tensor) -> Tensor:
 def clearances(state: State) -> Tensor:
     """Return (N, 3 A): how near each part of the arm is to what stands there: a vector, 1 long at a touch.
 
-    It points to the nearest place or obstacle and is 0 from `NEAR_M` on; each counts as solid from its top down.
+    It points to the nearest place or obstacle and is 0 from `NEAR_M` on; each counts as solid from its top down. Parts
+    of a gripper, of which each hand has others, are left out.
     """
     arm = state.arm_body.clamp(-AWAY_M, AWAY_M)
     shares = torch.linspace(0.0, 1.0, ALONG, dtype=arm.dtype)[:, None]
@@ -122,9 +123,9 @@ def people(stages: tuple[Stage, ...]) -> StateFunction:
         way = torch.cat([hand, there], dim=-1)[:, None]
         bare = torch.cat([points, way], dim=1)
         bare = torch.cat([bare, torch.zeros_like(bare[..., :1])], dim=-1)
-        arm, people, moving = (
-            each.clamp(-AWAY_M, AWAY_M) for each in (state.arm_body, state.humans_body, state.humans_body_vel)
-        )
+        own, hand = state.arm_body, state.hand_body
+        own = own if hand.shape == ABSENT.shape else torch.cat([own, hand], dim=1)
+        arm, people, moving = (each.clamp(-AWAY_M, AWAY_M) for each in (own, state.humans_body, state.humans_body_vel))
         gap, vector, speed = closest(torch.cat([bare, arm], dim=1), people, moving)
         of_arm = gap[:, 3:].min(dim=1)
         apart = torch.stack([gap[:, 0], of_arm.values, gap[:, 2], gap[:, 1]], dim=1)

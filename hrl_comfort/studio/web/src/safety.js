@@ -32,11 +32,15 @@ export class Safety {
 
   /** Return the fields about the capsules of an arm at some angles (rad) and of a person, since the decision before. */
   bodies(angles, limbs) {
-    const { seen } = this, { arm_body, humans_body, humans_body_vel } = this.bodiesGraph({
+    const { seen } = this, bodies = this.bodiesGraph({
       joint_pos: row(angles), limbs: limbRow(limbs), limbs_before: limbRow(seen.limbs), since: { shape: [1], data: [seen.since] },
     });
-    const parts = (data, width) => ({ shape: [1, data.length / width, width], data });
-    return { arm_body: parts(arm_body, 7), humans_body: parts(humans_body, 7), humans_body_vel: parts(humans_body_vel, 6) };
+    return Object.fromEntries(
+      Object.entries(bodies).map(([name, data]) => {
+        const width = name === "humans_body_vel" ? 6 : 7;
+        return [name, { shape: [1, data.length / width, width], data }];
+      }),
+    );
   }
 
   /**
