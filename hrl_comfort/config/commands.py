@@ -57,11 +57,6 @@ class EnvConfig(CommandConfig):
             raise ConfigError(
                 "task.start=pregrasp puts a hand in front of an object; choose gripper=two_finger, or task.start=ik"
             )
-        if self.robot.gripper.holds and cell.vary.layouts:
-            raise ConfigError(
-                f"cell.vary.layouts={cell.vary.layouts} are not made for grasps; with robot.gripper.name="
-                f"{self.robot.gripper.name} choose cell.vary.layouts=0"
-            )
         check_objects(task, cell, self.robot.gripper.holds)
         if self.engine.processes > 1:
             self._check_processes()

@@ -315,7 +315,6 @@ def test_episodes_go_on_exactly_from_a_saved_state() -> None:
         ("train", ["gripper=two_finger", "robot.end_effector=rg2"], "both at the flange"),
         ("train", ["gripper=two_finger", "task=shift"], "slots_m has 1; add slots"),
         ("train", ["gripper=three_finger"], "is not a choice"),
-        ("train", ["gripper=two_finger", "cell.vary.layouts=8"], "choose cell.vary.layouts=0"),
     ],
 )
 def test_what_does_not_go_with_a_gripper_is_refused_in_one_line(root: str, words: Sequence[str], says: str) -> None:

@@ -141,30 +141,58 @@ class Grasps:
         for turn in turns:
             start = place - back_m * turn[:, 2] + [0.0, 0.0, up_m]
             for seed in self.seeds(start, turn, near):
-                away = self.reach(seed, start, turn)
-                if away is None or not self.free(away, away=True):
-                    continue
-                at = self.reach(away, place, turn)
-                if at is not None and self.free(at) and np.abs(at - away).max() < 1.0:
+                away = self._leading(seed, start, place, turn)
+                if away is not None:
                     found.append(away)
                     break
             if len(found) == count:
                 break
         return found
 
-    def starts(self, place: Array, lifted: bool, spread_m: float = 0.0) -> Array:
-        """Return up to COUNT postures (n, J) of a hand that has `lifted` an object from (3,) m, or is in front of it.
+    def _leading(self, seed: Array, start: Array, place: Array, turn: Array) -> Array | None:
+        """Return the posture (J,) near `seed` with the tool at `start` (3,) m, if it and the grasp are free.
+
+        The tool has axes `turn` (3, 3) there, and in the grasp at `place` (3,) m.
+        """
+        away = self.reach(seed, start, turn)
+        if away is None or not self.free(away, away=True):
+            return None
+        at = self.reach(away, place, turn)
+        return away if at is not None and self.free(at) and np.abs(at - away).max() < 1.0 else None
+
+    def moved(self, postures: Array, origin: Array, place: Array, lifted: bool, count: int) -> Array:
+        """Return up to `count` postures (n, J) as `starts` at `place` (3,) m, from those (m, J) at `origin` (3,) m.
+
+        Hands keep their pose at the object but for the bearing from the robot.
+        """
+        pan, found = math.atan2(place[1], place[0]) - math.atan2(origin[1], origin[0]), list[Array]()
+        cos, sin = math.cos(pan), math.sin(pan)
+        spin = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        for posture in postures:
+            at, axes = self.pose(posture)
+            start, turn, seed = place + spin @ (at - origin), spin @ axes, posture.copy()
+            seed[0] = (seed[0] + pan + np.pi) % (2 * np.pi) - np.pi
+            way = np.array([0.0, 0.0, 1.0]) if lifted else turn[:, 2] / turn[2, 2]
+            away = self._leading(seed, start, start + (place[2] - start[2]) * way, turn)
+            if away is not None:
+                found.append(away)
+            if len(found) == count:
+                break
+        return np.array(found).reshape(-1, postures.shape[1])
+
+    def starts(self, place: Array, lifted: bool, spread_m: float = 0.0, count: int = COUNT) -> Array:
+        """Return up to `count` postures (n, J) of a hand that has `lifted` an object from (3,) m, or is in front of it.
 
         The object is up to `spread_m` away along x and y.
         """
         rng, found = np.random.default_rng(0), list[Array]()
-        for _ in range(3 * COUNT):
+        for _ in range(3 * count):
             tilt, azimuth = rng.choice(TILTS_RAD), math.atan2(place[1], place[0]) + rng.uniform(-np.pi, np.pi)
             turn, up = turn_of(float(tilt), float(azimuth), float(rng.choice([-1.0, 1.0]))), rng.uniform(0.9, 1.2)
             back_m, up_m = (0.0, up * ABOVE_M) if lifted else (up * BACK_M, 0.0)
             aside = np.array([*rng.uniform(-spread_m, spread_m, 2), 0.0])
             found += self.found(place + aside, [turn], self._scene.home, 1, back_m, up_m)
-            if len(found) == COUNT:
+            if len(found) == count:
                 break
         return np.array(found).reshape(-1, len(self._scene.home))
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from hrl_comfort.config import FAR_AWAY_M, CellConfig, ConfigError, EnvConfig, VaryConfig
 from hrl_comfort.config.cell import DIGITS
-from hrl_comfort.scene.furniture import turn
+from hrl_comfort.scene.furniture import THICKNESS_M, turn
 from hrl_comfort.scene.layout import reach
 from hrl_comfort.scene.workcell import Scene, tool_at
+from hrl_comfort.sim.variation.grasps import COUNT as GRASPS
 from hrl_comfort.sim.variation.grasps import Grasps, rise_m
 from hrl_comfort.sim.variation.postures import Postures
 from hrl_comfort.sim.variation.random_streams import random_stream
@@ -34,6 +35,10 @@ SERVED_M = 0.04
 """Distance to everything that stands there with which the arm can serve a layout that is drawn."""
 COUNT = 96
 """Number of postures for each goal of a cell that does not vary."""
+MODELS = 12
+"""Number of postures of a hand in the layout given from which those in layouts that are drawn are made."""
+ROUNDED = 1e-9
+"""Rounding of coordinates, m."""
 SPLITS = ("train", "validation", "test")
 
 
@@ -85,6 +90,7 @@ class Layouts:
         self._solver = Postures(scene.planning_xml, scene.home, SERVED_M)
         self._known: dict[tuple[str, int], Layout] = {}
         self._hand_postures: dict[tuple[bytes, Start, int], Array] = {}
+        self._hand = scene.gripper is not None
 
     @property
     def varies(self) -> bool:
@@ -99,7 +105,7 @@ class Layouts:
 
     def postures(self, layout: Layout, start: Start, kind: int) -> Array:
         """Return postures (n, J) rad with the tool where `start` says, for an object of a kind."""
-        if self._scene.gripper is not None:
+        if self._hand:
             return self._of_hand(layout, start, kind)
         picked = start == Start.AT_OBJECT
         if layout is not self.given:
@@ -112,17 +118,41 @@ class Layouts:
 
     def _of_hand(self, layout: Layout, start: Start, kind: int) -> Array:
         """Return postures (n, J) rad of a hand in front of an object of a kind, or that has lifted it or let it go."""
-        goal = (layout.belongs if start == Start.AT_PLACE else layout.arrives)[kind]
+        goal = self._goal(layout, start, kind)
         poses = np.concatenate([layout.places, layout.obstacles])
         key = (poses.tobytes(), start, kind)
-        if key not in self._hand_postures:
+        if key not in self._hand_postures and layout is not self.given:
+            self._hand_postures[key] = self._moved(layout, start, kind, goal, POSTURES)
+        elif key not in self._hand_postures:
             self._grasps.stand(poses)
-            spread = self._jitter if start == Start.BEFORE_OBJECT else 0.0
-            point = goal + np.array([0.0, 0.0, rise_m(self._scene, kind)])
-            self._hand_postures[key] = self._grasps.starts(point, start == Start.AT_OBJECT, spread)
+            spread, count = self._jitter if start == Start.BEFORE_OBJECT else 0.0, MODELS if self.varies else GRASPS
+            point = goal + self._rise(kind)
+            self._hand_postures[key] = self._grasps.starts(point, start == Start.AT_OBJECT, spread, count)
         if not len(self._hand_postures[key]):
             raise ConfigError(f"no grasp found at cell point {goal.round(3).tolist()}: is it within reach?")
         return self._hand_postures[key]
+
+    def _goal(self, layout: Layout, start: Start, kind: int) -> Array:
+        """Return the centre (3,) m of an object of a kind at which a hand begins."""
+        return np.asarray((layout.belongs if start == Start.AT_PLACE else layout.arrives)[kind])
+
+    def _rise(self, kind: int) -> Array:
+        return np.array([0.0, 0.0, rise_m(self._scene, kind)])
+
+    def _moved(self, layout: Layout, start: Start, kind: int, goal: Array, count: int) -> Array:
+        """Return up to `count` postures (n, J) rad as `_of_hand`, of an object at `goal` (3,) m in a layout drawn."""
+        models, origin = self._of_hand(self.given, start, kind), self._goal(self.given, start, kind)
+        models = np.roll(models, -POSTURES * int(layout.number), axis=0)  # others in the next layout
+        self._grasps.stand(np.concatenate([layout.places, layout.obstacles]))
+        rise = self._rise(kind)
+        return self._grasps.moved(models, origin + rise, goal + rise, start == Start.AT_OBJECT, count)
+
+    def _served(self, layout: Layout) -> bool:
+        """Return whether a hand can lift an object of each kind where it arrives and where it belongs."""
+        ends = {
+            goal.tobytes(): (kind, goal) for each in (layout.arrives, layout.belongs) for kind, goal in enumerate(each)
+        }
+        return all(len(self._moved(layout, Start.AT_OBJECT, *end, 1)) for end in ends.values())
 
     @cached_property
     def _grasps(self) -> Grasps:
@@ -147,7 +177,8 @@ class Layouts:
     def _drawn(self, vary: VaryConfig, number: int, rng: np.random.Generator) -> Layout | None:
         """Return a layout that the arm can serve SERVED_M away from everything, if this draw is one.
 
-        At each goal there is a posture from which it can rise straight to home, turn there and come down elsewhere.
+        At each goal there is a posture from which it can rise straight to home, turn there and come down elsewhere;
+        with a gripper one that has lifted an object.
         """
         count, standing = len(self._cell.places), len(self._cell.obstacles)
         ground = self._ground(vary, count + standing, rng)
@@ -156,10 +187,13 @@ class Layouts:
         height = rng.uniform(low, high, count).round(DIGITS)
         there = rng.random(standing) < vary.obstacle_probability
         home = self._scene.home + np.radians(vary.home_deg) * rng.uniform(-1, 1, len(self._scene.home))
-        if ground is None:
+        if ground is None or (self._table and height.min() < self.given.tops[self._table, 2] + THICKNESS_M - ROUNDED):
             return None
         places[:, :2], places[:, 2] = ground[:count], height
-        obstacles[:, :2] = np.where(there[:, None], ground[count:], [FAR_AWAY_M, 0.0])
+        stays = np.arange(count, count + standing)[:, None] == self._table
+        obstacles[:, :2] = np.where(
+            stays, obstacles[:, :2], np.where(there[:, None], ground[count:], [FAR_AWAY_M, 0.0])
+        )
         for pose, place in zip(places, self._cell.places.values(), strict=True):
             pose[3:] = turn(float(np.arctan2(pose[1], pose[0]) + np.radians(place.yaw_deg)))
         found = self._layout(number, places, obstacles, home)
@@ -169,6 +203,8 @@ class Layouts:
         self._solver.stand(home, np.concatenate([places, obstacles]), self._scene.first_furniture)
         if not self._solver.free(home) or not self._solver.turns():
             return None
+        if self._hand:
+            return found if self._served(found) else None
         near = self._precision.grasp_tolerance_m, self._precision.place_tolerance_m
         solved: dict[bytes, Array] = {}
         every = (found.arrives, found.belongs), near, (found.at_arrival, found.at_place)
@@ -182,16 +218,44 @@ class Layouts:
         return found
 
     def _ground(self, vary: VaryConfig, count: int, rng: np.random.Generator) -> Array | None:
-        """Return where (count, 2) m things stand, `apart_m` from each other, if this draw is free."""
+        """Return where (count, 2) m things stand, `apart_m` from each other, on their table, if this draw is free."""
         found: list[Array] = []
-        for _ in range(count):
-            near, far = vary.distance_m
-            distance, bearing = rng.uniform(near, far), rng.uniform(-np.pi, np.pi)
-            place = distance * np.array([np.cos(bearing), np.sin(bearing)])
-            if any(np.linalg.norm(place - other) < vary.apart_m for other in found):
+        for index in range(count):
+            if index == self._table:
+                found.append(np.full(2, np.inf))
+                continue
+            for _ in range(1 if self._table is None else ATTEMPTS):
+                near, far = vary.distance_m
+                distance, bearing = rng.uniform(near, far), rng.uniform(-np.pi, np.pi)
+                place = distance * np.array([np.cos(bearing), np.sin(bearing)])
+                apart = all(np.linalg.norm(place - other) >= vary.apart_m for other in found)
+                if apart and (self._table is None or self._upon(self._table, index, place)):
+                    found.append(place)
+                    break
+            else:
                 return None
-            found.append(place)
         return np.array(found)
+
+    @cached_property
+    def _table(self) -> int | None:
+        """Number in the layout of the box that carries every place in the configuration, if one does: it stays."""
+        places, standing = list(self._cell.places.values()), list(self._cell.obstacles.values())
+        tops, lowest = self.given.tops, min(each.top_m[2] for each in places) - THICKNESS_M
+        carried = not any(each.legs for each in places)
+        for table, each in enumerate(standing, len(places)):
+            under = each.shape == "box" and tops[table, 2] <= lowest + ROUNDED
+            if carried and under and all(inside(tops[index], tops[table]) for index in range(len(places))):
+                return table
+        return None
+
+    def _upon(self, table: int, index: int, at: Array) -> bool:
+        """Return whether a thing of the layout is on the table where it stands at (2,) m, turned as it is drawn."""
+        top = self.given.tops[index].copy()
+        top[:2] = at
+        if index < len(self._cell.places):
+            yaw_deg = list(self._cell.places.values())[index].yaw_deg
+            top[5] = np.arctan2(at[1], at[0]) + np.radians(yaw_deg)
+        return inside(top, self.given.tops[table])
 
     def _layout(self, number: float, places: Array, obstacles: Array, home: Array) -> Layout:
         cell, names = self._cell, list(self._cell.places)
@@ -241,6 +305,14 @@ def tops(cell: CellConfig, places: Array, obstacles: Array) -> Array:
     middle = poses[:, :3] + np.array(rise)[:, None] * [0.0, 0.0, 1.0]
     yaw = 2 * np.arctan2(poses[:, 6], poses[:, 3])
     return np.concatenate([middle, np.array(half), yaw[:, None]], axis=1)
+
+
+def inside(top: Array, table: Array) -> bool:
+    """Return whether one of `tops` (6,), seen from above, is within another (6,)."""
+    (x, y), turned = top[:2] - table[:2], abs(np.array([np.cos(top[5] - table[5]), np.sin(top[5] - table[5])]))
+    cos, sin = np.cos(table[5]), np.sin(table[5])
+    reach = np.abs([cos * x + sin * y, cos * y - sin * x]) + np.array([turned @ top[3:5], turned @ top[4:2:-1]])
+    return bool((reach <= table[3:5] + ROUNDED).all())
 
 
 def behind(places: Array) -> Array:
