@@ -15,7 +15,7 @@ EXAMPLES = {
 }  # fmt: skip
 """Arguments that make an example short."""
 FEW = {
-    "measure.ROUNDS": 1, "measure.SECONDS": 0.01, "env.NUM_ENVS": (1, 4), "update.BATCHES": (32,),
+    "measure.ROUNDS": 1, "measure.SECONDS": 0.01, "env.NUM_ENVS": (1, 4), "env.SIZES": {}, "update.BATCHES": (32,),
     "train.SEEDS": range(1), "train.CHECK_EPISODES": 4, "train.CHECK_GROWTH": 4,
 }  # fmt: skip
 """Rounds and seeds of the benchmarks."""

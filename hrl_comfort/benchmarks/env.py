@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -30,8 +29,11 @@ _SHIELDED = (
 WORLDS = {
     "shielded": ("task=cycle", *_SHIELDED, "task.observation=sight"),
     "shift": ("task=shift", *_SHIELDED, "comfort=distance_and_speed", "task.observation=sight"),
+    "grasp": ("task=cycle", "cell=grasp", *_SHIELDED, "task.observation=sight"),
 }
 """World beside the one that is configured -> what configures it."""
+SIZES = {"grasp": (64,)}
+"""World -> its numbers of cells in the place of NUM_ENVS."""
 COLUMNS = ("world", "num_envs", "loop", "round", "policy_steps_per_s")
 BARE = "bare mujoco.rollout"
 
@@ -59,7 +61,8 @@ def bench_env(config: TrainConfig) -> Path:
         return {name: partial(rate, step, cells) for name, step in found.items()}
 
     path = Path(config.output) / "env.csv"
-    print(table(interleaved(path, COLUMNS, product(worlds, NUM_ENVS), loops)), end="")
+    sizes = [(world, cells) for world in worlds for cells in SIZES.get(world, NUM_ENVS)]
+    print(table(interleaved(path, COLUMNS, sizes, loops)), end="")
     return path
 
 

@@ -67,6 +67,7 @@ def test_ratios_are_the_medians_of_those_of_each_round() -> None:
 
 def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(bench_env, "NUM_ENVS", (1, 4))
+    monkeypatch.setattr(bench_env, "SIZES", {"grasp": (4,)})
     monkeypatch.setattr(measure, "SECONDS", 0.0)
     made: dict[int, int] = {}
     step = bench_env.Engine.step
@@ -82,11 +83,12 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     worlds = ["pick", "shielded", "shift"]
     expected = [(world, cells, name) for world in worlds for cells in (1, 4) for name in loops]
     expected.insert(2, ("pick", 1, "dm_control front"))
+    expected += [("grasp", 4, name) for name in loops]
     for turn in range(measure.ROUNDS):
         rows = frame[frame["round"] == turn]
         assert [*zip(rows["world"], rows["num_envs"], rows["loop"], strict=True)] == expected
     each = len(worlds) * 2 * measure.ROUNDS
-    assert made == {1: each, 4: each}, "one to warm up, one in no time"
+    assert made == {1: each, 4: each + 2 * measure.ROUNDS}, "one to warm up, one in no time"
 
 
 def test_the_engine_is_measured_in_several_processes_beside_one(tmp_path: Path, monkeypatch) -> None:
