@@ -151,16 +151,14 @@ class ObstacleConfig:
 
 @dataclass(frozen=True)
 class VaryConfig:
-    """Ranges [low, high] from which the layouts of a cell are drawn, uniformly.
-
-    An obstacle that carries all places, which then have no legs, stays where it is, and everything stands on it.
-    """
+    """Ranges [low, high] from which the layouts of a cell are drawn, uniformly."""
 
     layouts: Annotated[int, within(0, 100_000)] = 0
     """Number of layouts in each split; `train`, `validation` and `test` have none in common. 0: the layout is always
     the one given."""
     distance_m: XY = field(default_factory=lambda: [0.38, 0.68])
-    """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any."""
+    """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any. A box that carries
+    all places, which have no legs, stays where it is, and all else stands on it."""
     height_m: XY = field(default_factory=lambda: [0.0, 0.42])
     """Height of a place's top above the robot's base, m."""
     apart_m: Annotated[float, within(0.0, 2.0)] = 0.3

@@ -26,6 +26,7 @@ from hrl_comfort.files.versions import INPUTS, ONE_PERSON
 from hrl_comfort.policies.actor import Policy
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.observations.standard import nearest_alone
+from hrl_comfort.tasks.state import ABSENT
 from hrl_comfort.tasks.subtask import StateFunction
 
 ONNX = "onnx:"
@@ -48,15 +49,15 @@ def inputs_of(function: StateFunction, state: State) -> tuple[str, ...]:
 
 
 class _Read:
-    """A state that adds to `names` which of NAMES are read of it, but for those `replaced`."""
+    """A state that adds to `names` which of NAMES are read of it, but for those `replaced` and absent."""
 
     def __init__(self, state: State, names: set[str], replaced: frozenset[str] = frozenset()) -> None:
         self._state, self._names, self._replaced = state, names, replaced
 
     def __getattr__(self, name: str) -> Tensor:
-        if name not in self._replaced:
-            self._names.add(name)
         value: Tensor = getattr(self._state, name)
+        if name not in self._replaced and value.shape != ABSENT.shape:
+            self._names.add(name)
         return value
 
     def with_(self, **changes: Tensor) -> _Read:
