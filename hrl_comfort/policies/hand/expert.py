@@ -22,7 +22,6 @@ from hrl_comfort.policies.hand.fitting import (
     FIT_RAD,
     HOVER_M,
     SQUARE_M,
-    Slot,
     angle_of,
     axes_of,
     level_turns,
@@ -222,7 +221,7 @@ class GraspingExpert(Expert):
         _, turn = self._grasps.pose(state.joint_target[row].numpy())
         fit, down = np.eye(3), self._advance(-way[2])
         if (slot := self._slots[int(state.target_kind[row])]) is not None:
-            yaw = _yaw(slot, state.layout[row].numpy())
+            yaw = slot.yaw(state.layout[row].numpy())
             fit = slot.fit(axes_of(state.objects_quat[row, int(state.target[row])].numpy()), yaw)
             if np.hypot(*way[:2]) > FIT_M or angle_of(fit) > FIT_RAD:
                 down = min(down, -way[2] - HOVER_M)
@@ -296,7 +295,7 @@ class GraspingExpert(Expert):
                 turns = list(approaches(place, *goal[5:]))
                 found = self._goal_postures.found(place, turns, home, NEAREST, back_m=part * BACK_M)
             else:
-                turns = level_turns(place, np.array(goal[5:]), slot, _yaw(slot, self._layout) if slot else 0.0)
+                turns = level_turns(place, np.array(goal[5:]), slot, slot.yaw(self._layout) if slot else 0.0)
                 found = self._goal_postures.found(place, turns, home, NEAREST, up_m=part * ABOVE_M)
             if len(found):
                 return found[np.arange(NEAREST) % len(found)]
@@ -340,12 +339,6 @@ class GraspingExpert(Expert):
     def _gap(self, postures: Array, when: Array, person: Array) -> Array:
         """Return the least distance (..., S) m of `postures` (..., S, 6) to the capsules of people then."""
         return of_rows(lambda *given: self._beside.gaps(*given)[1].min(axis=0), person, postures, when)
-
-
-def _yaw(slot: Slot, layout: Array) -> float:
-    """Return the bearing, rad, of a slot in a layout (F, 7)."""
-    w, _, _, z = layout[slot.index, 3:]
-    return 2 * float(np.arctan2(z, w))
 
 
 def _rounded(values: Array, unit: float) -> Array:

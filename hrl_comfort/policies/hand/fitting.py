@@ -29,6 +29,11 @@ class Slot:
     between: float | None
     """Angle, rad, from one turn of the object that fits to the next; None if it is round."""
 
+    def yaw(self, layout: Array) -> float:
+        """Return its bearing, rad, in a layout (F, 7)."""
+        w, _, _, z = layout[self.index, 3:]
+        return 2 * float(np.arctan2(z, w))
+
     def fit(self, axes: Array, yaw: float) -> Array:
         """Return the least turn (3, 3) after which an object with `axes` (3, 3) fits into a slot at bearing `yaw`."""
         index = int(np.abs(axes[2]).argmax())
