@@ -169,20 +169,21 @@ class PersonGeometry:
         names = scene.limbs if names is None else names
         limbs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, limb) for limb in names]
         found = [part for part in _capsules(model, data) if part[0] in limbs]
-        self._limb = np.array([limbs.index(part[0]) for part in found])
+        self.limb = np.array([limbs.index(part[0]) for part in found])
+        """(P,) limb of each capsule."""
         self._local = np.stack([part[1] for part in found])
         self.radius = np.array([part[2] for part in found])
         """(P,) m."""
-        self.compiled = self._limb, self._local
+        self.compiled = self.limb, self._local
         """Its part that kernels take."""
 
     def ends(self, limbs: Array) -> Array:
         """Return the ends (3, P, 2, N) m of the capsules' axes; limbs (N, L, 7): position m, quaternion w first."""
         if plain(limbs):
-            return kernels.limb_ends(*contiguous(limbs), self._limb, self._local)
+            return kernels.limb_ends(*contiguous(limbs), self.limb, self._local)
         moved = limbs.transpose(2, 1, 0)
-        turns = rotations(moved[3:])[:, :, self._limb, None]
-        return moved[:3, self._limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
+        turns = rotations(moved[3:])[:, :, self.limb, None]
+        return moved[:3, self.limb, None] + _turned(turns, self._local.transpose(2, 0, 1)[..., None])
 
 
 def turns(angles: Array) -> tuple[Array, Array]:
@@ -201,6 +202,21 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
     apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
     nearest: Array = (apart - (arm.radius[:, None, None] + person.radius[:, None])).min(axis=1)
     return nearest
+
+
+def touching(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the capsule (N,) of people that is nearest to the arm, and the unit vector (N, 3) from the arm to it.
+
+    The vector joins the nearest points of the axes; it is 0 where these cross. See `gaps`.
+    """
+    on_arm, on_person = closest_points(
+        ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1]
+    )
+    between = (on_person - on_arm).reshape(3, -1, ends.shape[-1])
+    apart = norm(between) - (arm.radius[:, None] + person.radius).reshape(-1, 1)
+    nearest = apart.argmin(axis=0)
+    vector = between[:, nearest, np.arange(len(nearest))]
+    return nearest % len(person.radius), (vector / np.maximum(norm(vector), 1e-9)).T
 
 
 def farthest(ends: Array, before: Array) -> Array:

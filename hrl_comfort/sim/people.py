@@ -1,7 +1,7 @@
 """The people of N cells, one control step at a time.
 
-People stop where they touch the arm, and step back: one who walks on pushes without limit, and the physics goes
-unstable; one who stays stands in the arm's way for ever.
+People stop where they touch the arm, draw back the hand that touches it, and step back: one who walks on pushes without
+limit, and the physics goes unstable; one who stays stands in the arm's way for ever.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
+from hrl_comfort.humans.arms import drawn_back
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps, touching
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.human import BODY
 from hrl_comfort.scene.workcell import Scene
@@ -226,7 +227,21 @@ def _stopped(
     stood = before.rows(at)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
+    held = _drawn_back(scene, arm, person, now.pose.ends[..., at], held)
     limbs[at] = limbs_of(scene, held)
     ends[..., at] = person.ends(limbs[at])
     way = max(way, farthest(ends[..., at], now.person[..., at]).max(initial=0.0))
     return Crowd((walk.put(at, held),), limbs, ends), way
+
+
+def _drawn_back(scene: Scene, arm: ArmGeometry, person: PersonGeometry, ends: Array, held: humans.Walk) -> humans.Walk:
+    """Return people `held` (n) by arms with capsules at `ends` (3, C, 2, n) m, a touched hand drawn back if it can be.
+
+    One that hooks behind the arm would hold its owner, and the arm.
+    """
+    now = person.ends(limbs_of(scene, held))
+    part, away = touching(arm, ends, person, now)
+    back = replace(held, limbs=drawn_back(held.limbs, held.yaw, person.limb[part], away))
+    room, gap = (gaps(arm, ends, person, each).min(axis=0) for each in (now, person.ends(limbs_of(scene, back))))
+    worse = np.flatnonzero(gap < room)
+    return back.put(worse, held.rows(worse))

@@ -50,12 +50,13 @@ def test_who_touches_the_arm_steps_back_half_a_metre(name):
     assert not walk.retreat.any()
 
 
-def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
+@pytest.mark.parametrize("sideways", [False, True])
+def test_who_touches_the_arm_with_a_reaching_hand_gets_free(sideways):
     said = ["task=pick", "human=worker", "robot.rating=collaborative", "task.terminate_on=unsafe_contact"]
     env = environment(compose("train", said))
     engine = Engine(env, 1, 0)
     scene, separation = engine.scene, Separation(engine.scene)
-    rng, n = np.random.default_rng(0), 512
+    rng, n = np.random.default_rng(0), 2048
     angles = scene.home + rng.uniform(-1.5, 1.5, (n, len(scene.home)))
     walk = humans.begin(env.human, rng.uniform(-1, 1, (n, 2)), rng.random((n, humans.TRAITS)))
     hands = np.array([[0.4, 0.1, 1.15], [0.4, -0.1, 1.15]]) + rng.uniform(-0.2, 0.2, (n, 2, 3))
@@ -66,6 +67,8 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free():
     points = separation.arm.points(angles, np.zeros_like(angles))
     offset = points[0][..., :2] - walk.position[:, None]
     towards = offset[np.arange(len(near)), np.linalg.norm(offset, axis=-1).argmin(axis=1)]
+    if sideways:  # a forearm may hook behind the arm
+        towards = rng.normal(0, 0.5, towards.shape)
     now = separation.encounter(angles, limbs_of(scene, walk))
 
     def stopped(ahead: humans.Walk) -> tuple[humans.Walk, Encounter]:

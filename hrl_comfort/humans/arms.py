@@ -1,0 +1,80 @@
+"""People's arms: no faster than people are, and drawn back from where the robot touches them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.compiled import kernel
+from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.humans.body import FOREARM_M, UPPER_ARM_M
+from hrl_comfort.humans.kernels import RETREAT_SPEED
+
+Array = NDArray[np.float64]
+FASTEST_M_S = 1.6
+"""Largest speed of any part of a person: walking speed (ISO 13855:2010, section 6.2.2)."""
+SPAN_M = 0.75
+"""Largest distance of a hand from the person's axis."""
+BACK_M_S = 0.5
+"""Largest speed of a hand that is drawn back. Chosen, not measured."""
+ROUNDED_M = 1e-6
+"""Way beyond the allowed one that is let pass."""
+FIRST_ARM = 3
+"""Index in `scene.human.LIMBS` of the first limb of an arm; left and right take turns."""
+
+
+@kernel
+def bounded(bent: Array, limbs: Array, moved: Array, limits: Array, traits: Array) -> None:
+    """Let elbows and hands go as fast as `FASTEST_M_S` allows beside the motion `moved` of the person, and no faster.
+
+    `limbs` and `bent`, which is changed, are `Walk.limbs` before and after a control step. The others are as in
+    `kernels.settle`; arms of people who do as their source says are left as they are.
+    """
+    for m in range(len(bent)):
+        if limits[int(traits[m, 0] * len(limits)), RETREAT_SPEED] == 0.0:
+            continue
+        pace = math.sqrt(moved[m, 0] ** 2 + moved[m, 1] ** 2) + SPAN_M * abs(moved[m, 2])
+        most = max(FASTEST_M_S - pace, 0.0) * CONTROL_STEP_S
+        for upper in (2, 3):
+            far = _far(bent[m], limbs[m], upper)
+            while far > most + ROUNDED_M:  # false of an arm that swings in its gait, whose `far` is NaN
+                for limb in (upper, upper + 2):
+                    size = 0.0
+                    for axis in range(3):
+                        change = bent[m, limb, axis] - limbs[m, limb, axis]
+                        bent[m, limb, axis] = limbs[m, limb, axis] + most / far * change
+                        size += bent[m, limb, axis] ** 2
+                    for axis in range(3):
+                        bent[m, limb, axis] /= max(math.sqrt(size), 1e-9)
+                far = _far(bent[m], limbs[m], upper)
+
+
+@kernel
+def _far(bent: Array, limbs: Array, upper: int) -> float:
+    """Return how far, m, elbow or hand of the arm of the limb `upper` goes from `limbs` to `bent` (6, 3)."""
+    elbow, hand = 0.0, 0.0
+    for axis in range(3):
+        bend = UPPER_ARM_M * (bent[upper, axis] - limbs[upper, axis])
+        elbow += bend**2
+        hand += (bend + FOREARM_M * (bent[upper + 2, axis] - limbs[upper + 2, axis])) ** 2
+    return math.sqrt(max(elbow, hand))
+
+
+def drawn_back(limbs: Array, yaw: Array, touched: NDArray[np.int64], away: Array) -> Array:
+    """Return `Walk.limbs` (n, 6, 3) a control step later, of people at `yaw` (n,) rad whom the robot touches.
+
+    It touches the limb `touched` (n,), an index of `scene.human.LIMBS`; if that is of an arm that does not swing in its
+    gait, the whole arm goes in the direction of the unit vector `away` (n, 3), cell frame.
+    """
+    cos, sin, (x, y, z) = np.cos(yaw), np.sin(yaw), away.T
+    step = np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
+    step *= BACK_M_S * CONTROL_STEP_S / (UPPER_ARM_M + FOREARM_M)
+    moved = limbs.copy()
+    rows = np.flatnonzero(touched >= FIRST_ARM)
+    upper = 2 + (touched[rows] - FIRST_ARM) % 2
+    for limb in (upper, upper + 2):
+        vector = limbs[rows, limb] + step[rows]
+        moved[rows, limb] = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+    return moved
