@@ -20,7 +20,7 @@ from hrl_comfort.files.run_folder import Run
 from hrl_comfort.files.tables import Floats, read_table
 
 AFTER_S = 1.0
-"""When the effect of the jump is read, from the jump on."""
+"""Time from the jump at which its effect is read."""
 LATEST_STEPS = 6
 """Control steps from the jump to the first one under the new level, at most: a decision, and one more."""
 SAME_M = 1e-3

@@ -42,7 +42,7 @@ class HandReading:
     """0 is open, 1 closed."""
     fingers: Fingers
     trouble: str = ""
-    """Why the fingers follow no set-points; empty where they do."""
+    """Reason why the fingers follow no set-points; empty where they do."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Reading:
     velocity: Array
     """(J,) rad/s."""
     trouble: str = ""
-    """Why the arm follows no set-points; empty where it does."""
+    """Reason why the arm follows no set-points; empty where it does."""
     hand: HandReading | None = None
     """None of an arm without a hand."""
 

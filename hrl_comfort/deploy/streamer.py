@@ -88,7 +88,7 @@ class Report:
     """(J,) rad/s, with which it is reached."""
     reading: Reading
     stopped: str
-    """Why the arm was stopped; empty while it follows the plan."""
+    """Reason why the arm was stopped; empty while it follows the plan."""
     at_rest: bool
     """The set-points stand still."""
 

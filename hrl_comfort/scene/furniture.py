@@ -1,4 +1,4 @@
-"""What stands round the robot, and its objects: floor, pedestal, places, obstacles and props of a cell.
+"""Things round the robot, and its objects: floor, pedestal, places, obstacles and props of a cell.
 
 Places and obstacles are mocap bodies: where they stand is part of the control vector, so that each cell of a batch can
 have a layout of its own.

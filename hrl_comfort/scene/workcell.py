@@ -70,7 +70,7 @@ class Scene:
     """(F, 7) m and quaternion, poses of `furniture` in the cell's configuration; a place's is the middle of its top."""
     floor_z: float
     gripper: Gripper | None
-    """Whose fingers hold objects; None where these ride on the tool."""
+    """The gripper whose fingers hold objects; None where these ride on the tool."""
     planning: mujoco.MjModel
     """`model`, with a gripper without objects and with fingers that stand open: its qpos is that of the joints."""
     planning_xml: str

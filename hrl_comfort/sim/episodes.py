@@ -108,7 +108,7 @@ class Episodes:
 
     @property
     def human(self) -> HumanConfig:
-        """How the first person moves now."""
+        """Configuration by which the first person moves now."""
         return self.people.everyone[0]
 
     @property

@@ -88,14 +88,14 @@ class People:
     ) -> None:
         self._scene, self._separation, self._disturbance = scene, separation, disturbance
         self.everyone = list(config.everyone)
-        """How each person moves now."""
+        """Configuration by which each person moves now."""
         self._motions = [humans.Motions(each) for each in self.everyone]
         self.now = self.crowd([humans.begin(each, np.zeros((rows, 2))) for each in self.everyone])
         """People as the decision begins."""
         self.course: list[Crowd] = []
         """People as the decision begins and after each of its control steps."""
         self._around: list[humans.Surroundings] = []
-        """What each person sees while a decision lasts: the robot as at its beginning."""
+        """Surroundings that each person sees while a decision lasts: the robot as at its beginning."""
         self.way = 0.0
         """m, farthest that the end of any capsule went in the latest control step beside the arms."""
 

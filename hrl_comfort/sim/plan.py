@@ -1,4 +1,4 @@
-"""What N arms are commanded, and where their people go: an action becomes controls, before the physics runs."""
+"""Commands to N arms, and the ways of their people: an action becomes controls, before the physics runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ NOT_BEGUN = np.empty((0, 0))
 
 @dataclass(frozen=True)
 class Planned:
-    """What is known of K control steps of N cells before the physics runs; of episodes that begin, of one instant."""
+    """Plan of K control steps of N cells, before the physics runs; of episodes that begin, of one instant."""
 
     fields: dict[str, NDArray[Any]]
     """Fields of State, (N, K, ...)."""

@@ -1,4 +1,4 @@
-"""What came of a decision: from readings to State, rewards and outcome."""
+"""Judgement of a decision: from readings to State, rewards and outcome."""
 
 from __future__ import annotations
 

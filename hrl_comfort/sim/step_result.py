@@ -102,7 +102,7 @@ def reward_weights(reward: RewardConfig, comfort_scale: float) -> dict[str, floa
 
 
 class Rules:
-    """What ends the stages of a `subtask`, what fails and what is paid, by the `weights` (T,) of its reward terms.
+    """Ends of the stages of a `subtask`, failures and pay, by the `weights` (T,) of its reward terms.
 
     Where they are built in they are compiled; a user's own are asked.
     """

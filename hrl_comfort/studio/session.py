@@ -109,7 +109,7 @@ class Session:
         self.successes, self.failures = 0, 0
         """Episodes that ended with and without success since the session began."""
         self.values: dict[str, float] = {}
-        """What the top thought of the options that could start when the latest did; empty where it does not say."""
+        """Values by the top of the options that could start when the latest did; empty where it does not say."""
         self.over = False
         self.play(self.config)
 
@@ -162,7 +162,7 @@ class Session:
 
     @property
     def quantity(self) -> str:
-        """What `values` are, such as value or probability."""
+        """Meaning of `values`, such as value or probability."""
         return self._top.quantity
 
     def play(self, config: StudioConfig) -> None:

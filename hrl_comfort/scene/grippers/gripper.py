@@ -1,4 +1,4 @@
-"""What the cell takes from a gripper, and the gripper as the end effector of an arm."""
+"""A gripper as the cell takes it, and as the end effector of an arm."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Gripper(Protocol):
 
     @property
     def tip_m(self) -> float:
-        """How far the fingertips reach beyond the tool centre point, in any direction, m."""
+        """Reach of the fingertips beyond the tool centre point, in any direction, m."""
 
     @property
     def pads(self) -> tuple[str, str]:

@@ -1,1 +1,1 @@
-"""How cells differ from the model and from each other, and what disturbs them."""
+"""Differences of cells from the model and from each other, and disturbances."""

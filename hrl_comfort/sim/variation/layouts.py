@@ -44,7 +44,7 @@ SPLITS = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything stands in an episode; metres, cell frame."""
+    """Poses of everything that stands in an episode; metres, cell frame."""
 
     number: float
     """Of the layout in its split; NaN of the only one of a cell that does not vary."""

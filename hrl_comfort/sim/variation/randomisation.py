@@ -100,7 +100,7 @@ class Servos:
         self._reached = np.zeros((rows, joints))
         self._lag_s, self._latency_s = np.zeros(rows), np.zeros(rows)
         self._decision: list[tuple[Array, Array]] = []
-        """What has been sent and reached after each control step of a decision."""
+        """Set-points sent and reached after each control step of a decision."""
 
     def begin(self, rows: NDArray[np.int64], values: Values, targets: Array) -> None:
         """Begin an episode in `rows` (r,), whose set-points have stood at `targets` (r, J) rad."""

@@ -48,7 +48,7 @@ FIELDS = {
     "humans_body", "humans_body_vel", "grip", "grip_vel", "grip_target", "tcp_quat", "target", "objects_quat",
     "objects_vel", "pads", "ground", "aloft_steps", "free_steps", "kind_sizes",
 }  # fmt: skip
-"""What the page has of a State."""
+"""Fields of a State that the page has."""
 
 
 def content(config: StudioConfig) -> dict[str, Any]:
