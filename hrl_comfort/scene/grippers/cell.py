@@ -1,4 +1,4 @@
-"""Parts that a gripper adds to a cell: contacts that hold, a guard round what is held, sensors, a model to plan with."""
+"""Parts that a gripper adds to a cell: contacts that hold, a guard round what is held, sensors, a model to plan by."""
 
 from __future__ import annotations
 
