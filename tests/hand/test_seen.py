@@ -77,7 +77,7 @@ def test_an_exported_policy_moves_six_joints_and_the_fingers(trained: Path, tmp_
     folder = export(config)
     made = json.loads((folder / "policies.json").read_text(encoding="utf-8"))
     assert len(made["joint_names"]) == len(made["joint_limits_rad"]) == 6
-    assert made["gripper"] == {"name": "two_finger", "open": 0.0, "closed": 0.052, "closing_s": 0.2}
+    assert made["gripper"] == {"name": "two_finger", "open": 0.0, "closed": 0.0435, "closing_s": 0.2}
     (option,) = made["options"]
     assert (
         option["joints"] == 6 and option["gripper"] == "two_finger" and "fingers" in option["output"]["joint_increment"]

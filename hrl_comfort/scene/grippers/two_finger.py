@@ -1,4 +1,7 @@
-"""A parallel gripper: two coupled slides with box pads, as long and as heavy as an OnRobot RG2."""
+"""Two coupled slides with box pads, as long, wide and heavy as a Robotiq 2F-85.
+
+Policies learn with them in its place: without linkages the physics is faster.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,13 @@ from dm_control import mjcf
 
 from hrl_comfort.scene.grippers.gripper import DRIVE
 
-PALM_M, FINGER_M, TOOL_M = 0.09, 0.10, 0.19
+PALM_M, FINGER_M, TOOL_M = 0.055, 0.08, 0.152
 """Along z from the flange: end of the palm, origin of the fingers, tool centre point."""
-SPREAD_M, STROKE_M = 0.055, 0.052
+SPREAD_M, STROKE_M = 0.0465, 0.0435
 """Distance of an open pad's middle from the tool, and way of a finger; closed pads overlap by 2 mm."""
-PAD_M = (0.004, 0.012, 0.015)
+PAD_M = (0.004, 0.011, 0.0213)
 """Half sides of a pad."""
-PALM_KG, FINGER_KG, PAD_KG = 0.68, 0.03, 0.02
+PALM_KG, FINGER_KG, PAD_KG = 0.80, 0.03, 0.02
 STIFF_M = 0.01
 """Position error at which the drive has its full force."""
 _DARK, _RUBBER = (0.2, 0.2, 0.22, 1), (0.1, 0.1, 0.1, 1)
@@ -33,9 +36,9 @@ class TwoFinger:
     def attach(self, flange: mjcf.Element, force_n: float) -> None:
         """See `Gripper`."""
         palm, root = flange.add("body", name="gripper", gravcomp=1), flange.root
-        radius = 0.030
-        across, along = PALM_KG * (3 * radius**2 + 0.14**2) / 12, PALM_KG * radius**2 / 2
-        palm.add("inertial", mass=PALM_KG, pos=(0, 0, 0.07), diaginertia=(across, across, along))
+        radius, length = 0.036, 0.09
+        across, along = PALM_KG * (3 * radius**2 + length**2) / 12, PALM_KG * radius**2 / 2
+        palm.add("inertial", mass=PALM_KG, pos=(0, 0, length / 2), diaginertia=(across, across, along))
         palm.add("geom", name="hand", fromto=(0, 0, 0.02, 0, 0, PALM_M), size=[radius], rgba=_DARK)
         palm.add("site", name="tcp", pos=(0, 0, TOOL_M), size=[0.005], group=4)
         length = TOOL_M - FINGER_M
