@@ -158,7 +158,7 @@ class VaryConfig:
     the one given."""
     distance_m: XY = field(default_factory=lambda: [0.38, 0.68])
     """Horizontal distance of the middle of a place from the robot's base, m. Its bearing may be any. A box that carries
-    all places, which have no legs, stays where it is, and all else stands on it."""
+    all places, which have no legs, stays where it is, and all else is above it."""
     height_m: XY = field(default_factory=lambda: [0.0, 0.42])
     """Height of a place's top above the robot's base, m."""
     apart_m: Annotated[float, within(0.0, 2.0)] = 0.3

@@ -19,6 +19,7 @@ from hrl_comfort.humans.evaluation import (
     share_of,
     split_set,
 )
+from hrl_comfort.humans.kernels import RETREAT_SPEED
 from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, Compiled, bounds, free, motion, step
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
@@ -100,6 +101,11 @@ class Motions:
             (index, each, motion(each.motion))
             for index, each in enumerate(self._members) if each.motion not in step.COMPILED
         ]  # fmt: skip
+
+    def leaves(self, walk: Walk) -> NDArray[np.bool_]:
+        """Return (n,) whether people leave an arm that they touch."""
+        member = (walk.traits[:, 0] * len(self._members)).astype(np.int64)
+        return np.asarray(self._limits[member, RETREAT_SPEED] > 0.0)
 
     def advance(self, walk: Walk, noise: Array, seen: Surroundings) -> Walk:
         """Return the walk after one control step (20 ms); noise (n, NOISE) in [0, 1).

@@ -14,20 +14,20 @@ from hrl_comfort.humans.kernels import RETREAT_SPEED
 
 Array = NDArray[np.float64]
 FASTEST_M_S = 1.6
-"""Largest speed of any part of a person: walking speed (ISO 13855:2010, section 6.2.2)."""
+"""Speed of people: that of walking (ISO 13855:2010, section 6.2.2)."""
 SPAN_M = 0.75
 """Largest distance of a hand from the person's axis."""
 BACK_M_S = 0.5
-"""Largest speed of a hand that is drawn back. Chosen, not measured."""
-ROUNDED_M = 1e-6
-"""Way beyond the allowed one that is let pass."""
+"""Speed of a straight arm's hand that is drawn back. Chosen, not measured."""
 FIRST_ARM = 3
 """Index in `scene.human.LIMBS` of the first limb of an arm; left and right take turns."""
+TOLERANCE_M, PASSES = 1e-6, 10
+"""Excess of a limited way that is let pass, and how often a way is shortened at most: the first time leaves arcs."""
 
 
 @kernel
-def bounded(bent: Array, limbs: Array, moved: Array, limits: Array, traits: Array) -> None:
-    """Let elbows and hands go as fast as `FASTEST_M_S` allows beside the motion `moved` of the person, and no faster.
+def limit_arms(bent: Array, limbs: Array, moved: Array, limits: Array, traits: Array) -> None:
+    """Limit elbows and hands to what the motion `moved` of the person leaves of `FASTEST_M_S`.
 
     `limbs` and `bent`, which is changed, are `Walk.limbs` before and after a control step. The others are as in
     `kernels.settle`; arms of people who do as their source says are left as they are.
@@ -36,23 +36,24 @@ def bounded(bent: Array, limbs: Array, moved: Array, limits: Array, traits: Arra
         if limits[int(traits[m, 0] * len(limits)), RETREAT_SPEED] == 0.0:
             continue
         pace = math.sqrt(moved[m, 0] ** 2 + moved[m, 1] ** 2) + SPAN_M * abs(moved[m, 2])
-        most = max(FASTEST_M_S - pace, 0.0) * CONTROL_STEP_S
+        allowed = max(FASTEST_M_S - pace, 0.0) * CONTROL_STEP_S
         for upper in (2, 3):
-            far = _far(bent[m], limbs[m], upper)
-            while far > most + ROUNDED_M:  # false of an arm that swings in its gait, whose `far` is NaN
+            for _ in range(PASSES):
+                way = arm_way(bent[m], limbs[m], upper)
+                if not way > allowed + TOLERANCE_M:  # NaN of an arm that swings in its gait
+                    break
                 for limb in (upper, upper + 2):
                     size = 0.0
                     for axis in range(3):
                         change = bent[m, limb, axis] - limbs[m, limb, axis]
-                        bent[m, limb, axis] = limbs[m, limb, axis] + most / far * change
+                        bent[m, limb, axis] = limbs[m, limb, axis] + allowed / way * change
                         size += bent[m, limb, axis] ** 2
                     for axis in range(3):
                         bent[m, limb, axis] /= max(math.sqrt(size), 1e-9)
-                far = _far(bent[m], limbs[m], upper)
 
 
 @kernel
-def _far(bent: Array, limbs: Array, upper: int) -> float:
+def arm_way(bent: Array, limbs: Array, upper: int) -> float:
     """Return how far, m, elbow or hand of the arm of the limb `upper` goes from `limbs` to `bent` (6, 3)."""
     elbow, hand = 0.0, 0.0
     for axis in range(3):

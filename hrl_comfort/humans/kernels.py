@@ -123,7 +123,7 @@ def settle(
 
     Return velocity, distance walked, smoothed speed, control steps, and those left of a retreat. `limits` are those of
     the motions that the people draw from. Who retreats goes away from the nearest point of the `arm` (n, P, 3) m,
-    within the bounds of the motion on speed and acceleration, and keeps to the discs. Hands stay as they are: one that
+    within the bounds of the motion on speed and acceleration, and keeps to the discs. Hands rest: one that
     went on would press against the arm, and who presses is held and cannot step back.
     """
     n = len(yaw)

@@ -133,7 +133,8 @@ class People:
         if now is None:
             self.course.append(self.crowd(walks))
         else:
-            crowd, self.way = stop_at_contact(self._scene, self._separation, now, before, walks)
+            leaves = [motions.leaves(walk) for motions, walk in zip(self._motions, walks, strict=True)]
+            crowd, self.way = stop_at_contact(self._scene, self._separation, now, before, walks, leaves)
             self.course.append(crowd)
         return self.course[-1]
 
@@ -184,18 +185,24 @@ def share_walked(room: Array, gap: Array) -> Array:
 
 
 def stop_at_contact(
-    scene: Scene, separation: Separation, now: Encounter, before: Crowd, walks: Sequence[humans.Walk]
+    scene: Scene,
+    separation: Separation,
+    now: Encounter,
+    before: Crowd,
+    walks: Sequence[humans.Walk],
+    leaves: Sequence[NDArray[np.bool_]],
 ) -> tuple[Crowd, float]:
-    """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M, who will leave.
+    """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M.
 
-    `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Each
-    person is looked at alone. Return also how far, m, the end of any capsule went at most.
+    `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Those
+    held of whom `leaves` (N,) of each person says so draw a touched hand back, and will leave. Each person is looked at
+    alone. Return also how far, m, the end of any capsule went at most.
     """
     found, begin = [], 0
-    for person, stood, walk in zip(separation.each, before.walks, walks, strict=True):
+    for person, stood, walk, leaving in zip(separation.each, before.walks, walks, leaves, strict=True):
         part = slice(begin, begin + len(person.radius))
         beside = now if len(walks) == 1 else replace(now, person=now.person[:, part])
-        found.append(_stopped(scene, separation.arm, person, beside, stood, walk))
+        found.append(_stopped(scene, separation.arm, person, beside, stood, walk, leaving))
         begin = part.stop
     if len(found) == 1:
         return found[0]
@@ -205,7 +212,13 @@ def stop_at_contact(
 
 
 def _stopped(
-    scene: Scene, arm: ArmGeometry, person: PersonGeometry, now: Encounter, before: humans.Walk, walk: humans.Walk
+    scene: Scene,
+    arm: ArmGeometry,
+    person: PersonGeometry,
+    now: Encounter,
+    before: humans.Walk,
+    walk: humans.Walk,
+    leaves: NDArray[np.bool_],
 ) -> tuple[Crowd, float]:
     """Return what `stop_at_contact` does of one `person`, whose capsules are those of `now`."""
     walked = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
@@ -227,7 +240,10 @@ def _stopped(
     stood = before.rows(at)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
-    held = _drawn_back(scene, arm, person, now.pose.ends[..., at], held)
+    leaving = np.flatnonzero(leaves[at])
+    if len(leaving):
+        back = _drawn_back(scene, arm, person, now.pose.ends[..., at[leaving]], held.rows(leaving))
+        held = held.put(leaving, back)
     limbs[at] = limbs_of(scene, held)
     ends[..., at] = person.ends(limbs[at])
     way = max(way, farthest(ends[..., at], now.person[..., at]).max(initial=0.0))

@@ -8,7 +8,7 @@ import numpy as np
 
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
 from hrl_comfort.humans import body, free
-from hrl_comfort.humans.arms import FASTEST_M_S, ROUNDED_M, SPAN_M
+from hrl_comfort.humans.arms import FASTEST_M_S, PASSES, SPAN_M, TOLERANCE_M
 from hrl_comfort.humans.body import FOREARM_M, UPPER_ARM_M
 from hrl_comfort.humans.kernels import CLEARANCE_M, LEAVE_S, TURN_RAD_S, TURN_RAD_S2, WAIT_STEPS
 from hrl_comfort.humans.motions.kernels import (
@@ -398,7 +398,7 @@ def _gone(position: Array, yaw: Array, walk: Walk) -> tuple[Array, Array, Array]
     return np.concatenate([moved, turned[:, None]], axis=1) / CONTROL_STEP_S, walk.walked_m + way, speed
 
 
-def bounded(config: HumanConfig, walk: Walk, limbs: Array, velocity: Array) -> Array:
+def limited_arms(config: HumanConfig, walk: Walk, limbs: Array, velocity: Array) -> Array:
     """Return the limbs (n, 6, 3) that people have instead of `limbs`, who move at `velocity` (n, 3); see `arms`."""
     if not retreat_limits(config)[0]:
         return limbs
@@ -406,15 +406,16 @@ def bounded(config: HumanConfig, walk: Walk, limbs: Array, velocity: Array) -> A
     bent = limbs.copy()
     for side in (2, 3):
         arm = [side, side + 2]
-        while (rows := np.flatnonzero((far := _far(bent, walk.limbs, side)) > most + ROUNDED_M)).size:
+        for _ in range(PASSES):
+            way = _arm_way(bent, walk.limbs, side)
+            rows = np.flatnonzero(way > most + TOLERANCE_M)
             before = walk.limbs[np.ix_(rows, arm)]
-            between = before + (most / far)[rows, None, None] * (bent[np.ix_(rows, arm)] - before)
-            size = np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
-            bent[np.ix_(rows, arm)] = between / size
+            between = before + (most / way)[rows, None, None] * (bent[np.ix_(rows, arm)] - before)
+            bent[np.ix_(rows, arm)] = between / np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
     return bent
 
 
-def _far(bent: Array, limbs: Array, side: int) -> Array:
+def _arm_way(bent: Array, limbs: Array, side: int) -> Array:
     """Return how far (n,) m elbow or hand go from `limbs` to `bent` (n, 6, 3)."""
     change = bent - limbs
     elbow = UPPER_ARM_M * change[:, side]
@@ -428,7 +429,7 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, seen: Surroundings) -
     stride = retreat(config, walk, stride, seen)
     position = stride.position if free(config) else _held(stride.position, walk, seen.keep_out, config.bound_m)
     velocity, walked, speed = _gone(position, stride.yaw, walk)
-    limbs = walk.limbs if stride.limbs is None else bounded(config, walk, stride.limbs, velocity)
+    limbs = walk.limbs if stride.limbs is None else limited_arms(config, walk, stride.limbs, velocity)
     memory = walk.memory if stride.memory is None else stride.memory
     left = np.maximum(walk.retreat - 1, 0)
     return Walk(

@@ -9,7 +9,7 @@ from hrl_comfort import humans
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.humans import body
-from hrl_comfort.humans.arms import BACK_M_S, FASTEST_M_S, ROUNDED_M, SPAN_M, drawn_back
+from hrl_comfort.humans.arms import BACK_M_S, FASTEST_M_S, SPAN_M, TOLERANCE_M, drawn_back
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.steering import POSTURE
 from hrl_comfort.scene.human import LIMBS
@@ -34,7 +34,7 @@ def test_elbows_and_hands_are_as_fast_as_the_motion_of_the_person_leaves_them(na
         before, walk = ends(walk), motions.advance(walk, rng.random((ROWS, humans.NOISE)), seen)
         speed = np.linalg.norm(ends(walk) - before, axis=-1).max(axis=1) / CONTROL_STEP_S
         pace = np.linalg.norm(walk.velocity[:, :2], axis=1) + SPAN_M * np.abs(walk.velocity[:, 2])
-        assert (speed <= np.maximum(FASTEST_M_S - pace, 0.0) + 2 * ROUNDED_M / CONTROL_STEP_S).all()
+        assert (speed <= np.maximum(FASTEST_M_S - pace, 0.0) + 2 * TOLERANCE_M / CONTROL_STEP_S).all()
         fastest = max(fastest, speed.max())
         if step % 300 == 150:  # some as they reach out
             walk = begin_retreat(walk, np.flatnonzero(rng.random(ROWS) < 0.5))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import kernel
-from hrl_comfort.humans.arms import bounded
+from hrl_comfort.humans.arms import limit_arms
 from hrl_comfort.humans.kernels import settle
 from hrl_comfort.humans.motions.kernels import approach, arc, fetcher, patrol, random_walk, reactive, worker
 
@@ -63,7 +63,7 @@ def advance(
     velocity: Array, limbs: Array, memory: Array, traits: Array, retreat: Ints, noise: Array, tcp: Array, discs: Array,
     radius_m: float, stations: Array, points: Array, moving: Array,
 ) -> tuple[Array, Array, Array, Ints, Ints]:  # fmt: skip
-    """See `humans.Motions.advance`: `propose`, `settle`, whose result it returns, and `bounded`."""
+    """See `humans.Motions.advance`: `propose`, `settle`, whose result it returns, and `limit_arms`."""
     propose(
         kinds, numbers, there, facing, bent, kept, position, yaw, spawn, steps, velocity, traits, noise, tcp, discs,
         radius_m, stations, points, moving,
@@ -72,5 +72,5 @@ def advance(
         there, facing, bent, kept, limits, position, yaw, spawn, walked_m, speed_m_s, steps, velocity, limbs, memory,
         traits, retreat, discs, radius_m, points, smoothing,
     )  # fmt: skip
-    bounded(bent, limbs, settled[0], limits, traits)
+    limit_arms(bent, limbs, settled[0], limits, traits)
     return settled

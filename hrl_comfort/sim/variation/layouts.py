@@ -163,6 +163,11 @@ class Layouts:
         if (split, number) in self._known:
             return self._known[split, number]
         vary = self._cell.vary
+        if vary.height_m[1] < self._lowest_m:
+            raise ConfigError(
+                f"cell.vary.height_m={vary.height_m} is below the table that carries the places; let it end at "
+                f"{self._lowest_m:g} or higher"
+            )
         rng = random_stream(SPLITS.index(split), number)
         for _ in range(ATTEMPTS):
             found = self._drawn(vary, number, rng)
@@ -187,7 +192,7 @@ class Layouts:
         height = rng.uniform(low, high, count).round(DIGITS)
         there = rng.random(standing) < vary.obstacle_probability
         home = self._scene.home + np.radians(vary.home_deg) * rng.uniform(-1, 1, len(self._scene.home))
-        if ground is None or (self._table and height.min() < self.given.tops[self._table, 2] + THICKNESS_M - ROUNDED):
+        if ground is None or height.min() < self._lowest_m - ROUNDED:
             return None
         places[:, :2], places[:, 2] = ground[:count], height
         stays = np.arange(count, count + standing)[:, None] == self._table
@@ -235,6 +240,11 @@ class Layouts:
             else:
                 return None
         return np.array(found)
+
+    @cached_property
+    def _lowest_m(self) -> float:
+        """Smallest height of a place's top, m: on the table, where one carries the places."""
+        return -np.inf if self._table is None else float(self.given.tops[self._table, 2] + THICKNESS_M)
 
     @cached_property
     def _table(self) -> int | None:
