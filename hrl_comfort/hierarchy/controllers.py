@@ -8,7 +8,7 @@ from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import OptionTable, chain, skill
 from hrl_comfort.hierarchy.oracle import Oracle
-from hrl_comfort.hierarchy.sort import sorting_table
+from hrl_comfort.hierarchy.sort import recovery, sorting_table
 from hrl_comfort.hierarchy.tops import in_order, make_top
 from hrl_comfort.policies.load import Source, make_policy
 from hrl_comfort.sim.engine import Engine
@@ -46,7 +46,7 @@ def make_executor(
 
 
 def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
-    """Return the options of a task that is a chain of subtasks."""
+    """Return the options of a task that is a chain of subtasks, with one to recover where a hand may drop the object."""
     env, task, meta_controller = engine.episodes.config, engine.episodes.subtask, config.meta_controller
     check_given(config)
     for key, off in ("level_override", "[]"), ("max_waits", "null"):
@@ -56,7 +56,9 @@ def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
     parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
-    return chain(skills, meta_controller.time_limit_steps)
+    drops = any(stage.dropped is not None for stage in task.stages)
+    further = [recovery(engine.scene, env, seed)] if drops else []
+    return chain(skills, meta_controller.time_limit_steps, further)
 
 
 def check_given(config: EvaluateConfig) -> None:

@@ -248,10 +248,10 @@ def grid(options: Sequence[Option], objects: dict[str, int], levels: Sequence[in
     ]
 
 
-def chain(skills: Sequence[tuple[Subtask, Act]], time_limit: int | None) -> OptionTable:
-    """Return the table of an option a skill, each with the stages after those of the one before."""
+def chain(skills: Sequence[tuple[Subtask, Act]], time_limit: int | None, further: Sequence[Option] = ()) -> OptionTable:
+    """Return the table of an option a skill, each with the stages after those of the one before, and of `further`."""
     options: list[Option] = []
     for subtask, policy in skills:
         stages = options[-1].stages if options else None
         options.append(skill(subtask, policy, time_limit, stages.last if stages else 0))
-    return OptionTable(options)
+    return OptionTable([*options, *further])

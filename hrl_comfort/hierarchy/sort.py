@@ -58,9 +58,8 @@ def sorting_table(
     acts = [make_policy(policies[part.name], part, scene, config, seed) for part in parts]
     period = meta_controller.interruption_steps
     skills = [skill(part, acts[k], limit, k, ROUND, period) for k, part in enumerate(parts)]
-    recovering = make_policy("expert", parts[-1], scene, config, seed), stop(config.task)
-    home, rest = map(_holding, recovering) if hand else recovering
-    at_home = RETURN_STAGE.done
+    home, rest, at_home = way_home(scene, config, seed), stop(config.task), RETURN_STAGE.done
+    rest = holding(rest) if hand else rest
     # After a place the arm may be fast, close above a table: it retreats, and does not wait. With an object it
     # does not retreat, for a place is trained to begin where a pick ends. An interrupted pick can give way to a person.
     wait = Option("wait", rest, lambda state: ~has_placed(state), lasts(WAIT_STEPS), max_runs=waits)
@@ -71,6 +70,20 @@ def sorting_table(
     )  # fmt: skip
     choices = grid(skills, {PICK.name: config.task.objects}, meta_controller.level_override)
     return OptionTable([*choices, wait, retreat])
+
+
+def way_home(scene: Scene, config: EnvConfig, seed: int) -> Act:
+    """Return the policy that brings the arm home from wherever a skill has left it: the scripted expert."""
+    hand = config.robot.gripper.holds
+    act = make_policy("expert", subtask(RETURN.name, hand=hand), scene, config, seed)
+    return holding(act) if hand else act
+
+
+def recovery(scene: Scene, config: EnvConfig, seed: int) -> Option:
+    """Return the option `retreat` of a chain with a hand: it runs after an option that was cut short, until home."""
+    home, at_home = way_home(scene, config, seed), RETURN_STAGE.done
+    never = torch.zeros_like
+    return Option("retreat", home, lambda state: never(at_home(state)), lambda state, _: at_home(state), recovers=True)
 
 
 def has_placed(state: State) -> Tensor:
@@ -98,7 +111,7 @@ def stop(task: TaskConfig) -> Act:
     return act
 
 
-def _holding(act: Act) -> Act:
+def holding(act: Act) -> Act:
     """Return the policy `act` of an arm with a hand, whose fingers stay as they are around an object, and else open."""
 
     def holding(state: State) -> Tensor:

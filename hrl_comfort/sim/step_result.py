@@ -150,7 +150,7 @@ class Rules:
         stages = task.next_stage(before.instants(**tensors(moving))).numpy()
         previous, after = transitions(before, moving, stages)
         failing = task.failed(previous, after).numpy()
-        over = (stages > before.stage.numpy()[:, None]) | failing | (moving["steps"] >= limits[:, None])
+        over = (stages != before.stage.numpy()[:, None]) | failing | (moving["steps"] >= limits[:, None])
         last = np.where(over.any(axis=1), over.argmax(axis=1), over.shape[1] - 1)
         paid = zip(task.rewards.values(), self.weights.tolist(), strict=True)
         nothing = torch.zeros(over.shape, dtype=torch.float64)

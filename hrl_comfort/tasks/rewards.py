@@ -41,14 +41,16 @@ class Progress:
 
 @dataclass(frozen=True)
 class Completion:
-    """1 at the step that completes one of the stages of index `paid`, else 0."""
+    """1 at the step that completes one of the stages of index `paid`, -1 at one that falls back to it, else 0."""
 
     paid: tuple[int, ...]
 
     def __call__(self, before: State, after: State) -> Tensor:
         """See `TransitionFunction`."""
         done = [(before.stage == index) & (after.stage == index + 1) for index in self.paid]
-        return reduce(or_, done).to(before.tcp_pos.dtype)
+        undone = [(before.stage == index + 1) & (after.stage == index) for index in self.paid]
+        dtype = before.tcp_pos.dtype
+        return reduce(or_, done).to(dtype) - reduce(or_, undone).to(dtype)
 
 
 def arrival_speed(before: State, after: State) -> Tensor:

@@ -66,6 +66,8 @@ class Stage:
     """Start of a subtask that follows this stage."""
     at_point: bool = False
     """The goal is one of the episode's points (`State.points`)."""
+    dropped: StateFunction | None = None
+    """(N,) bool: the object lies elsewhere, and the stage before begins again, if there is one; None: it never does."""
 
     @property
     def grasps(self) -> bool:
@@ -122,13 +124,16 @@ class Subtask:
         return replace(self, observations={**self.observations, **terms})
 
     def next_stage(self, state: State) -> Tensor:
-        """Return the stage in force after this instant: one further where the present one is done."""
+        """Return the stage in force after this instant: one further where it is done, one back where it is dropped."""
         stage, own = state.stage, self.in_round(state.stage)
         for index, item in enumerate(self.stages):
             stage = torch.where((own == index) & item.done(state), state.stage + 1, stage)
+            if index and item.dropped is not None:
+                stage = torch.where((own == index) & item.dropped(state), state.stage - 1, stage)
         if self.arrival_speed is None:
             return stage
-        return torch.where(vector_norm(state.joint_vel, dim=-1) < self.arrival_speed, stage, state.stage)
+        fast = vector_norm(state.joint_vel, dim=-1) >= self.arrival_speed
+        return torch.where(fast, torch.minimum(stage, state.stage), stage)
 
     def in_round(self, stage: Tensor) -> Tensor:
         """Return the stages (N,) counted from the first of their round, if stages are repeated."""

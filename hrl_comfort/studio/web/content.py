@@ -63,7 +63,7 @@ def content(config: StudioConfig) -> dict[str, Any]:
     engine, episodes, state = session.engine, session.engine.episodes, session.state
     scene, task, env = engine.scene, episodes.subtask, episodes.config
     sources = config.policies or {task.name: str(config.policy)}
-    options = [_option(each, sources[each.name], session) for each in session.executor.table.options]
+    options = [_option(each, sources[each.name], session) for each in session.executor.table.options if each.stages]
     seen = sorted(inputs_of(task.next_stage, state))
     levels = torch.arange(1, env.comfort.levels + 1, dtype=torch.float64)
     limits = {"episode": env.task.max_episode_steps, "option": session.executor.table.options[0].time_limit or 0}

@@ -38,15 +38,24 @@ def to_place(state: State) -> Tensor:
     return vector_norm(state.target_place - state.target_object, dim=-1)
 
 
-def placed(state: State) -> Tensor:
-    """Return (N,) bool: the target has been let go for REST_STEPS, and rests within its tolerance of its place."""
+def lies(state: State) -> Tensor:
+    """Return (N,) bool: the target has been let go for REST_STEPS, and rests."""
     calm = vector_norm(of_target(state.objects_vel, state), dim=-1) < REST_M_S
-    let_go = of_target(state.free_steps, state) >= REST_STEPS
-    return let_go & calm & (to_place(state) < state.place_tolerance)
+    return (of_target(state.free_steps, state) >= REST_STEPS) & calm
+
+
+def placed(state: State) -> Tensor:
+    """Return (N,) bool: the target lies within its tolerance of its place."""
+    return lies(state) & (to_place(state) < state.place_tolerance)
+
+
+def dropped(state: State) -> Tensor:
+    """Return (N,) bool: the target lies elsewhere."""
+    return lies(state) & ~(to_place(state) < state.place_tolerance)
 
 
 def with_hand(task: Subtask) -> Subtask:
-    """Return `task` for a cell with a gripper: an object is picked by a grasp, and lost on the floor.
+    """Return `task` for a cell with a gripper: an object is picked by a grasp, again if dropped, and lost on the floor.
 
     Terms of hand and object are the last ones of its observations and rewards.
     """
@@ -63,4 +72,4 @@ def with_hand(task: Subtask) -> Subtask:
 def _with_hand(stage: Stage) -> Stage:
     if stage.grasps:
         return replace(stage, done=picked)
-    return replace(stage, distance=to_place, done=placed) if stage.releases else stage
+    return replace(stage, distance=to_place, done=placed, dropped=dropped) if stage.releases else stage

@@ -196,7 +196,7 @@ export class Cell {
     const stage = state.stage;
     state.stage = this.stageAfter();
     const failed = this.failedContact || state.hit !== null || Boolean(this.hand?.lost), late = state.steps >= this.limit(content.limits.episode);
-    const ended = state.stage > stage || failed || late || this.decision.steps === content.action_repeat;
+    const ended = state.stage !== stage || failed || late || this.decision.steps === content.action_repeat;
     if (ended) this.endDecision(failed, late);
     return ended;
   }
@@ -235,7 +235,7 @@ export class Cell {
     if (failed) this.finish(this.failedContact ? "contact" : state.hit ? `hit ${state.hit}` : "object lost");
     else if (success) this.finish("success");
     else if (late) this.finish("out of time");
-    else if (state.stage >= this.options[this.option].last) this.choose();
+    else if (this.options[this.option].last <= state.stage || state.stage < this.options[this.option].first) this.choose();
     else if (state.steps - this.started >= this.limit(content.limits.option)) {
       if (content.retries !== null && this.attempt > content.retries) this.finish("out of time");
       else this.choose();
