@@ -46,7 +46,7 @@ def make_executor(
 
 
 def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
-    """Return the options of a task that is a chain of subtasks, with one to recover where a hand may drop the object."""
+    """Return the options of a task that is a chain of subtasks, with one to recover where a hand may drop things."""
     env, task, meta_controller = engine.episodes.config, engine.episodes.subtask, config.meta_controller
     check_given(config)
     for key, off in ("level_override", "[]"), ("max_waits", "null"):

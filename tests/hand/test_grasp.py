@@ -327,7 +327,7 @@ def test_what_does_not_go_with_a_gripper_is_refused_in_one_line(root: str, words
     [
         (["robot=jaco", "gripper=two_finger"], "jaco has its own hand"),
         (["gripper=math:pi"], "must be a Gripper"),
-        (["cell=grasp", "cell.objects.ball.size_m=[0.06]"], "takes up to 0.082 m"),
+        (["cell=grasp", "cell.objects.ball.size_m=[0.06]"], "takes up to 0.065 m"),
     ],
 )
 def test_what_is_no_gripper_is_refused_when_the_cell_is_built(words: Sequence[str], says: str) -> None:

@@ -163,7 +163,7 @@ def test_an_interrupted_hand_gives_way_with_nothing_in_it_and_opens() -> None:
     ("words", "said"),
     [
         (("task=sort", "task.objects=5"), "task.objects=5, but cell.places.left.slots_m has 4; add slots, or choose"),
-        (("task=sort", "cell=bench", "gripper=two_finger"), "needs 0.10. m: move the slots apart"),
+        (("task=sort", "cell=bench", "gripper=two_finger"), "needs 0.096 m: move the slots apart"),
     ],
 )
 def test_slots_too_few_or_too_near_to_each_other_are_refused(words: tuple[str, ...], said: str) -> None:
