@@ -56,7 +56,8 @@ class _Read:
 
     def __getattr__(self, name: str) -> Tensor:
         value: Tensor = getattr(self._state, name)
-        if name not in self._replaced and value.shape != ABSENT.shape:
+        absent = isinstance(value, Tensor) and value.shape == ABSENT.shape
+        if name not in self._replaced and not absent:
             self._names.add(name)
         return value
 

@@ -204,7 +204,9 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
     return nearest
 
 
-def touching(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) -> tuple[NDArray[np.int64], Array]:
+def nearest_part(
+    arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array
+) -> tuple[NDArray[np.int64], Array]:
     """Return the capsule (N,) of people that is nearest to the arm, and the unit vector (N, 3) from the arm to it.
 
     The vector joins the nearest points of the axes; it is 0 where these cross. See `gaps`.

@@ -21,7 +21,7 @@ from hrl_comfort.humans.arms import drawn_back
 from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps, touching
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps, nearest_part
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.human import BODY
 from hrl_comfort.scene.workcell import Scene
@@ -256,7 +256,7 @@ def _drawn_back(scene: Scene, arm: ArmGeometry, person: PersonGeometry, ends: Ar
     One that hooks behind the arm would hold its owner, and the arm.
     """
     now = person.ends(limbs_of(scene, held))
-    part, away = touching(arm, ends, person, now)
+    part, away = nearest_part(arm, ends, person, now)
     back = replace(held, limbs=drawn_back(held.limbs, held.yaw, person.limb[part], away))
     room, gap = (gaps(arm, ends, person, each).min(axis=0) for each in (now, person.ends(limbs_of(scene, back))))
     worse = np.flatnonzero(gap < room)
