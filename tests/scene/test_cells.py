@@ -97,7 +97,7 @@ def test_a_run_keeps_its_cell(hall: Path, tmp_path: Path) -> None:
     [
         (
             "cell=attic.yaml",
-            "cell=attic.yaml: there is no such file; give one, or choose one of bench, bench_hand, grasp, paper",
+            "cell=attic.yaml: there is no such file; give one, or choose one of bench, bench_hand, grasp, grasp_varied",
         ),
         ("cell.objects.cube.arrives_at=attic", "arrives_at='attic' is not allowed; choose one of ball_table, orange"),
         ("cell.places.rack.hight=2", "cell.places.rack has legs, size_m, slots_m, top_m, yaw_deg"),
