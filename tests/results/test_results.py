@@ -82,7 +82,8 @@ def test_the_chain_of_the_grasp_is_measured_in_the_world_that_trains_it() -> Non
     commands = [words[2:] for words in ENTRIES["grasp"].commands("evaluate") if "task=cycle" in words]
     for words in commands:
         own = [word for word in words if not word.startswith(("gripper=", "cell.objects."))]
-        measured = compose("evaluate", own)
+        elsewhere = [word for word in own if word == "cell=grasp"]  # the row `table`
+        measured = compose("evaluate", [*own, *(["cell=grasp_varied"] if elsewhere else [])])
         assert isinstance(trained, HierarchyTrainConfig) and isinstance(measured, EvaluateConfig)
         task = replace(
             measured.task, name=trained.task.name, max_episode_steps=trained.task.max_episode_steps,
