@@ -73,7 +73,7 @@ class OptionExecutor:
     """
 
     _FLAGS = ("_preempted", "_interrupted")
-    _TENSORS = ("option", "started", "decided", "stage", "attempt", *_FLAGS)
+    _TENSORS = ("option", "started", "decided", "stage", "attempt", "timeouts", *_FLAGS)
 
     def __init__(self, table: OptionTable, episodes: Episodes, retries: int | None = None) -> None:
         self.table, self.retries, self._episodes = table, retries, episodes
@@ -101,6 +101,8 @@ class OptionExecutor:
     """(N,) int64, stage of the task at which it started."""
     attempt: Tensor
     """(N,) int64, how often it has been started in a row."""
+    timeouts: Tensor
+    """(N,) int64, how often a skill has run out of time since one succeeded or lost its object."""
     _preempted: Tensor
     """(N,) bool, the latest option was preempted, or failed and the episode went on; none has started since, but one
     that recovers and has not ended."""
@@ -116,6 +118,7 @@ class OptionExecutor:
         saved = renamed(saved, EXECUTOR)
         # Of a time when no option was interrupted.
         saved = {"decided": saved["started"], "_interrupted": torch.zeros_like(saved["_preempted"]), **saved}
+        saved = {"timeouts": (saved["attempt"] - 1).clamp(min=0), **saved}
         for name in self._TENSORS:
             setattr(self, name, saved[name])
 
@@ -174,6 +177,7 @@ class OptionExecutor:
         rows, self._interrupted = rows & ~self.goes_on(chosen), self._interrupted & ~rows
         again = torch.where((chosen == self.option) & (state.steps > 0), self.attempt + 1, 1)
         self.attempt = torch.where(rows, again, self.attempt)
+        self.timeouts = torch.where(rows & (state.steps == 0), 0, self.timeouts)
         self.option = torch.where(rows, chosen, self.option)
         self.started = torch.where(rows, state.steps, self.started)
         self.stage = torch.where(rows, state.stage, self.stage)
@@ -219,9 +223,12 @@ class OptionExecutor:
         cut_short = ended & (termination != _SUCCESS) & ~result.terminated
         self._preempted = cut_short | (self._preempted & recovers & ~ended)
         self._interrupted = interrupted & ~ended
+        self.timeouts = torch.where(
+            succeeded | lost, torch.where(recovers, self.timeouts, 0), self.timeouts + late.long()
+        )
         given_up = torch.zeros_like(ended)
         if self.retries is not None:
-            given_up = late & ~succeeded & ~lost & ~result.done & (self.attempt > self.retries)
+            given_up = late & ~succeeded & ~lost & ~result.done & (self.timeouts > self.retries)
         cause = self._causes(result, termination, lost, late)
         termination = torch.where(ended, termination, self._interrupted * _INTERRUPTED)
         return EndedOptions(ended, self._interrupted, termination, torch.where(ended, cause, 0), given_up)

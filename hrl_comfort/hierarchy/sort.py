@@ -9,12 +9,12 @@ from torch import Tensor
 
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
-from hrl_comfort.hierarchy.options import Option, OptionTable, grid, in_hand, lasts, skill
+from hrl_comfort.hierarchy.options import Begun, Option, OptionTable, grid, in_hand, lasts, skill
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, subtask
 from hrl_comfort.tasks.cycle import CYCLE
-from hrl_comfort.tasks.pick import PICK
+from hrl_comfort.tasks.pick import PICK, PICK_STAGE
 from hrl_comfort.tasks.place import PLACE, PLACE_STAGE
 from hrl_comfort.tasks.return_home import RETURN, RETURN_STAGE
 
@@ -80,15 +80,26 @@ def way_home(scene: Scene, config: EnvConfig, seed: int) -> Act:
 
 
 def recovery(scene: Scene, config: EnvConfig, seed: int) -> Option:
-    """Return the option `retreat` of a chain with a hand: it runs after an option that was cut short, until home."""
+    """Return the option `retreat` of a chain with a hand: after an option that was cut short, home to pick anew."""
     home, at_home = way_home(scene, config, seed), RETURN_STAGE.done
-    never = torch.zeros_like
-    return Option("retreat", home, lambda state: never(at_home(state)), lambda state, _: at_home(state), recovers=True)
+
+    def never(state: State) -> Tensor:
+        return torch.zeros_like(at_home(state))
+
+    def ends(state: State, _: Begun) -> Tensor:
+        return at_home(state) | ~(has_to_pick(state) & has_nothing(state))
+
+    return Option("retreat", home, never, ends, recovers=True)
 
 
 def has_placed(state: State) -> Tensor:
     """Return (N,) bool: an object has just been placed; the arm is to return."""
     return state.stage % ROUND == CYCLE.stages.index(RETURN_STAGE)
+
+
+def has_to_pick(state: State) -> Tensor:
+    """Return (N,) bool: the next object is to be picked."""
+    return state.stage % ROUND == CYCLE.stages.index(PICK_STAGE)
 
 
 def has_nothing(state: State) -> Tensor:
