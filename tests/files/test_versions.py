@@ -64,5 +64,5 @@ def test_committed_runs_were_trained_in_the_papers_cell(run: str) -> None:
 
 
 def test_committed_episodes_have_the_kind_of_their_object() -> None:
-    table = read_table(REFERENCE / "pick" / "eval" / "episodes.csv")
+    table = read_table(REFERENCE / "comfort" / "stages" / "seed0" / "eval" / "episodes.csv")
     assert table is not None and set(table["object"]) == {"orange", "pink"} and "objects_placed" in table
