@@ -153,7 +153,7 @@ def test_a_fault_of_the_hand_stops_the_arm_and_fingers_keep_their_set_point(
 def test_an_arm_and_its_hand_on_one_controller_grip_what_lies_between_the_fingers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What they hold is not carried through the cell by the next run: it is refused."""
+    """The next run is refused, so that what they hold is not carried through the cell."""
     pytest.importorskip("rtde_receive")
     from hrl_comfort.deploy import ur
     from hrl_comfort.deploy.hands import robotiq

@@ -101,7 +101,7 @@ def free_port() -> int:
 
 @pytest.mark.parametrize("people", [1, 2])
 def test_a_person_who_is_no_longer_seen_stops_the_arm(people: int, tmp_path: Path) -> None:
-    """Whoever it is: of two, the first is still seen."""
+    """Of two people, the first is still seen, whoever it is."""
     ports = [free_port() for _ in range(people)]
     over = threading.Event()
 

@@ -1,4 +1,4 @@
-"""Where episodes with a hand begin: with what a policy left in the hand, or on the way from the object to home."""
+"""Starts of episodes with a hand: with what a policy left in the hand, or on the way from the object to home."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people see in tests: by default the stations of the paper's cell, and an arm that is its tool, at rest."""
+"""Surroundings of people in tests: by default the stations of the paper's cell, and an arm that is its tool, at rest."""
 
 from __future__ import annotations
 

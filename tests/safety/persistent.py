@@ -98,7 +98,7 @@ class Count:
     human_beyond_bound: int = 0
     """Control steps in which the person came nearer to a link than the shield assumes."""
     unsafe: list[str] = field(default_factory=list)
-    """What is known of each unsafe contact."""
+    """Records of the unsafe contacts."""
 
 
 def watched(engine: Engine, found: Count) -> list[Array]:

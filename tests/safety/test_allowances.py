@@ -1,4 +1,4 @@
-"""What the shield must allow for is exact, and configurations that exceed it are refused."""
+"""Allowances of the shield are exact, and configurations that exceed it are refused."""
 
 from __future__ import annotations
 
