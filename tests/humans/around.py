@@ -1,4 +1,4 @@
-"""Surroundings of people in tests: by default the stations of the paper's cell, and an arm that is its tool, at rest."""
+"""Surroundings of people in tests: by default stations of the paper's cell, and an arm that is its tool, at rest."""
 
 from __future__ import annotations
 
