@@ -78,7 +78,7 @@ def test_fingers_and_objects_are_drawn(config: StudioConfig, page: dict[str, Any
 
 
 class Shown(SimpleNamespace):
-    """What an expert does in an episode: actions as the page takes them, states of every control step, success."""
+    """An episode of an expert: actions as the page takes them, states of every control step, success."""
 
     actions: list[list[float]]
     states: list[State]

@@ -44,7 +44,7 @@ SEEING = [
     *SHIELDED, "task=cycle", "task.observation=sight", "safety.clearance_m=0.01", "task.arrival_speed_rad_s=0.5",
     "human=mixture",
 ]  # fmt: skip
-"""What the released skills are made for."""
+"""World for which the released skills are made."""
 HERE = Path(__file__).parent
 STEPS = 200
 """Control steps, of 20 ms, of the episode that is played."""

@@ -1,4 +1,4 @@
-"""What a policy sees does not depend on which way the cell is turned, and tells near people from far ones."""
+"""Sight does not depend on which way the cell is turned, and tells near people from far ones."""
 
 from __future__ import annotations
 

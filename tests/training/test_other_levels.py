@@ -1,4 +1,4 @@
-"""What is done at one comfort level teaches the others."""
+"""Experience at one comfort level teaches the others."""
 
 from __future__ import annotations
 
